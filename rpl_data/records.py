@@ -1,0 +1,185 @@
+"""Records of `types` as JSON-ready dictionaries and back; nothing here touches a file.
+
+Matrices are row-major lists; NaN (a keypoint without a position) becomes null.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64
+
+from rpl_data.types import (
+    ClickResidual,
+    Click,
+    Frame,
+    FrameLabel,
+    InstanceLabel,
+    Intrinsics,
+    KeypointModel,
+    Recording,
+    Scene,
+    Solution,
+    SquareBox,
+)
+
+Json = dict[str, Any]
+
+
+def rows_to_json(rows: Float64[np.ndarray, "n m"], digits: int | None = None) -> list[list[float] | None]:
+    """A list a row; null for a row that is not finite."""
+    return [numbers(row, digits) if np.isfinite(row).all() else None for row in rows]
+
+
+def rows_from_json(rows: list[list[float] | None], width: int) -> Float64[np.ndarray, "n m"]:
+    """The array of `rows_to_json`; NaN for null."""
+    filled = [[math.nan] * width if row is None else row for row in rows]
+    return np.array(filled, dtype=float).reshape(len(rows), width)
+
+
+def numbers(values: np.ndarray, digits: int | None = None) -> list[float]:
+    """A flat list of floats, rounded to `digits` decimals where given."""
+    flat = np.ravel(values)
+    return [float(x) for x in (flat if digits is None else np.round(flat, digits))]
+
+
+def matrix_from_json(values: list[float]) -> Float64[np.ndarray, "4 4"]:
+    """The 4x4 matrix of 16 row-major numbers."""
+    return np.array(values, dtype=float).reshape(4, 4)
+
+
+def recording_to_json(recording: Recording) -> Json:
+    """Everything about a recording but its trajectory."""
+    scene = recording.scene
+    return {
+        "name": scene.name,
+        "source": scene.source,
+        "intrinsics": asdict(scene.intrinsics) | {"distortion": list(scene.intrinsics.distortion)},
+        "metres_per_unit": scene.metres_per_unit,
+        "registered": scene.registered,
+        "no_depth_units": list(scene.no_depth_units),
+        "skipped": list(recording.skipped),
+        "notes": list(recording.notes),
+        "frames": [
+            {
+                "index": frame.index,
+                "timestamp_s": frame.timestamp_s,
+                "color": str(frame.color),
+                "depth": None if frame.depth is None else str(frame.depth),
+            }
+            for frame in scene.frames
+        ],
+    }
+
+
+def recording_from_json(data: Json) -> Recording:
+    """The recording of `recording_to_json`, without a trajectory."""
+    intrinsics = Intrinsics(**data["intrinsics"] | {"distortion": tuple(data["intrinsics"]["distortion"])})
+    frames = tuple(
+        Frame(f["index"], f["timestamp_s"], Path(f["color"]), None if f["depth"] is None else Path(f["depth"]))
+        for f in data["frames"]
+    )
+    scene = Scene(
+        name=data["name"],
+        intrinsics=intrinsics,
+        metres_per_unit=data["metres_per_unit"],
+        frames=frames,
+        registered=data["registered"],
+        no_depth_units=tuple(data["no_depth_units"]),
+        source=data["source"],
+    )
+    return Recording(scene, None, tuple(data["skipped"]), tuple(data["notes"]))
+
+
+def solution_to_json(solution: Solution) -> Json:
+    """A solution; covariances as 9 numbers a keypoint."""
+    model = solution.model
+    return {
+        "object": model.name,
+        "keypoints": list(model.keypoints),
+        "skeleton": [list(pair) for pair in model.skeleton],
+        "points_object": rows_to_json(model.points_object),
+        "covariance": rows_to_json(solution.covariance.reshape(-1, 9)),
+        "scene_from_object": {name: numbers(matrix) for name, matrix in solution.scene_from_object.items()},
+        "residuals": [asdict(residual) for residual in solution.residuals],
+        "warnings": list(solution.warnings),
+    }
+
+
+def solution_from_json(data: Json) -> Solution:
+    """The solution of `solution_to_json`."""
+    model = KeypointModel(
+        name=data["object"],
+        keypoints=tuple(data["keypoints"]),
+        points_object=rows_from_json(data["points_object"], 3),
+        skeleton=tuple((a, b) for a, b in data["skeleton"]),
+    )
+    residuals = tuple(ClickResidual(**r | {"click": Click(**r["click"])}) for r in data["residuals"])
+    return Solution(
+        model=model,
+        covariance=rows_from_json(data["covariance"], 9).reshape(-1, 3, 3),
+        scene_from_object={name: matrix_from_json(m) for name, m in data["scene_from_object"].items()},
+        residuals=residuals,
+        warnings=tuple(data["warnings"]),
+    )
+
+
+def frame_label_to_json(label: FrameLabel) -> Json:
+    """A line of `labels/<scene>.jsonl`."""
+    return {
+        "scene": label.scene,
+        "frame": label.frame,
+        "timestamp_s": label.timestamp_s,
+        "instances": [_instance_to_json(instance) for instance in label.instances],
+    }
+
+
+def frame_label_from_json(data: Json) -> FrameLabel:
+    """The label of `frame_label_to_json`."""
+    instances = tuple(_instance_from_json(instance) for instance in data["instances"])
+    return FrameLabel(data["scene"], data["frame"], data["timestamp_s"], instances)
+
+
+def _instance_to_json(instance: InstanceLabel) -> Json:
+    return {
+        "object": instance.object,
+        "camera_from_object": numbers(instance.camera_from_object, 9),
+        "keypoints_px": rows_to_json(instance.keypoints_px, 3),
+        "visible": [int(v) for v in instance.visibility],
+        "sigma_px": [round(float(s), 3) if math.isfinite(s) else None for s in instance.sigma_px],
+        "square_box": numbers(np.array(asdict_values(instance.square_box)), 3),
+        "box": None if instance.box is None else list(instance.box),
+        "box_full": list(instance.box_full),
+        "mask": instance.mask,
+        "mask_full": instance.mask_full,
+        "visib_fract": round(instance.visib_fract, 4),
+        "truncated": instance.truncated,
+        "quality": round(instance.quality, 4),
+    }
+
+
+def _instance_from_json(data: Json) -> InstanceLabel:
+    return InstanceLabel(
+        object=data["object"],
+        camera_from_object=matrix_from_json(data["camera_from_object"]),
+        keypoints_px=rows_from_json(data["keypoints_px"], 2),
+        visibility=np.array(data["visible"], dtype=np.int64),
+        sigma_px=np.array([math.nan if s is None else s for s in data["sigma_px"]], dtype=float),
+        square_box=SquareBox(*data["square_box"]),
+        box=None if data["box"] is None else tuple(data["box"]),
+        box_full=tuple(data["box_full"]),
+        mask=data["mask"],
+        mask_full=data["mask_full"],
+        visib_fract=data["visib_fract"],
+        truncated=data["truncated"],
+        quality=data["quality"],
+    )
+
+
+def asdict_values(box: SquareBox) -> list[float]:
+    """cx, cy, side of a square box, as COCO's extra key `square_box` has them."""
+    return [box.cx_px, box.cy_px, box.side_px]

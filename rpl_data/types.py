@@ -1,0 +1,324 @@
+"""The nouns of rpl_data: what stages take and return.
+
+Every stage takes and returns the frozen dataclasses below; every one of them is also a file that
+`workspace.py` knows how to read and write. Conventions (frames, pixels, units) are in `geometry.py`.
+
+Missing is absent, ``None`` or, in a row of an array that is otherwise numbers, NaN; never -1 or 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal, TypedDict
+
+import numpy as np
+from jaxtyping import Float32, Float64, Int64, UInt8
+
+DepthImage = Float32[np.ndarray, "height width"]
+"""Metres along the optical axis; 0 = no depth."""
+ColorImage = UInt8[np.ndarray, "height width 3"]
+"""RGB."""
+
+
+class DataError(ValueError):
+    """Something the user can mend.
+
+    The message says what is wrong, where, what was expected, what was found and what to do.
+    """
+
+
+@dataclass(frozen=True)
+class Intrinsics:
+    """A pinhole camera with OpenCV's lens distortion.
+
+    Attributes:
+        fx, fy: focal lengths in pixels.
+        cx, cy: principal point in pixels; the centre of the top-left pixel is (0, 0).
+        width, height: image size in pixels.
+        distortion: OpenCV's coefficients (k1, k2, p1, p2[, k3[, k4, k5, k6]]); empty = none.
+    """
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    width: int
+    height: int
+    distortion: tuple[float, ...] = ()
+
+    @property
+    def matrix(self) -> Float64[np.ndarray, "3 3"]:
+        """The 3x3 camera matrix K."""
+        return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]], dtype=float)
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One colour image and its depth image, as files.
+
+    Attributes:
+        index: position in the recording, from 0; frames that were left out keep their number.
+        timestamp_s: time of the colour image.
+        color: path of the colour image.
+        depth: path of the depth image; None where the recording has none for this frame.
+    """
+
+    index: int
+    timestamp_s: float
+    color: Path
+    depth: Path | None
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One RGB-D video (the paper's U_s), its pixels left where they are.
+
+    Attributes:
+        name: unique in a workspace; a folder name.
+        metres_per_unit: ``depth_m = raw * metres_per_unit``.
+        registered: depth pixels lie on the colour pixels; labelling refuses a scene where not.
+        no_depth_units: raw depth values that mean "no depth", besides 0.
+        source: what this was read from, for the report.
+    """
+
+    name: str
+    intrinsics: Intrinsics
+    metres_per_unit: float
+    frames: tuple[Frame, ...]
+    registered: bool = True
+    no_depth_units: tuple[int, ...] = ()
+    source: str = ""
+
+    def frame(self, index: int) -> Frame:
+        """The frame with that index in the recording; DataError when the scene has none."""
+        for candidate in self.frames:
+            if candidate.index == index:
+                return candidate
+        raise DataError(
+            f"scene {self.name} has no frame {index}: it has {len(self.frames)} frames, "
+            f"{self.frames[0].index} to {self.frames[-1].index}; frames without colour, depth or "
+            "pose are left out when a recording is read"
+        )
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Camera poses of a scene (the paper's C_s^(t)), in the order of the frames.
+
+    Attributes:
+        frames: `Frame.index` of each row.
+        scene_from_camera: one rigid transform a row, metres.
+    """
+
+    frames: Int64[np.ndarray, " n"]
+    scene_from_camera: Float64[np.ndarray, "n 4 4"]
+
+    def at(self, frame: int) -> Float64[np.ndarray, "4 4"]:
+        """`scene_from_camera` of the frame with that index; DataError when it has no pose."""
+        row = int(np.searchsorted(self.frames, frame))
+        if row == len(self.frames) or self.frames[row] != frame:
+            raise DataError(f"the trajectory has no pose for frame {frame}; choose another frame")
+        return self.scene_from_camera[row]
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What a reader returns: a scene, the trajectory it came with, and what was left out.
+
+    Attributes:
+        trajectory: None when the recording holds no poses (it must be tracked first).
+        skipped: one line for every group of frames left out, with the count and the reason.
+        notes: what was assumed (the depth scale of a format that does not state it, say).
+    """
+
+    scene: Scene
+    trajectory: Trajectory | None
+    skipped: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Click:
+    """A person marked keypoint number `keypoint` of `object` at (u_px, v_px) of a frame."""
+
+    object: str
+    keypoint: int
+    scene: str
+    frame: int
+    u_px: float
+    v_px: float
+
+
+@dataclass(frozen=True)
+class Observation:
+    """A click lifted to space: a ray, and the depths the sensor saw around it.
+
+    Attributes:
+        ray_camera: direction of the ray with z = 1, lens distortion removed; a point on it at
+            depth d is ``d * ray_camera`` in the camera frame.
+        scene_from_camera: pose of the clicked frame.
+        depths_m: candidate depths of the neighbourhood, nearest surface first; may be empty.
+        pixel_rad: angle of one pixel there, 1 / focal length.
+    """
+
+    click: Click
+    ray_camera: Float64[np.ndarray, "3"]
+    scene_from_camera: Float64[np.ndarray, "4 4"]
+    depths_m: Float64[np.ndarray, " candidates"]
+    pixel_rad: float
+
+
+@dataclass(frozen=True)
+class KeypointModel:
+    """The sparse model Q of an object.
+
+    Attributes:
+        name: the object's name.
+        keypoints: names, in order.
+        points_object: a row a keypoint, metres, object frame; NaN where it was never clicked.
+        skeleton: pairs of keypoint numbers to draw a line between.
+    """
+
+    name: str
+    keypoints: tuple[str, ...]
+    points_object: Float64[np.ndarray, "k 3"]
+    skeleton: tuple[tuple[int, int], ...] = ()
+
+    @property
+    def known(self) -> np.ndarray:
+        """Which keypoints have a position; bool, shape (k,)."""
+        known: np.ndarray = np.isfinite(self.points_object).all(axis=1)
+        return known
+
+
+DepthState = Literal["agrees", "other surface", "rejected", "none"]
+"""What became of a click's depth: the candidate at the click agrees; another candidate of the
+neighbourhood was taken; none of the candidates fits; there was no candidate."""
+
+
+@dataclass(frozen=True)
+class ClickResidual:
+    """How well the solution explains one click.
+
+    Attributes:
+        error_px: distance of the click from the projected keypoint.
+        error_m: distance of the keypoint from the lifted click; None when no depth was used.
+        depth_m: the depth that was decided on; None where none of the candidates fits.
+        outlier: the click itself (not only its depth) contradicts the others.
+        reason: one line for a person; empty when all is well.
+    """
+
+    click: Click
+    error_px: float
+    error_m: float | None
+    depth_m: float | None
+    depth_state: DepthState
+    outlier: bool = False
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class Solution:
+    """The answer to Eq. 2: the sparse model and where the object stands in every scene.
+
+    Attributes:
+        model: the sparse model in the object frame (centroid of the keypoints, axes of the first
+            scene).
+        covariance: a 3x3 matrix a keypoint, m^2, object frame; NaN where never clicked.
+        scene_from_object: one rigid transform a scene, by scene name. The paper's T_s.
+        residuals: one a click, in the order of the clicks.
+        warnings: lines for a person.
+    """
+
+    model: KeypointModel
+    covariance: Float64[np.ndarray, "k 3 3"]
+    scene_from_object: Mapping[str, Float64[np.ndarray, "4 4"]]
+    residuals: tuple[ClickResidual, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Triangles, counter-clockwise from outside; metres.
+
+    Attributes:
+        colors: RGB of every vertex; None when unknown.
+    """
+
+    vertices: Float64[np.ndarray, "n 3"]
+    triangles: Int64[np.ndarray, "m 3"]
+    colors: UInt8[np.ndarray, "n 3"] | None = None
+
+
+@dataclass(frozen=True)
+class PointCloud:
+    """Points with unit normals pointing out of the surface; metres."""
+
+    points: Float64[np.ndarray, "n 3"]
+    normals: Float64[np.ndarray, "n 3"]
+    colors: UInt8[np.ndarray, "n 3"] | None = None
+
+
+class Rle(TypedDict):
+    """A mask in COCO's compressed run-length encoding, JSON-ready (`counts` is ASCII text)."""
+
+    size: list[int]
+    counts: str
+
+
+@dataclass(frozen=True)
+class SquareBox:
+    """The paper's box b = (x, y, h): an upright square around the keypoints, scaled by 1.5."""
+
+    cx_px: float
+    cy_px: float
+    side_px: float
+
+
+Box = tuple[float, float, float, float]
+"""x0, y0, x1, y1 in pixels with COCO's edges: a mask of the one pixel (u, v) has box
+(u, v, u + 1, v + 1)."""
+
+
+@dataclass(frozen=True)
+class InstanceLabel:
+    """One object in one frame.
+
+    Attributes:
+        keypoints_px: projected keypoints, possibly outside the image; NaN where the keypoint has
+            no position or lies behind the camera.
+        visibility: COCO's v of each keypoint: 0 not labelled, 1 hidden, 2 seen.
+        sigma_px: standard deviation of each projected keypoint; NaN where v = 0.
+        box: of the visible mask; None when nothing is visible.
+        box_full: of the full mask, clipped to the image.
+        mask: visible pixels. mask_full: all pixels the object would cover if nothing hid it.
+        visib_fract: visible share of the full mask's pixels.
+        truncated: the object reaches beyond the image.
+        quality: 0 (bad) to 1 (depth agrees with the model everywhere it was measured).
+    """
+
+    object: str
+    camera_from_object: Float64[np.ndarray, "4 4"]
+    keypoints_px: Float64[np.ndarray, "k 2"]
+    visibility: Int64[np.ndarray, " k"]
+    sigma_px: Float64[np.ndarray, " k"]
+    square_box: SquareBox
+    box: Box | None
+    box_full: Box
+    mask: Rle
+    mask_full: Rle
+    visib_fract: float
+    truncated: bool
+    quality: float
+
+
+@dataclass(frozen=True)
+class FrameLabel:
+    """All objects of one frame; objects that are not in the image have no instance."""
+
+    scene: str
+    frame: int
+    timestamp_s: float
+    instances: tuple[InstanceLabel, ...] = field(default=())

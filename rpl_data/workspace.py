@@ -1,0 +1,339 @@
+"""The only module that knows our folder and file names. See `Workspace` for the tree."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from rpl_data import records
+from rpl_data.clicklog import Annotation, Event, replay
+from rpl_data.files import read_json, read_text, write_json, write_text, writing
+from rpl_data.geometry import from_quaternion_xyzw, to_quaternion_xyzw
+from rpl_data.types import (
+    ColorImage,
+    DataError,
+    DepthImage,
+    Frame,
+    FrameLabel,
+    Mesh,
+    PointCloud,
+    Recording,
+    Scene,
+    Solution,
+    Trajectory,
+)
+
+
+@dataclass(frozen=True)
+class Workspace:
+    """A folder with everything about a dataset.
+
+    ::
+
+        recipe.yaml                   the resolved recipe that built it
+        stages.json                   what each stage ran with
+        recording/                    the synthetic recording of a twin, with recording/truth/
+        scenes/<scene>/               scene.json  trajectory.txt  surface.ply  cache/
+        objects/<object>/             clicks.jsonl  solution.json  mesh.ply  cloud.ply
+        labels/<scene>.jsonl          a line a frame
+        export/<format>/              coco, coco_truth, ...
+        report/index.html
+
+    The truth of a recording, where there is one, is a workspace of its own: objects with solution
+    and mesh, and labels.
+    """
+
+    root: Path
+
+    @property
+    def recipe_file(self) -> Path:
+        """The resolved recipe."""
+        return self.root / "recipe.yaml"
+
+    @property
+    def stages_file(self) -> Path:
+        """What each stage ran with."""
+        return self.root / "stages.json"
+
+    @property
+    def recording(self) -> Path:
+        """Where a twin writes its recording."""
+        return self.root / "recording"
+
+    @property
+    def report(self) -> Path:
+        """The page a person looks at."""
+        return self.root / "report" / "index.html"
+
+    def export(self, name: str) -> Path:
+        """The folder of an export."""
+        return self.root / "export" / name
+
+    def scene_file(self, scene: str) -> Path:
+        """Intrinsics and frames of a scene."""
+        return self.root / "scenes" / scene / "scene.json"
+
+    def trajectory_file(self, scene: str) -> Path:
+        """TUM lines, scene_from_camera."""
+        return self.root / "scenes" / scene / "trajectory.txt"
+
+    def surface_file(self, scene: str) -> Path:
+        """Surface near the objects, in the scene frame."""
+        return self.root / "scenes" / scene / "surface.ply"
+
+    def cache(self, scene: str) -> Path:
+        """Decoded depth and other things that can be rebuilt at any time."""
+        return self.root / "scenes" / scene / "cache"
+
+    def clicks_file(self, object_name: str) -> Path:
+        """The log of clicks."""
+        return self.root / "objects" / object_name / "clicks.jsonl"
+
+    def solution_file(self, object_name: str) -> Path:
+        """The sparse model and the scene transforms."""
+        return self.root / "objects" / object_name / "solution.json"
+
+    def mesh_file(self, object_name: str) -> Path:
+        """The dense model as triangles, object frame."""
+        return self.root / "objects" / object_name / "mesh.ply"
+
+    def cloud_file(self, object_name: str) -> Path:
+        """The dense model as points, object frame."""
+        return self.root / "objects" / object_name / "cloud.ply"
+
+    def labels_file(self, scene: str) -> Path:
+        """Labels of a scene, a line a frame."""
+        return self.root / "labels" / f"{scene}.jsonl"
+
+    # Names ----------------------------------------------------------------------------------------
+
+    def scene_names(self) -> list[str]:
+        """Scenes of the workspace, sorted."""
+        return sorted(path.parent.name for path in self.root.glob("scenes/*/scene.json"))
+
+    def object_names(self) -> list[str]:
+        """Objects that have clicks or a solution, sorted."""
+        folders = [*self.root.glob("objects/*/clicks.jsonl"), *self.root.glob("objects/*/solution.json")]
+        return sorted({path.parent.name for path in folders})
+
+    def labelled_scene_names(self) -> list[str]:
+        """Scenes with labels, sorted."""
+        return sorted(path.stem for path in self.root.glob("labels/*.jsonl"))
+
+    # Scenes ---------------------------------------------------------------------------------------
+
+    def save_recording(self, recording: Recording) -> None:
+        """Write scene.json, and trajectory.txt when the recording has poses."""
+        write_json(self.scene_file(recording.scene.name), records.recording_to_json(recording), indent=None)
+        if recording.trajectory is not None:
+            self.save_trajectory(recording.scene, recording.trajectory)
+
+    def load_recording(self, scene: str) -> Recording:
+        """The scene as it was read, without its trajectory."""
+        if not self.scene_file(scene).exists():
+            raise DataError(f"the workspace {self.root} has no scene {scene!r}; it has {self.scene_names()}")
+        return records.recording_from_json(read_json(self.scene_file(scene)))
+
+    def load_scene(self, scene: str) -> Scene:
+        """The scene alone."""
+        return self.load_recording(scene).scene
+
+    def save_trajectory(self, scene: Scene, trajectory: Trajectory) -> None:
+        """Write TUM lines `t tx ty tz qx qy qz qw`, scene_from_camera, in full precision."""
+        times = {frame.index: frame.timestamp_s for frame in scene.frames}
+        lines = ["# t_s tx_m ty_m tz_m qx qy qz qw  scene_from_camera"]
+        for index, pose in zip(trajectory.frames, trajectory.scene_from_camera, strict=True):
+            values = [times[int(index)], *pose[:3, 3], *to_quaternion_xyzw(pose)]
+            lines.append(" ".join(repr(float(value)) for value in values))
+        write_text(self.trajectory_file(scene.name), "\n".join(lines) + "\n")
+
+    def load_trajectory(self, scene: Scene) -> Trajectory:
+        """The poses of a scene; DataError when it has none yet."""
+        path = self.trajectory_file(scene.name)
+        if not path.exists():
+            raise DataError(f"scene {scene.name} has no trajectory yet; run the reconstruct stage first")
+        rows = [line.split() for line in read_text(path).splitlines() if not line.startswith("#")]
+        values = np.array(rows, dtype=float).reshape(-1, 8)
+        index_of = {frame.timestamp_s: frame.index for frame in scene.frames}
+        known = [row for row in values if float(row[0]) in index_of]
+        frames = np.array([index_of[float(row[0])] for row in known], dtype=np.int64)
+        poses = np.array([from_quaternion_xyzw(row[4:], row[1:4]) for row in known]).reshape(-1, 4, 4)
+        return Trajectory(frames, poses)
+
+    # Objects --------------------------------------------------------------------------------------
+
+    def append_events(self, object_name: str, events: Iterable[Event]) -> None:
+        """Add events to the log of clicks; they are on the disk when this returns."""
+        path = self.clicks_file(object_name)
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with path.open("a", encoding="utf-8") as file:
+                file.write("".join(json.dumps(event) + "\n" for event in events))
+                file.flush()
+                # An acknowledged click survives a power cut.
+                import os
+
+                os.fsync(file.fileno())
+        except OSError as error:
+            raise DataError(f"cannot write {path}: {error.strerror}; the last action was not saved") from error
+
+    def load_events(self, object_name: str) -> list[Event]:
+        """The log; a last line cut off by a crash is left out."""
+        path = self.clicks_file(object_name)
+        if not path.exists():
+            return []
+        lines = read_text(path).split("\n")
+        events = []
+        for number, line in enumerate(lines, start=1):
+            if not line:
+                continue
+            try:
+                events.append(json.loads(line))
+            except json.JSONDecodeError as error:
+                if number == len(lines):  # no newline at its end: never acknowledged
+                    continue
+                raise DataError(f"{path} line {number} is broken: {error}; delete that line") from error
+        return events
+
+    def load_annotation(self, object_name: str) -> Annotation:
+        """Keypoint names and clicks of an object."""
+        return replay(object_name, self.load_events(object_name))
+
+    def save_solution(self, solution: Solution) -> None:
+        """Write solution.json."""
+        write_json(self.solution_file(solution.model.name), records.solution_to_json(solution))
+
+    def load_solution(self, object_name: str) -> Solution:
+        """The solution of an object; DataError when there is none yet."""
+        if not self.solution_file(object_name).exists():
+            raise DataError(f"object {object_name} has no solution yet; run `rpl solve` on {self.root}")
+        return records.solution_from_json(read_json(self.solution_file(object_name)))
+
+    # Labels ---------------------------------------------------------------------------------------
+
+    def save_labels(self, scene: str, labels: Iterable[FrameLabel]) -> int:
+        """Write the labels of a scene as they come, in constant memory; returns how many frames."""
+        count = 0
+        with writing(self.labels_file(scene)) as file:
+            for label in labels:
+                file.write(json.dumps(records.frame_label_to_json(label), allow_nan=False) + "\n")
+                count += 1
+        return count
+
+    def load_labels(self, scene: str) -> Iterator[FrameLabel]:
+        """The labels of a scene, one at a time."""
+        path = self.labels_file(scene)
+        if not path.exists():
+            raise DataError(f"scene {scene} has no labels yet; run `rpl label` on {self.root}")
+        with path.open(encoding="utf-8") as file:
+            for line in file:
+                yield records.frame_label_from_json(json.loads(line))
+
+
+# Pixels -------------------------------------------------------------------------------------------
+
+
+def read_color(frame: Frame) -> ColorImage:
+    """The colour image as RGB; DataError when it is missing or broken."""
+    image = cv2.imread(str(frame.color), cv2.IMREAD_COLOR_RGB) if frame.color.exists() else None
+    if image is None:
+        raise DataError(f"frame {frame.index}: cannot read the colour image {frame.color}; it is missing or broken")
+    return image
+
+
+def read_depth_m(scene: Scene, frame: Frame) -> DepthImage:
+    """The depth image in metres, 0 = none; DataError when it is missing, broken or of another size."""
+    if frame.depth is None:
+        raise DataError(f"scene {scene.name}, frame {frame.index} has no depth image")
+    raw = cv2.imread(str(frame.depth), cv2.IMREAD_UNCHANGED) if frame.depth.exists() else None
+    expected = (scene.intrinsics.height, scene.intrinsics.width)
+    if raw is None or raw.dtype != np.uint16 or raw.shape != expected:
+        found = "nothing readable" if raw is None else f"{raw.dtype} {raw.shape}"
+        raise DataError(
+            f"scene {scene.name}, frame {frame.index}: {frame.depth} should be a 16-bit image of "
+            f"{expected[1]} x {expected[0]} px, found {found}; record it again or delete it"
+        )
+    for value in scene.no_depth_units:
+        raw[raw == value] = 0
+    return raw.astype(np.float32) * np.float32(scene.metres_per_unit)
+
+
+# Surfaces -----------------------------------------------------------------------------------------
+
+
+def save_mesh(path: Path, mesh: Mesh) -> None:
+    """Write triangles as binary PLY, whole or not at all."""
+    import open3d as o3d
+
+    legacy = o3d.geometry.TriangleMesh(
+        o3d.utility.Vector3dVector(mesh.vertices), o3d.utility.Vector3iVector(mesh.triangles.astype(np.int32))
+    )
+    if mesh.colors is not None:
+        legacy.vertex_colors = o3d.utility.Vector3dVector(mesh.colors / 255.0)
+    _write_ply(path, lambda temporary: o3d.io.write_triangle_mesh(temporary, legacy))
+
+
+def load_mesh(path: Path) -> Mesh:
+    """Triangles from PLY, OBJ or anything Open3D reads; DataError when there are none."""
+    import open3d as o3d
+
+    if not path.exists():
+        raise DataError(f"there is no mesh {path}")
+    legacy = o3d.io.read_triangle_mesh(str(path))
+    if not legacy.has_triangles():
+        raise DataError(f"{path} holds no triangles; expected a mesh, not a point cloud")
+    colors = (np.asarray(legacy.vertex_colors) * 255).round().astype(np.uint8) if legacy.has_vertex_colors() else None
+    return Mesh(np.asarray(legacy.vertices).copy(), np.asarray(legacy.triangles).astype(np.int64), colors)
+
+
+def save_cloud(path: Path, cloud: PointCloud) -> None:
+    """Write points with normals as binary PLY, whole or not at all."""
+    import open3d as o3d
+
+    legacy = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(cloud.points))
+    legacy.normals = o3d.utility.Vector3dVector(cloud.normals)
+    if cloud.colors is not None:
+        legacy.colors = o3d.utility.Vector3dVector(cloud.colors / 255.0)
+    _write_ply(path, lambda temporary: o3d.io.write_point_cloud(temporary, legacy))
+
+
+def load_cloud(path: Path) -> PointCloud:
+    """Points with normals from PLY; DataError when there are none."""
+    import open3d as o3d
+
+    if not path.exists():
+        raise DataError(f"there is no point cloud {path}")
+    legacy = o3d.io.read_point_cloud(str(path))
+    if not legacy.has_points() or not legacy.has_normals():
+        raise DataError(f"{path} should hold points with normals")
+    colors = (np.asarray(legacy.colors) * 255).round().astype(np.uint8) if legacy.has_colors() else None
+    return PointCloud(np.asarray(legacy.points).copy(), np.asarray(legacy.normals).copy(), colors)
+
+
+def _write_ply(path: Path, write: Any) -> None:
+    """Let Open3D write beside `path`, then rename."""
+    temporary = path.with_name(f".{path.stem}.partial.ply")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if not write(str(temporary)):
+            raise DataError(f"cannot write {path}: the disk is full or the folder read-only; nothing was changed")
+        temporary.replace(path)
+    except OSError as error:
+        raise DataError(f"cannot write {path}: {error.strerror}; nothing was changed") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def remove(path: Path) -> None:
+    """Delete a file or a folder of ours, if it is there."""
+    if path.is_dir():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
