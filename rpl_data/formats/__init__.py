@@ -1,0 +1,1 @@
+"""Other people's formats: one a file, with its reader and its writer together."""
