@@ -322,3 +322,38 @@ class FrameLabel:
     frame: int
     timestamp_s: float
     instances: tuple[InstanceLabel, ...] = field(default=())
+
+
+@dataclass(frozen=True)
+class QualityRow:
+    """How good an object's model and labels are against truth: a row of the printed table.
+
+    NaN where nothing could be measured. 2D errors are means over the labelled keypoints of a frame;
+    mean, median and 95th percentile are over frames, as the means and the worst of the IoU are.
+
+    Attributes:
+        keypoints_known: keypoints with a position, of `keypoints`.
+        position_mm, rotation_deg: mean pose error after the one rigid alignment of the two models.
+        frames: frames with a label and truth, of `truth_frames`.
+        missed: frames that were labelled without this object though truth has it.
+        invented: frames that were labelled with this object though truth does not have it.
+    """
+
+    object: str
+    keypoints: int
+    keypoints_known: int
+    error_3d_mean_mm: float
+    error_3d_max_mm: float
+    error_2d_mean_px: float
+    error_2d_median_px: float
+    error_2d_p95_px: float
+    iou_full_mean: float
+    iou_full_worst: float
+    iou_visible_mean: float
+    iou_visible_worst: float
+    position_mm: float
+    rotation_deg: float
+    frames: int
+    truth_frames: int
+    missed: int
+    invented: int
