@@ -1,0 +1,306 @@
+"""Recipes: one YAML file says where scenes come from, what the objects are and what to make of them.
+
+The dataclasses below are the grammar; a recipe file holds exactly their fields. Keys that are none of
+them are refused with the nearest one that is, so a misspelt option never passes for a default.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import types
+import typing
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, TypeVar
+
+import yaml
+
+from rpl_data.files import read_text
+from rpl_data.types import DataError
+
+AnyRecipe = TypeVar("AnyRecipe")
+
+
+@dataclass(frozen=True)
+class SceneSource:
+    """Where some scenes come from.
+
+    Attributes:
+        path: a folder of scenes, or one scene.
+        format: how they are stored; `rpl` is a RapidPoseLabels tree (`camera.txt` and, a scene,
+            `rgb/`, `depth/`, `associations.txt`, `camera.poses`).
+        names: only these scenes of the folder; all of them when left out.
+        metres_per_unit: metres of one unit of the stored depth; what the format says when left out
+            (0.001 for `rpl`: millimetres).
+    """
+
+    path: Path
+    format: str = "rpl"
+    names: tuple[str, ...] | None = None
+    metres_per_unit: float | None = None
+
+
+@dataclass(frozen=True)
+class CropBox:
+    """A box in the object frame, metres; the dense model is cut to it.
+
+    The object frame has its origin at the centroid of the keypoints and the axes of the first scene.
+    """
+
+    low_m: tuple[float, float, float]
+    high_m: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class ObjectRecipe:
+    """One object.
+
+    Attributes:
+        name: its name; the category of the exported dataset.
+        keypoints: how many, or their names in order.
+        clicks: CSV file `object,keypoint,scene,frame,u_px,v_px` with the clicks; left out when they
+            are already in the workspace (`rpl clicks import`, the annotation page).
+        skeleton: pairs of keypoint numbers (from 0) to draw a line between.
+        crop: cut the dense model to this box; hardly ever needed.
+    """
+
+    name: str
+    keypoints: int | tuple[str, ...]
+    clicks: Path | None = None
+    skeleton: tuple[tuple[int, int], ...] = ()
+    crop: CropBox | None = None
+
+    @property
+    def keypoint_names(self) -> tuple[str, ...]:
+        """Names in order; "0", "1", ... where only a count is given."""
+        if isinstance(self.keypoints, int):
+            return tuple(str(number) for number in range(self.keypoints))
+        return self.keypoints
+
+
+@dataclass(frozen=True)
+class Reconstruct:
+    """Where the camera's trajectory comes from.
+
+    Attributes:
+        method: `given` takes the poses of the recording; `track` computes them from the images.
+        voxel_m: size of a voxel of the fused surface.
+    """
+
+    method: Literal["given", "track"] = "given"
+    voxel_m: float = 0.003
+
+
+@dataclass(frozen=True)
+class Solve:
+    """How clicks become a sparse model.
+
+    Attributes:
+        method: `robust`, or `slsqp` for exactly the paper's Eq. 2 with scipy's SLSQP.
+        loss: `robust` forgives wrong clicks; `l2` is plain least squares.
+    """
+
+    method: Literal["robust", "slsqp"] = "robust"
+    loss: Literal["robust", "l2"] = "robust"
+
+
+@dataclass(frozen=True)
+class LabelRecipe:
+    """Which frames are labelled.
+
+    Attributes:
+        rate: frames a second (the paper's 3 Hz), or `all`.
+    """
+
+    rate: float | Literal["all"] = 3.0
+
+    @property
+    def rate_hz(self) -> float | None:
+        """Frames a second; None = every frame."""
+        return None if self.rate == "all" else float(self.rate)
+
+
+@dataclass(frozen=True)
+class Split:
+    """How labelled frames become train, val and test.
+
+    Attributes:
+        test_scenes: whole scenes that training never sees (the strict protocol): how many of the last
+            ones, or their names. With fewer than three scenes there is no test split.
+        val_fraction: share of the frames of the remaining scenes that go to val at random (the
+            paper's 90/10; neighbouring frames leak into it).
+        seed: of that choice.
+    """
+
+    test_scenes: int | tuple[str, ...] = 1
+    val_fraction: float = 0.1
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Twin:
+    """A synthetic recording with exact truth; written to `recording/` in the workspace.
+
+    Scenes, objects and clicks then default to what was written.
+
+    Attributes:
+        objects: which of the built-in objects stand in the scenes.
+        scenes: number of videos.
+        frames: frames a video.
+        frame_rate_hz: frames a second of the video.
+        width, height: image size in pixels.
+        frames_clicked: in how many frames of a scene every visible keypoint is clicked.
+        click_noise_px: standard deviation of a click, each axis.
+        seed: of everything random.
+    """
+
+    objects: tuple[str, ...] = ("carton", "kettle")
+    scenes: int = 4
+    frames: int = 60
+    frame_rate_hz: float = 30.0
+    width: int = 640
+    height: int = 480
+    frames_clicked: int = 3
+    click_noise_px: float = 2.0
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """Everything `rpl build` needs to know.
+
+    Attributes:
+        name: of the dataset.
+        scenes: where scenes come from.
+        objects: what is labelled.
+        twin: make a synthetic recording first.
+        reconstruct, solve, label, split: options of the stages.
+        export: formats to write.
+        truth: where the truth of these scenes is, when it is known: a workspace folder, or a JSON file
+            `{points_<object>: K x 3, camera_from_<object>: {scene: [4x4 a frame]}}`. The quality
+            table is made when it is given (a twin brings its own).
+    """
+
+    name: str
+    scenes: tuple[SceneSource, ...] = ()
+    objects: tuple[ObjectRecipe, ...] = ()
+    twin: Twin | None = None
+    reconstruct: Reconstruct = Reconstruct()
+    solve: Solve = Solve()
+    label: LabelRecipe = LabelRecipe()
+    split: Split = Split()
+    export: tuple[str, ...] = ("coco",)
+    truth: Path | None = None
+
+
+def load_recipe(path: Path, *, root: Path | None = None) -> Recipe:
+    """The recipe of a YAML file, its relative paths made absolute.
+
+    Args:
+        path: the file.
+        root: where relative paths start; the folder of the file when left out.
+
+    Raises:
+        DataError: the file is missing, not YAML, has an unknown key, lacks one, or a value has the
+            wrong type; the message names the key.
+    """
+    try:
+        data = yaml.safe_load(read_text(path))
+    except yaml.YAMLError as error:
+        raise DataError(f"{path} is not valid YAML: {' '.join(str(error).split())}") from error
+    recipe = parse_recipe(data, source=str(path))
+    return resolve_paths(recipe, (root or path.parent).resolve())
+
+
+def parse_recipe(data: object, *, source: str) -> Recipe:
+    """The recipe of what YAML holds, paths as they are written."""
+    if not isinstance(data, dict):
+        raise DataError(f"{source}: a recipe is a list of `key: value` lines; see datasets/recording.yaml")
+    _refuse_unknown_keys(Recipe, data, source, "")
+    recipe = _instantiate(data, source)
+    _check(recipe, source)
+    return recipe
+
+
+def recipe_to_yaml(recipe: Recipe) -> str:
+    """The recipe as YAML with every default written out; `load_recipe` reads it back."""
+    return str(yaml.safe_dump(_plain(dataclasses.asdict(recipe)), sort_keys=False))
+
+
+def resolve_paths(recipe: AnyRecipe, root: Path) -> AnyRecipe:
+    """The same dataclass with every relative path, however deep, made absolute from `root`."""
+    if isinstance(recipe, Path):
+        return root / recipe.expanduser()  # an absolute path stays as it is
+    if isinstance(recipe, tuple):
+        return tuple(resolve_paths(item, root) for item in recipe)  # type: ignore[return-value]
+    if dataclasses.is_dataclass(recipe) and not isinstance(recipe, type):
+        fields = {f.name: resolve_paths(getattr(recipe, f.name), root) for f in dataclasses.fields(recipe)}
+        return dataclasses.replace(recipe, **fields)
+    return recipe
+
+
+def _plain(value: Any) -> Any:
+    """Paths and tuples as strings and lists, for YAML."""
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    return str(value) if isinstance(value, Path) else value
+
+
+def _refuse_unknown_keys(kind: Any, value: object, source: str, where: str) -> None:
+    """Raise DataError at the first key that the dataclass (or one inside it) does not have."""
+    if typing.get_origin(kind) in (typing.Union, types.UnionType, tuple):
+        for inner in typing.get_args(kind):
+            for number, item in enumerate(value if isinstance(value, list) else [value]):
+                _refuse_unknown_keys(
+                    inner, item, source, f"{where}[{number}]" if isinstance(value, list) else where
+                )
+    if not (dataclasses.is_dataclass(kind) and isinstance(value, Mapping)):
+        return
+    hints = typing.get_type_hints(kind)
+    for key, item in value.items():
+        name = f"{where}.{key}" if where else str(key)
+        if key not in hints:
+            near = difflib.get_close_matches(str(key), hints, n=1, cutoff=0.4)
+            hint = f"did you mean {near[0]!r}? " if near else ""
+            raise DataError(f"{source}: unknown key {name!r}; {hint}Allowed here: {', '.join(hints)}")
+        _refuse_unknown_keys(hints[key], item, source, name)
+
+
+def _instantiate(data: dict[str, Any], source: str) -> Recipe:
+    """Let jsonargparse check the types and build the dataclasses."""
+    from jsonargparse import ArgumentError, ArgumentParser
+
+    parser = ArgumentParser(exit_on_error=False)
+    parser.add_class_arguments(Recipe, "recipe")
+    try:
+        recipe: Recipe = parser.instantiate(parser.parse_object({"recipe": data})).recipe
+    except (ArgumentError, ValueError, TypeError) as error:
+        raise DataError(f"{source}: {' '.join(str(error).split()).replace('recipe.', '')}") from error
+    return recipe
+
+
+def _check(recipe: Recipe, source: str) -> None:
+    """What types cannot say."""
+    if recipe.twin is None and not recipe.scenes:
+        raise DataError(f"{source}: no scenes; give at least one {{format, path}} under `scenes:`")
+    if recipe.twin is None and not recipe.objects:
+        raise DataError(
+            f"{source}: no objects; give at least one {{name, keypoints, clicks}} under `objects:`"
+        )
+    names = [item.name for item in recipe.objects]
+    if len(set(names)) < len(names):
+        raise DataError(f"{source}: two objects have the same name: {', '.join(names)}")
+    for item in recipe.objects:
+        count = len(item.keypoint_names)
+        if count < 3:
+            raise DataError(f"{source}: object {item.name} needs at least 3 keypoints, got {count}")
+        if any(not 0 <= end < count for pair in item.skeleton for end in pair):
+            raise DataError(f"{source}: the skeleton of {item.name} names keypoints beyond 0..{count - 1}")
+    if recipe.label.rate_hz is not None and recipe.label.rate_hz <= 0:
+        raise DataError(f"{source}: label.rate must be positive or `all`, got {recipe.label.rate}")
+    if not 0 <= recipe.split.val_fraction < 1:
+        raise DataError(f"{source}: split.val_fraction must be in [0, 1), got {recipe.split.val_fraction}")

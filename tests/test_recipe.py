@@ -1,0 +1,86 @@
+"""Recipes: what is read, what is written back, and what is refused."""
+
+from pathlib import Path
+
+import pytest
+
+from rpl_data.recipe import load_recipe, recipe_to_yaml
+from rpl_data.types import DataError
+
+DATASETS = Path(__file__).parent.parent / "datasets"
+CUBE = """
+name: cube_on_desk
+scenes:
+  - {format: rpl, path: desk}
+objects:
+  - {name: cube, keypoints: 8, clicks: desk/clicks.csv, skeleton: [[0, 1]]}
+"""
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "recipe.yaml"
+    path.write_text(text)
+    return path
+
+
+def test_paths_start_at_the_recipe_or_at_the_root(tmp_path: Path) -> None:
+    path = written(tmp_path, CUBE)
+    assert load_recipe(path).scenes[0].path == tmp_path.resolve() / "desk"
+    recipe = load_recipe(path, root=Path("/data"))
+    assert recipe.scenes[0].path == Path("/data/desk")
+    assert recipe.objects[0].clicks == Path("/data/desk/clicks.csv")
+
+
+def test_defaults_are_the_papers(tmp_path: Path) -> None:
+    recipe = load_recipe(written(tmp_path, CUBE))
+    assert recipe.label.rate_hz == 3
+    assert recipe.split.val_fraction == 0.1
+    assert recipe.objects[0].keypoint_names == tuple("01234567")
+    assert recipe.objects[0].skeleton == ((0, 1),)
+
+
+@pytest.mark.parametrize("path", sorted(DATASETS.glob("*.yaml")), ids=lambda path: path.stem)
+def test_written_recipe_reads_back_the_same(path: Path, tmp_path: Path) -> None:
+    recipe = load_recipe(path, root=tmp_path)
+    assert load_recipe(written(tmp_path, recipe_to_yaml(recipe))) == recipe
+
+
+def test_recording_recipe_names_every_field(tmp_path: Path) -> None:
+    import yaml
+
+    given = yaml.safe_load((DATASETS / "recording.yaml").read_text())
+    whole = yaml.safe_load(recipe_to_yaml(load_recipe(DATASETS / "recording.yaml")))
+    assert given.keys() == whole.keys() - {"twin"}
+    for part in ("reconstruct", "solve", "label", "split"):
+        assert given[part].keys() == whole[part].keys()
+    assert given["scenes"][0].keys() == whole["scenes"][0].keys()
+    assert given["objects"][0].keys() == whole["objects"][0].keys()
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("scens: []", "unknown key 'scens'; did you mean 'scenes'"),
+        ("scenes: [{path: a, fromat: b}]", r"unknown key 'scenes\[0\].fromat'; did you mean 'format'"),
+        ("split: {val_fractoin: 3}", "unknown key 'split.val_fractoin'; did you mean 'val_fraction'"),
+        ("scenes: [{format: rpl}]", "scenes.*required: path"),
+        ("scenes: []", "no scenes"),
+        ("scenes: [{path: a}]", "no objects"),
+        ("label: {rate: often}\ntwin: {}", "label.rate"),
+        ("label: {rate: 0}\ntwin: {}", "label.rate must be positive"),
+        ("scenes: [{path: a}]\nobjects: [{name: c, keypoints: 2}]", "at least 3 keypoints, got 2"),
+        ("scenes: [{path: a}]\nobjects: [{name: c, keypoints: 3, skeleton: [[0, 3]]}]", "beyond 0..2"),
+        ("twin: {}\nsplit: {val_fraction: 1.5}", "val_fraction must be in"),
+        ("[", "not valid YAML"),
+    ],
+)
+def test_refused(text: str, message: str, tmp_path: Path) -> None:
+    with pytest.raises(DataError, match=message) as error:
+        load_recipe(written(tmp_path, f"name: x\n{text}\n"))
+    assert "\n" not in str(error.value)
+    assert str(tmp_path) in str(error.value)
+
+
+def test_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="nowhere.yaml does not exist"):
+        load_recipe(tmp_path / "nowhere.yaml")
