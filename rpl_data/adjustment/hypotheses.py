@@ -1,0 +1,91 @@
+"""Where a keypoint may be in a scene, from all its clicks there.
+
+Each candidate depth of each click is a place. The places are ranked by how many of the scene's other
+clicks on the same keypoint support them: their rays pass close by, and they measured that depth too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float64
+
+from rpl_data.adjustment.start import AGREE_M, Hypotheses
+from rpl_data.geometry import invert, transform
+from rpl_data.types import Observation
+
+RAY_PX = 8.0
+"""A ray supports a place it passes within this many pixels of (hand, eye and trajectory together)."""
+MOST = 4
+"""Hypotheses kept a keypoint and scene."""
+
+
+def hypotheses_of_scene(observations: Sequence[Observation]) -> Hypotheses:
+    """Ranked hypotheses of every keypoint clicked in one scene, scene frame.
+
+    A keypoint with rays but without any depth is placed by triangulation when the rays allow it.
+    """
+    by_keypoint: dict[int, list[Observation]] = {}
+    for observation in observations:
+        by_keypoint.setdefault(observation.click.keypoint, []).append(observation)
+    hypotheses = {}
+    for keypoint, group in by_keypoint.items():
+        places = _places(group)
+        if len(places):
+            scores = np.array([_support(place, group) for place in places])
+            hypotheses[keypoint] = _distinct(places[np.argsort(-scores, kind="stable")])
+    return hypotheses
+
+
+def _places(group: Sequence[Observation]) -> Float64[np.ndarray, "n 3"]:
+    """All candidate places, scene frame; nearest surfaces first, then the triangulated one."""
+    lifted = [
+        (rank, transform(o.scene_from_camera, depth_m * o.ray_camera))
+        for o in group
+        for rank, depth_m in enumerate(o.depths_m)
+    ]
+    lifted.sort(key=lambda place: place[0])
+    places = [place for _, place in lifted]
+    met = triangulate(group)
+    return np.array([*places, *([] if met is None else [met])]).reshape(-1, 3)
+
+
+def triangulate(group: Sequence[Observation]) -> Float64[np.ndarray, "3"] | None:
+    """The point nearest to all rays; None when they are too parallel to tell its depth."""
+    normal, right = np.zeros((3, 3)), np.zeros(3)
+    for o in group:
+        direction = o.scene_from_camera[:3, :3] @ o.ray_camera
+        direction /= np.linalg.norm(direction)
+        across = np.eye(3) - np.outer(direction, direction)
+        normal += across
+        right += across @ o.scene_from_camera[:3, 3]
+    if np.linalg.eigvalsh(normal)[0] < len(group) * 0.01:  # about 6 degrees between the rays
+        return None
+    point: Float64[np.ndarray, "3"] = np.linalg.solve(normal, right)
+    return point
+
+
+def _support(place: Float64[np.ndarray, "3"], group: Sequence[Observation]) -> float:
+    """Clicks whose ray passes by count 1, and 1 more when they measured that depth; far rays 0."""
+    score = 0.0
+    for o in group:
+        in_camera = transform(invert(o.scene_from_camera), place)
+        if in_camera[2] <= 0:
+            continue
+        miss_px = np.linalg.norm(in_camera[:2] / in_camera[2] - o.ray_camera[:2]) / o.pixel_rad
+        if miss_px < RAY_PX:
+            score += 1 - 0.5 * miss_px / RAY_PX
+            agrees = np.abs(o.depths_m - in_camera[2]) < AGREE_M
+            if agrees.any():
+                score += 1.5 if agrees[0] else 1  # a person clicks the nearest surface
+    return score
+
+
+def _distinct(places: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "m 3"]:
+    """The first of every group of near places, in order, at most `MOST`."""
+    kept: list[np.ndarray] = []
+    for place in places:
+        if all(np.linalg.norm(place - other) > AGREE_M / 2 for other in kept):
+            kept.append(place)
+    return np.array(kept[:MOST])

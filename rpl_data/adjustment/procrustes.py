@@ -1,0 +1,116 @@
+"""Eq. 2 of the paper on lifted points, by generalised Procrustes analysis.
+
+    min over Q, T of  sum_(s, k clicked) | T_s Q_k - W_sk |^2
+
+Gower's alternation (Psychometrika 40, 1975) without scaling: with the T_s fixed every Q_k is a mean,
+with the Q_k fixed every T_s is Kabsch's closed form; both steps lower the cost.
+"""
+
+from __future__ import annotations
+
+from typing import Literal, NamedTuple
+
+import numpy as np
+from jaxtyping import Float64
+
+Loss = Literal["robust", "l2"]
+
+ROBUST_SCALES_M = (0.05, 0.02, 0.012, 0.012)
+"""Scales of Geman-McClure's loss, wide to narrow; 12 mm is where a click is called wrong."""
+
+
+class Fragments(NamedTuple):
+    """The paper's W: a point per scene and keypoint, scene frame, and whether it was clicked."""
+
+    points_scene: Float64[np.ndarray, "s k 3"]
+    clicked: Float64[np.ndarray, "s k"]
+
+
+class Adjusted(NamedTuple):
+    """Scene transforms and model points, and the weight each fragment had in the end."""
+
+    scene_from_model: Float64[np.ndarray, "s 4 4"]
+    points_model: Float64[np.ndarray, "k 3"]
+    weights: Float64[np.ndarray, "s k"]
+
+
+def eq2_cost(fragments: Fragments, adjusted: Adjusted) -> float:
+    """The objective of Eq. 2, square metres."""
+    return float((_squared_errors(fragments, adjusted.scene_from_model, adjusted.points_model)).sum())
+
+
+def adjust_points(
+    fragments: Fragments, scene_from_model: Float64[np.ndarray, "s 4 4"], *, loss: Loss = "robust"
+) -> Adjusted:
+    """Minimise Eq. 2 (`l2`), or its robust version, from a start.
+
+    `robust` re-weights the fragments by Geman-McClure's loss, with a scale that shrinks.
+    """
+    weights = fragments.clicked
+    adjusted = _alternate(fragments, weights, scene_from_model)
+    if loss == "l2":
+        return adjusted
+    for scale_m in ROBUST_SCALES_M:
+        squared = _squared_errors(fragments, adjusted.scene_from_model, adjusted.points_model)
+        weights = fragments.clicked / (1 + squared / scale_m**2) ** 2
+        adjusted = _alternate(fragments, weights, adjusted.scene_from_model)
+    return adjusted
+
+
+def _alternate(
+    fragments: Fragments, weights: Float64[np.ndarray, "s k"], scene_from_model: Float64[np.ndarray, "s 4 4"]
+) -> Adjusted:
+    """Gower's alternation to convergence."""
+    previous = np.inf
+    points = mean_points(fragments.points_scene, weights, scene_from_model)
+    for _ in range(2000):
+        scene_from_model = kabsch_stack(points, fragments.points_scene, weights)
+        points = mean_points(fragments.points_scene, weights, scene_from_model)
+        cost = (weights * _squared_errors(fragments, scene_from_model, points)).sum()
+        if previous - cost <= 1e-9 * cost + 1e-18:
+            break
+        previous = cost
+    return Adjusted(scene_from_model, points, weights)
+
+
+def _squared_errors(
+    fragments: Fragments, scene_from_model: Float64[np.ndarray, "s 4 4"], points: Float64[np.ndarray, "k 3"]
+) -> Float64[np.ndarray, "s k"]:
+    predicted = points @ np.swapaxes(scene_from_model[:, :3, :3], 1, 2) + scene_from_model[:, None, :3, 3]
+    difference = np.where(fragments.clicked[..., None] > 0, predicted - fragments.points_scene, 0.0)
+    squared: Float64[np.ndarray, "s k"] = (difference**2).sum(axis=-1)
+    return squared
+
+
+def mean_points(
+    points_scene: Float64[np.ndarray, "s k 3"],
+    weights: Float64[np.ndarray, "s k"],
+    scene_from_model: Float64[np.ndarray, "s 4 4"],
+) -> Float64[np.ndarray, "k 3"]:
+    """Every keypoint as the weighted mean of its fragments; (0, 0, 0) where it has none."""
+    in_model = (points_scene - scene_from_model[:, None, :3, 3]) @ scene_from_model[:, :3, :3]
+    total = np.maximum(weights.sum(axis=0), 1e-300)
+    means: Float64[np.ndarray, "k 3"] = (weights[..., None] * in_model).sum(axis=0) / total[:, None]
+    return means
+
+
+def kabsch_stack(
+    points_model: Float64[np.ndarray, "*b k 3"],
+    points_scene: Float64[np.ndarray, "b2 k 3"],
+    weights: Float64[np.ndarray, "b2 k"],
+) -> Float64[np.ndarray, "b2 4 4"]:
+    """Kabsch's `scene_from_model` for a stack of weighted point sets, rotations proper."""
+    w = weights / np.maximum(weights.sum(axis=1, keepdims=True), 1e-300)
+    points_model = np.broadcast_to(points_model, points_scene.shape)
+    centre_model = np.einsum("bk,bki->bi", w, points_model)
+    centre_scene = np.einsum("bk,bki->bi", w, points_scene)
+    covariance = np.einsum(
+        "bk,bki,bkj->bij", w, points_scene - centre_scene[:, None], points_model - centre_model[:, None]
+    )
+    u, _, vt = np.linalg.svd(covariance)
+    sign = np.ones((len(w), 3))
+    sign[:, 2] = np.sign(np.linalg.det(u @ vt))
+    transforms = np.tile(np.eye(4), (len(w), 1, 1))
+    transforms[:, :3, :3] = (u * sign[:, None]) @ vt
+    transforms[:, :3, 3] = centre_scene - np.einsum("bij,bj->bi", transforms[:, :3, :3], centre_model)
+    return transforms

@@ -1,0 +1,88 @@
+"""Do the clicks tie all scenes together? (Paper, "Selection of Keypoints".)
+
+Three shared, non-collinear keypoints tie a pair of scenes, but fewer can do when the graph as a
+whole is rigid. So the whole graph is tested: small motions (w_s, v_s) of the scenes and d_k of the
+keypoints that leave every click as it is, ``w_s x q_k + v_s = d_k``, may be nothing but one motion
+of all together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Bool, Float64
+
+LEVER = 0.02
+"""A motion that moves the clicks by less than this share of itself is free: with clicks good to
+2 mm on an object of 10 cm, no turn about a line can be told when all points lie that near to it."""
+
+
+def loose_scenes(points_model: Float64[np.ndarray, "k 3"], clicked: Bool[np.ndarray, "s k"]) -> list[int]:
+    """Scenes that can move against the largest group of tied scenes.
+
+    Args:
+        points_model: keypoints, any frame and scale; rows of keypoints never clicked are not used.
+        clicked: which scene saw which keypoint.
+    """
+    scenes = len(clicked)
+    used = np.flatnonzero(clicked.any(axis=0))
+    points = points_model[used] - points_model[used].mean(axis=0)
+    points = points / max(float(np.abs(points).max()), 1e-9)
+    jacobian = _constraints(points, clicked[:, used])
+    _, singular, vectors = np.linalg.svd(jacobian)
+    rank = int((singular > LEVER).sum())
+    free = vectors[rank:, : 6 * scenes].reshape(-1, scenes, 6)
+    return _outside_largest_group(free)
+
+
+def generic_points(keypoints: int) -> Float64[np.ndarray, "k 3"]:
+    """Points in general position, to ask whether the pattern of clicks alone can tie the scenes."""
+    return np.random.default_rng(0).uniform(-1, 1, (keypoints, 3))
+
+
+def _constraints(points: np.ndarray, clicked: np.ndarray) -> np.ndarray:
+    """Rows of ``w_s x q_k + v_s - d_k = 0`` for every click."""
+    scenes, keypoints = clicked.shape
+    rows = np.zeros((int(clicked.sum()), 3, 6 * scenes + 3 * keypoints))
+    for row, (s, k) in zip(rows, np.argwhere(clicked), strict=True):
+        x, y, z = points[k]
+        row[:, 6 * s : 6 * s + 3] = -np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+        row[:, 6 * s + 3 : 6 * s + 6] = np.eye(3)
+        row[:, 6 * scenes + 3 * k : 6 * scenes + 3 * k + 3] = -np.eye(3)
+    return rows.reshape(-1, rows.shape[2])
+
+
+def _outside_largest_group(free: Float64[np.ndarray, "n s 6"]) -> list[int]:
+    """Scenes that do not move as one with most others, in every free motion."""
+    scenes = free.shape[1]
+    together = np.array(
+        [
+            [np.abs(free[:, a] - free[:, b]).max(initial=0) < 1e-6 + 2 * LEVER * 0.5 for b in range(scenes)]
+            for a in range(scenes)
+        ]
+    )
+    largest = together[together.sum(axis=1).argmax()]
+    return [int(s) for s in np.flatnonzero(~largest)]
+
+
+def describe_loose(
+    loose: Sequence[int], clicked: Bool[np.ndarray, "s k"], scenes: Sequence[str], keypoints: Sequence[str]
+) -> str:
+    """What ties each loose scene to the rest, and what to click."""
+    lines = []
+    for s in loose:
+        rest = [r for r in range(len(scenes)) if r != s]
+        shared = np.flatnonzero(clicked[s] & clicked[rest].any(axis=0))
+        names = ", ".join(keypoints[k] for k in shared) or "none"
+        word = "keypoint" if len(shared) == 1 else "keypoints"
+        reason = (
+            ""
+            if len(shared) < 3
+            else " and they lie (nearly) on a line or in scenes that are loose themselves"
+        )
+        lines.append(
+            f"scene {scenes[s]} shares only {word} {names} with the rest{reason}; "
+            "click at least 3 common, non-collinear keypoints"
+        )
+    return "\n".join(lines)

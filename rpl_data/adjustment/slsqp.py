@@ -1,0 +1,71 @@
+"""The paper's own solver: Eq. 2 by SciPy's SLSQP from the paper's start (section III-C)."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float64
+from scipy.optimize import minimize
+
+from rpl_data.adjustment.procrustes import Adjusted, Fragments
+from rpl_data.geometry import rigid
+
+
+def adjust_points_slsqp(fragments: Fragments) -> Adjusted:
+    """Minimise Eq. 2 with the constraint that every quaternion has length 1.
+
+    The unknowns are [t_s, q_s (w, x, y, z)] of all scenes but the first, whose frame is the world,
+    and Q; all start at 0 except the real part of the quaternions, which starts at 1.
+    """
+    scenes, keypoints = fragments.clicked.shape
+    free = 7 * (scenes - 1)
+    start = np.zeros(free + 3 * keypoints)
+    start[3:free:7] = 1
+
+    def cost(unknowns: Float64[np.ndarray, " u"]) -> float:
+        transforms, points = _unpack(unknowns, scenes)
+        total = 0.0
+        for s, transform in enumerate(transforms):
+            predicted = points @ transform[:3, :3].T + transform[:3, 3]
+            total += float(
+                (fragments.clicked[s, :, None] * (predicted - fragments.points_scene[s]) ** 2).sum()
+            )
+        return total
+
+    def unit_length(unknowns: Float64[np.ndarray, " u"]) -> Float64[np.ndarray, " c"]:
+        quaternions = unknowns[:free].reshape(-1, 7)[:, 3:]
+        return (quaternions**2).sum(axis=1) - 1
+
+    result = minimize(
+        cost,
+        start,
+        method="SLSQP",
+        constraints={"type": "eq", "fun": unit_length},
+        options={"maxiter": 1000, "ftol": 1e-10},
+    )
+    transforms, points = _unpack(result.x, scenes)
+    proper = np.stack([_nearest_rigid(transform) for transform in transforms])
+    return Adjusted(proper, points, fragments.clicked)
+
+
+def _unpack(unknowns: Float64[np.ndarray, " u"], scenes: int) -> tuple[list[np.ndarray], np.ndarray]:
+    poses = unknowns[: 7 * (scenes - 1)].reshape(-1, 7)
+    transforms = [np.eye(4), *(rigid(_matrix(pose[3:]), pose[:3]) for pose in poses)]
+    return transforms, unknowns[7 * (scenes - 1) :].reshape(-1, 3)
+
+
+def _matrix(quaternion_wxyz: Float64[np.ndarray, "4"]) -> Float64[np.ndarray, "3 3"]:
+    """The matrix of a quaternion that need not have length 1 while the solver is under way."""
+    w, x, y, z = quaternion_wxyz
+    return np.array(
+        [
+            [w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z],
+        ]
+    )
+
+
+def _nearest_rigid(transform: Float64[np.ndarray, "4 4"]) -> Float64[np.ndarray, "4 4"]:
+    """The solver meets its constraint to ~1e-6 only; the rotation is made exact."""
+    u, _, vt = np.linalg.svd(transform[:3, :3])
+    return rigid(u @ vt, transform[:3, 3])

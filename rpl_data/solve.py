@@ -1,0 +1,348 @@
+"""Clicks to the sparse model and the scene transforms (paper section III-C), and new scenes (III-F).
+
+Eq. 2 asks for the keypoints Q and a rigid transform a scene that explain all lifted clicks. Here
+
+1. every click keeps the candidate depths of its neighbourhood (`lift`), and every keypoint of a
+   scene the places they allow (`adjustment.hypotheses`);
+2. scenes are joined one after another by closed-form rigid transforms that most keypoints agree
+   with (`adjustment.start`);
+3. Eq. 2 is minimised on the chosen points (`adjustment.procrustes`; the paper's SLSQP beside it);
+4. rays and depths are adjusted together, robustly, which gives the covariance (`adjustment.bundle`);
+5. every click is told what became of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float64
+
+from rpl_data.adjustment.bundle import (
+    LET_GO,
+    Bundle,
+    adjust_rays,
+    choose_places,
+    model_covariance,
+    rays_of,
+)
+from rpl_data.adjustment.hypotheses import hypotheses_of_scene
+from rpl_data.adjustment.procrustes import Adjusted, Fragments, Loss, adjust_points, kabsch_stack
+from rpl_data.adjustment.rigidity import describe_loose, generic_points, loose_scenes
+from rpl_data.adjustment.slsqp import adjust_points_slsqp
+from rpl_data.adjustment.start import Hypotheses, Start, join_scenes, match
+from rpl_data.geometry import depth_sigma_m, invert, rigid, spread_m, transform
+from rpl_data.types import ClickResidual, DataError, DepthState, KeypointModel, Observation, Solution
+
+Method = Literal["robust", "slsqp"]
+ROUNDS = 5
+"""How often keypoints may jump to another of their places before the answer stands."""
+
+
+def solve(
+    object_name: str,
+    keypoints: Sequence[str],
+    observations: Sequence[Observation],
+    *,
+    method: Method = "robust",
+    skeleton: Sequence[tuple[int, int]] = (),
+) -> Solution:
+    """The sparse model and the scene transforms of one object.
+
+    Args:
+        keypoints: their names; a keypoint never clicked stays without a position.
+        observations: lifted clicks of all scenes.
+        method: `robust`, or `slsqp`, the paper's own way: each click's depth is what the sensor
+            measured nearest to it, the solver SciPy's SLSQP on Eq. 2.
+
+    Raises:
+        DataError: the clicks do not tie the scenes together; the message names scenes and keypoints.
+    """
+    scenes = sorted({o.click.scene for o in observations})
+    refuse_bad(object_name, observations)
+    groups = [hypotheses_of_scene([o for o in observations if o.click.scene == s]) for s in scenes]
+    refuse_untied(object_name, groups, scenes, keypoints)
+    if method == "slsqp":
+        fragments = first_fragments(groups, len(keypoints))
+        adjusted = adjust_points_slsqp(fragments)
+    else:
+        adjusted, fragments = _start(object_name, groups, len(keypoints))
+    refuse_loose(object_name, adjusted.points_model, fragments.clicked > 0, scenes, keypoints)
+    known = fragments.clicked.any(axis=0)
+    rays = rays_of(observations, scenes)
+    bundle = adjust_rays(rays, adjusted.scene_from_model, adjusted.points_model)
+    for _ in range(ROUNDS):
+        places = _places_in_model(groups, bundle.scene_from_model, len(keypoints))
+        points = choose_places(rays, bundle.scene_from_model, bundle.points_model, places)
+        if np.array_equal(points, bundle.points_model):
+            break
+        bundle = adjust_rays(rays, bundle.scene_from_model, points)
+    if method == "slsqp":  # the paper's answer, with our description of how well it fits
+        bundle = bundle._replace(
+            scene_from_model=adjusted.scene_from_model, points_model=adjusted.points_model
+        )
+    return _solution(object_name, keypoints, skeleton, scenes, observations, bundle, known)
+
+
+def solve_points(fragments: Fragments, *, method: Method = "robust", loss: Loss = "robust") -> Adjusted:
+    """Eq. 2 alone, on points already lifted; the model is in the first scene's frame.
+
+    Raises:
+        DataError: the points do not tie the scenes together.
+    """
+    groups = [
+        {int(k): points[k][None] for k in np.flatnonzero(clicked)}
+        for points, clicked in zip(fragments.points_scene, fragments.clicked, strict=True)
+    ]
+    keypoints = fragments.clicked.shape[1]
+    names = [str(s) for s in range(len(groups))]
+    refuse_untied("object", groups, names, [str(k) for k in range(keypoints)])
+    if method == "slsqp":
+        return adjust_points_slsqp(fragments)
+    start = join_scenes(groups, keypoints, samples=1 if loss == "l2" else 400)
+    return _in_first_scene(adjust_points(fragments, _complete(start, groups), loss=loss))
+
+
+def register(
+    model: KeypointModel, observations: Sequence[Observation]
+) -> tuple[Float64[np.ndarray, "4 4"], tuple[ClickResidual, ...]]:
+    """`scene_from_object` of a new scene from clicks on a known model (paper III-F), and residuals.
+
+    Horn's closed form on the best-agreeing depths, then the same adjustment as `solve` with the
+    model held fixed by its own weight.
+
+    Raises:
+        DataError: fewer than three usable keypoints, or all on a line.
+    """
+    name = model.name
+    refuse_bad(name, observations)
+    scene = observations[0].click.scene
+    places = {k: p for k, p in hypotheses_of_scene(observations).items() if model.known[k]}
+    clicked = sorted(places)
+    if len(clicked) < 3:
+        raise DataError(
+            f"object {name}, scene {scene}: {len(clicked)} usable keypoints clicked, at least 3 are needed; "
+            "click more of the model's keypoints, where there is depth"
+        )
+    if spread_m(model.points_object[clicked])[1] < 0.004:
+        raise DataError(
+            f"object {name}, scene {scene}: keypoints {', '.join(model.keypoints[k] for k in clicked)} lie on a "
+            "line, about which the object could turn; click one more keypoint off that line"
+        )
+    known = {int(k): model.points_object[k][None] for k in np.flatnonzero(model.known)}
+    scene_from_object = match(known, places, samples=600, random=np.random.default_rng(0))
+    if scene_from_object is None:
+        raise DataError(
+            f"object {name}, scene {scene}: no three clicks fit the model within 15 mm; check that every keypoint "
+            "was clicked where the model has it"
+        )
+    rays = rays_of(observations, [scene])
+    bundle = adjust_rays(rays, scene_from_object[None], np.nan_to_num(model.points_object), hold_points=True)
+    return bundle.scene_from_model[0], _residuals(observations, bundle, model.keypoints)
+
+
+# Refusals -----------------------------------------------------------------------------------------
+
+
+def refuse_bad(object_name: str, observations: Sequence[Observation]) -> None:
+    """DataError for no clicks at all, or numbers that are not finite."""
+    if not observations:
+        raise DataError(f"object {object_name} has no clicks; mark its keypoints first (`rpl clicks import`)")
+    for o in observations:
+        if not (np.isfinite(o.ray_camera).all() and np.isfinite(o.scene_from_camera).all()):
+            raise DataError(
+                f"object {object_name}, scene {o.click.scene}, frame {o.click.frame}: the click on keypoint "
+                f"{o.click.keypoint} or the camera pose is not a finite number; delete the click or mend the pose"
+            )
+
+
+def refuse_untied(
+    object_name: str, groups: Sequence[Hypotheses], scenes: Sequence[str], keypoints: Sequence[str]
+) -> None:
+    """DataError when the pattern of clicks cannot tie the scenes, wherever the keypoints are."""
+    refuse_loose(
+        object_name, generic_points(len(keypoints)), _clicked(groups, len(keypoints)), scenes, keypoints
+    )
+
+
+def refuse_loose(
+    object_name: str,
+    points_model: Float64[np.ndarray, "k 3"],
+    clicked: np.ndarray,
+    scenes: Sequence[str],
+    keypoints: Sequence[str],
+) -> None:
+    """DataError when the keypoints where they are do not tie the scenes."""
+    loose = loose_scenes(points_model, clicked)
+    if loose:
+        raise DataError(f"object {object_name}: " + describe_loose(loose, clicked, scenes, keypoints))
+
+
+def _clicked(groups: Sequence[Hypotheses], keypoints: int) -> np.ndarray:
+    return np.array([[k in group for k in range(keypoints)] for group in groups])
+
+
+# The start ----------------------------------------------------------------------------------------
+
+
+def first_fragments(groups: Sequence[Hypotheses], keypoints: int) -> Fragments:
+    """The paper's W from the most likely place of every keypoint in every scene."""
+    points, clicked = np.zeros((len(groups), keypoints, 3)), np.zeros((len(groups), keypoints))
+    for s, group in enumerate(groups):
+        for k, places in group.items():
+            points[s, k], clicked[s, k] = places[0], 1
+    return Fragments(points, clicked)
+
+
+def _start(object_name: str, groups: Sequence[Hypotheses], keypoints: int) -> tuple[Adjusted, Fragments]:
+    start = join_scenes(groups, keypoints)
+    adjusted = adjust_points(start.fragments, _complete(start, groups))
+    return adjusted, start.fragments
+
+
+def _places_in_model(
+    groups: Sequence[Hypotheses], scene_from_model: Float64[np.ndarray, "s 4 4"], keypoints: int
+) -> list[Float64[np.ndarray, "p 3"]]:
+    """All hypotheses of each keypoint, brought to the model frame by the scenes as they stand."""
+    places: list[list[np.ndarray]] = [[] for _ in range(keypoints)]
+    for group, transform_s in zip(groups, scene_from_model, strict=True):
+        for k, hypotheses in group.items():
+            places[k].extend(transform(invert(transform_s), hypotheses))
+    return [np.array(p).reshape(-1, 3) for p in places]
+
+
+def _complete(start: Start, groups: Sequence[Hypotheses]) -> Float64[np.ndarray, "s 4 4"]:
+    """Transforms of all scenes; those that could not be joined one by one start from many turns.
+
+    Such scenes are tied only by the graph as a whole. Eq. 2 has a wide basin (the original code
+    starts from the identity), so a few random starts and the lowest cost will do.
+    """
+    if all(found is not None for found in start.scene_from_model):
+        return np.stack([found for found in start.scene_from_model if found is not None])
+    random = np.random.default_rng(0)
+    best, lowest = None, np.inf
+    for _ in range(30):
+        guess = np.stack([_random_turn(random) if t is None else t for t in start.scene_from_model])
+        adjusted = adjust_points(start.fragments, guess, loss="l2")
+        predicted = adjusted.points_model @ np.swapaxes(adjusted.scene_from_model[:, :3, :3], 1, 2)
+        errors = predicted + adjusted.scene_from_model[:, None, :3, 3] - start.fragments.points_scene
+        cost = float((start.fragments.clicked[..., None] * errors**2).sum())
+        if cost < lowest:
+            best, lowest = adjusted.scene_from_model, cost
+    assert best is not None
+    return best
+
+
+def _random_turn(random: np.random.Generator) -> Float64[np.ndarray, "4 4"]:
+    quaternion = random.normal(size=(1, 3, 3))
+    return kabsch_stack(quaternion, random.normal(size=(1, 3, 3)), np.ones((1, 3)))[0]
+
+
+def _in_first_scene(adjusted: Adjusted) -> Adjusted:
+    first = adjusted.scene_from_model[0]
+    return Adjusted(
+        adjusted.scene_from_model @ invert(first), transform(first, adjusted.points_model), adjusted.weights
+    )
+
+
+# The answer ---------------------------------------------------------------------------------------
+
+
+def _solution(
+    object_name: str,
+    keypoints: Sequence[str],
+    skeleton: Sequence[tuple[int, int]],
+    scenes: Sequence[str],
+    observations: Sequence[Observation],
+    bundle: Bundle,
+    known: np.ndarray,
+) -> Solution:
+    """Moved to the object frame: the first scene's axes, at the centroid of the keypoints."""
+    in_first = transform(bundle.scene_from_model[0], bundle.points_model)
+    first_from_object = rigid(np.eye(3), in_first[known].mean(axis=0))
+    model_from_object = invert(bundle.scene_from_model[0]) @ first_from_object
+    points = np.where(known[:, None], transform(invert(first_from_object), in_first), np.nan)
+    turn = model_from_object[:3, :3]
+    return Solution(
+        model=KeypointModel(object_name, tuple(keypoints), points, tuple(skeleton)),
+        covariance=turn.T @ model_covariance(bundle, known) @ turn,
+        scene_from_object={
+            name: scene_from_model @ model_from_object
+            for name, scene_from_model in zip(scenes, bundle.scene_from_model, strict=True)
+        },
+        residuals=_residuals(observations, bundle, keypoints),
+        warnings=_warnings(keypoints, observations, bundle),
+    )
+
+
+def _residuals(
+    observations: Sequence[Observation], bundle: Bundle, keypoints: Sequence[str]
+) -> tuple[ClickResidual, ...]:
+    return tuple(_residual(o, n, observations, bundle, keypoints) for n, o in enumerate(observations))
+
+
+def _residual(
+    observation: Observation,
+    n: int,
+    observations: Sequence[Observation],
+    bundle: Bundle,
+    keypoints: Sequence[str],
+) -> ClickResidual:
+    error_px, depth_m = float(bundle.error_px[n]), float(bundle.depth_m[n])
+    state = _depth_state(observation, depth_m, float(bundle.depth_error_m[n]))
+    used = state in ("agrees", "other surface")
+    lateral_m = error_px * observation.pixel_rad * (depth_m if used else 0)
+    outlier = error_px > max(4 * bundle.sigma_px, 8.0)
+    return ClickResidual(
+        click=observation.click,
+        error_px=error_px,
+        error_m=float(np.hypot(lateral_m, bundle.depth_error_m[n])) if used else None,
+        depth_m=depth_m if used else None,
+        depth_state=state,
+        outlier=outlier,
+        reason=_reason(observation, observations, bundle, keypoints) if outlier else "",
+    )
+
+
+def _depth_state(observation: Observation, depth_m: float, error_m: float) -> DepthState:
+    if len(observation.depths_m) == 0:
+        return "none"
+    if abs(error_m) > 2 * LET_GO * float(np.hypot(depth_sigma_m(depth_m), 0.003)):
+        return "rejected"
+    return "agrees" if depth_m == observation.depths_m[0] else "other surface"
+
+
+def _reason(
+    observation: Observation, observations: Sequence[Observation], bundle: Bundle, keypoints: Sequence[str]
+) -> str:
+    """Why a click contradicts the others: two keypoints swapped, or simply elsewhere."""
+    scenes = sorted({o.click.scene for o in observations})
+    scene_from_model = bundle.scene_from_model[scenes.index(observation.click.scene)]
+    in_camera = transform(invert(observation.scene_from_camera) @ scene_from_model, bundle.points_model)
+    ahead = np.maximum(in_camera[:, 2:], 0.05)
+    distances_px = (
+        np.linalg.norm(in_camera[:, :2] / ahead - observation.ray_camera[:2], axis=1) / observation.pixel_rad
+    )
+    nearest = int(distances_px.argmin())
+    own = observation.click.keypoint
+    if nearest != own and distances_px[nearest] < 3 * bundle.sigma_px:
+        return f"keypoint {keypoints[own]} was clicked where keypoint {keypoints[nearest]} is: swapped?"
+    return f"{distances_px[own]:.0f} px away from where the other clicks put keypoint {keypoints[own]}"
+
+
+def _warnings(
+    keypoints: Sequence[str], observations: Sequence[Observation], bundle: Bundle
+) -> tuple[str, ...]:
+    seen_in: dict[int, set[str]] = {k: set() for k in range(len(keypoints))}
+    for o in observations:
+        seen_in[o.click.keypoint].add(o.click.scene)
+    lines = []
+    for k, scenes in seen_in.items():
+        if not scenes:
+            lines.append(f"keypoint {keypoints[k]} was never clicked: it has no position and no label")
+        elif len(scenes) == 1:
+            lines.append(
+                f"keypoint {keypoints[k]} was clicked in scene {min(scenes)} only: nothing checks it"
+            )
+    return tuple(lines)
