@@ -1,0 +1,1 @@
+"""Scene -> trajectory and surface: from given poses (`surface`)."""

@@ -1,0 +1,168 @@
+"""Surfaces of the scenes and the sparse model -> the dense model of the object (paper III-D)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float64
+from scipy.spatial import cKDTree
+
+from rpl_data.completion import closed_mesh
+from rpl_data.geometry import Points, invert, transform
+from rpl_data.regions import (
+    Plane,
+    components,
+    height_above,
+    joined,
+    oriented_points,
+    planes_below,
+    select,
+    smooth_or_convex_pairs,
+    smoothed_normals,
+    thinned,
+)
+from rpl_data.types import DataError, Mesh, PointCloud, Solution
+
+
+@dataclass(frozen=True)
+class DenseModel:
+    """The object's surface in the object frame.
+
+    Attributes:
+        mesh: closed, for masks. cloud: only what was seen.
+        warnings: lines for a person.
+    """
+
+    mesh: Mesh
+    cloud: PointCloud
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class _View:
+    """One scene's surface in the object frame, cut to the surroundings of the object."""
+
+    surface: PointCloud
+    planes: list[Plane]
+    above: PointCloud  # without what the object stands on
+
+
+def segment_object(
+    surfaces: Mapping[str, Mesh],
+    solution: Solution,
+    *,
+    voxel_m: float = 0.003,
+    crop_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None,
+) -> DenseModel:
+    """The dense model: regions grown from the keypoints in every scene's surface, merged.
+
+    1. every scene's surface is brought to the object frame and cut to the keypoints' surroundings;
+    2. planes with all keypoints before them (table, wall) are removed;
+    3. regions grow from the keypoints over smooth and convex places;
+    4. what other scenes saw through is removed, the rest merged and closed.
+
+    Args:
+        surfaces: scene frame, by scene name; scenes the solution does not place are not used.
+        voxel_m: resolution of the surfaces.
+        crop_m: lowest and highest corner of a box in the object frame; everything outside is cut.
+
+    Raises:
+        DataError: no scene is placed, or no surface is found at the keypoints.
+    """
+    keypoints = solution.model.points_object[solution.model.known]
+    views: dict[str, _View] = {}
+    for scene, mesh in surfaces.items():
+        if scene in solution.scene_from_object:
+            surface = _near_object(mesh, solution.scene_from_object[scene], keypoints, voxel_m, crop_m)
+            if len(surface.points) >= 50:
+                planes = planes_below(surface, keypoints)
+                views[scene] = _View(surface, planes, _without_planes(surface, planes))
+    grown = {scene: _grow(view.above, keypoints, voxel_m) for scene, view in views.items()}
+    grown = {scene: region for scene, region in grown.items() if len(region.points)}
+    if not grown:
+        raise DataError(
+            f"object {solution.model.name}: none of {len(surfaces)} scene surfaces has points at the "
+            "keypoints; expected a surface there; check the clicks and the trajectories"
+        )
+    agreed = [_not_seen_through(region, scene, views, voxel_m) for scene, region in grown.items()]
+    cloud = _around_keypoints(thinned(joined(agreed), voxel_m=voxel_m * 0.7), keypoints, voxel_m)
+    anchors = np.concatenate([keypoints, _feet(cloud, views, keypoints)])
+    warnings = tuple(
+        f"scene {scene} has no surface at the keypoints" for scene in surfaces if scene not in grown
+    )
+    return DenseModel(closed_mesh(cloud, anchors, voxel_m=voxel_m), cloud, warnings)
+
+
+def _near_object(
+    mesh: Mesh,
+    scene_from_object: Float64[np.ndarray, "4 4"],
+    keypoints: Points,
+    voxel_m: float,
+    crop_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None,
+) -> PointCloud:
+    """Points of the surface around the keypoints, object frame, with smoothed normals."""
+    moved = Mesh(transform(invert(scene_from_object), mesh.vertices), mesh.triangles, mesh.colors)
+    cloud = oriented_points(moved)
+    low, high = keypoints.min(axis=0), keypoints.max(axis=0)
+    margin_m = max(0.6 * float(np.linalg.norm(high - low)), 0.06)
+    inside = ((cloud.points > low - margin_m) & (cloud.points < high + margin_m)).all(axis=1)
+    if crop_m is not None:
+        inside &= ((cloud.points > crop_m[0]) & (cloud.points < crop_m[1])).all(axis=1)
+    return smoothed_normals(thinned(select(cloud, inside), voxel_m=voxel_m * 0.7), radius_m=2 * voxel_m)
+
+
+def _without_planes(cloud: PointCloud, planes: list[Plane], *, band_m: float = 0.006) -> PointCloud:
+    """The points before all planes; near a plane only those that do not face the same way."""
+    kept = np.ones(len(cloud.points), bool)
+    for plane in planes:
+        height = plane.height_m(cloud.points)
+        kept &= (height > band_m) | ((height > 0.002) & (cloud.normals @ plane.normal < 0.75))
+    return select(cloud, kept)
+
+
+def _grow(
+    cloud: PointCloud, keypoints: Points, voxel_m: float, *, seed_radius_m: float = 0.008
+) -> PointCloud:
+    """The regions of one scene that the keypoints lie on (the paper's modified region growing)."""
+    if not len(cloud.points):
+        return cloud
+    pairs = smooth_or_convex_pairs(cloud, radius_m=2.0 * voxel_m, max_concave_rad=0.35)
+    region = components(len(cloud.points), pairs)
+    seeds = np.unique(np.concatenate(cKDTree(cloud.points).query_ball_point(keypoints, seed_radius_m)))
+    seeded = np.bincount(region[seeds.astype(int)], minlength=region.max() + 1)
+    size = np.bincount(region)
+    return select(cloud, (seeded > 0)[region] & (size > 20)[region])
+
+
+def _not_seen_through(region: PointCloud, own: str, views: Mapping[str, _View], voxel_m: float) -> PointCloud:
+    """The region without points that float before a surface seen in another scene (carving)."""
+    kept = np.ones(len(region.points), bool)
+    for scene, view in views.items():
+        if scene != own:
+            height = height_above(view.surface, cKDTree(view.surface.points), region.points)
+            kept &= ~((height > max(0.006, 2 * voxel_m)) & (height < 0.05))
+    return select(region, kept)
+
+
+def _around_keypoints(cloud: PointCloud, keypoints: Points, voxel_m: float) -> PointCloud:
+    """The pieces of the merged cloud that hang together with the keypoints, without crumbs."""
+    pairs = cKDTree(cloud.points).query_pairs(3 * voxel_m, output_type="ndarray").astype(np.int64)
+    piece = components(len(cloud.points), pairs)
+    size = np.bincount(piece)
+    kept: Bool[np.ndarray, " n"] = (size > 0.02 * len(piece))[piece]
+    return select(cloud, kept)
+
+
+def _feet(
+    cloud: PointCloud, views: Mapping[str, _View], keypoints: Points, *, reach_m: float = 0.012
+) -> Points:
+    """Where the object stands: its lowest points moved down to the plane below it."""
+    feet = [np.empty((0, 3))]
+    for view in views.values():
+        for plane in view.planes:
+            height = plane.height_m(cloud.points)
+            low = (height > -0.002) & (height < reach_m)
+            feet.append(cloud.points[low] - height[low, None] * plane.normal)
+    return np.concatenate(feet)
