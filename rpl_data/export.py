@@ -1,0 +1,293 @@
+"""Labels of scenes -> a COCO folder: train, val and test files, and the images linked beside them.
+
+The folder is built under a temporary name beside its place and takes it only when complete. Labels are read
+once, in one pass; memory does not grow with the masks.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import tempfile
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any
+
+from rpl_data.files import read_json
+from rpl_data.formats.coco import CocoObject, image_to_coco, instance_to_coco, writing_coco
+from rpl_data.split import FrameKey, SplitName, SplitRule, choose_splits
+from rpl_data.types import DataError, Frame, FrameLabel, KeypointModel, Scene, Trajectory
+from rpl_data.views import View, ViewDistance, view_distances, view_of
+
+Json = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class ExportScene:
+    """A labelled scene.
+
+    Attributes:
+        labels: one a frame that is to be exported; may be an iterator, it is read once.
+    """
+
+    scene: Scene
+    trajectory: Trajectory
+    labels: Iterable[FrameLabel]
+
+
+@dataclass(frozen=True)
+class ExportSummary:
+    """What was written.
+
+    Attributes:
+        images: how many, by split; a split without images has no file.
+        instances: how many, by split and object.
+        scenes: names of the scenes of each split.
+        invisible: instances left out because no pixel of them is visible.
+        links: how many files were hard-linked, symlinked, copied.
+        views: how near the views of val and test are to training's, by split.
+        messages: lines for a person.
+    """
+
+    images: Mapping[SplitName, int]
+    instances: Mapping[SplitName, Mapping[str, int]]
+    scenes: Mapping[SplitName, tuple[str, ...]]
+    invisible: int
+    links: Mapping[str, int]
+    views: Mapping[SplitName, ViewDistance]
+    messages: tuple[str, ...]
+
+
+def export_coco(
+    folder: Path,
+    scenes: Sequence[ExportScene],
+    models: Sequence[KeypointModel],
+    *,
+    split: SplitRule,
+    meshes: Mapping[str, Path] | None = None,
+    as_in: Path | None = None,
+) -> ExportSummary:
+    """Write `folder`: {train,val,test}.json, images/<scene>/, depth/<scene>/, meshes/ and nothing else.
+
+    Args:
+        folder: replaced as a whole.
+        scenes: with their labels.
+        models: the objects; category ids are 1, 2, ... in this order.
+        split: which frames train, validate and test.
+        meshes: files of dense models by object name; linked too, as meshes/<object><suffix>.
+        as_in: an exported folder whose split and image ids are kept (for labels made from truth); frames
+            that it does not have are left out.
+
+    Raises:
+        DataError: an image is missing, a label names an unknown object or frame, nothing is labelled, or the
+            folder cannot be written; the folder that was there is then unchanged.
+    """
+    fixed = None if as_in is None else _assignment(as_in)
+    with _replacing(folder) as building, tempfile.TemporaryFile("w+", dir=building) as spool:
+        links: Counter[str] = Counter()
+        objects = _objects(building, models, meshes or {}, links)
+        collected = _collect(building, spool, scenes, objects, links, fixed)
+        if fixed is None:
+            splits, messages = choose_splits(collected.frames, split)
+        else:
+            splits, messages = {key: name for key, (name, _) in fixed.items()}, ()
+        summary = _write_splits(building, spool, objects, splits, collected, links, messages)
+    return summary
+
+
+@dataclass(frozen=True)
+class _Collected:
+    """What one pass over the labels leaves in memory: names and viewing directions, no masks.
+
+    Attributes:
+        frames: the objects of every frame.
+    """
+
+    frames: Mapping[FrameKey, frozenset[str]]
+    views: tuple[View, ...]
+    invisible: int
+
+
+def _collect(
+    building: Path,
+    spool: IO[str],
+    scenes: Sequence[ExportScene],
+    objects: Sequence[CocoObject],
+    links: Counter[str],
+    fixed: Mapping[FrameKey, tuple[SplitName, int]] | None,
+) -> _Collected:
+    """Link the images and write a line a frame, image and annotations, to the spool.
+
+    The split is a choice over all frames and their objects, so no line can go to its file before the last
+    label was seen.
+    """
+    frames: dict[FrameKey, frozenset[str]] = {}
+    views: list[View] = []
+    invisible = annotation_id = 0
+    categories = {item.model.name: number for number, item in enumerate(objects, start=1)}
+    for item in scenes:
+        by_index = {frame.index: frame for frame in item.scene.frames}
+        for label in item.labels:
+            key = (item.scene.name, label.frame)
+            if fixed is not None and key not in fixed:
+                continue
+            image_id = len(frames) + 1 if fixed is None else fixed[key][1]
+            frame = _frame(item.scene, by_index, label)
+            annotations = []
+            for instance in label.instances:
+                _check_object(instance.object, categories, key)
+                entry = instance_to_coco(annotation_id + 1, image_id, categories[instance.object], instance)
+                if entry is None:
+                    invisible += 1
+                    continue
+                annotation_id += 1
+                annotations.append(entry)
+                views.append(view_of(key, frame.timestamp_s, instance))
+            frames[key] = frozenset(view.object for view in views[len(views) - len(annotations) :])
+            image = _image(building, item, frame, image_id, links)
+            spool.write(json.dumps([image, annotations], allow_nan=False) + "\n")
+    if not frames:
+        raise DataError("there is no labelled frame to export; run the label stage first")
+    return _Collected(frames, tuple(views), invisible)
+
+
+def _frame(scene: Scene, by_index: Mapping[int, Frame], label: FrameLabel) -> Frame:
+    if label.scene != scene.name or label.frame not in by_index:
+        raise DataError(
+            f"a label of scene {label.scene}, frame {label.frame} was given for scene {scene.name}, "
+            f"which has {len(by_index)} frames and not this one; label the scene again"
+        )
+    return by_index[label.frame]
+
+
+def _check_object(name: str, categories: Mapping[str, int], key: FrameKey) -> None:
+    if name not in categories:
+        raise DataError(
+            f"scene {key[0]}, frame {key[1]}: label of an unknown object {name!r}; "
+            f"known: {', '.join(categories)}"
+        )
+
+
+def _image(building: Path, item: ExportScene, frame: Frame, image_id: int, links: Counter[str]) -> Json:
+    """The entry of an image, its files linked into the folder."""
+    scene = item.scene
+    name = f"images/{scene.name}/{frame.index:06d}{frame.color.suffix}"
+    links[_link(frame.color, building / name)] += 1
+    depth_name = None
+    if frame.depth is not None:
+        depth_name = f"depth/{scene.name}/{frame.index:06d}{frame.depth.suffix}"
+        links[_link(frame.depth, building / depth_name)] += 1
+    return image_to_coco(
+        image_id,
+        frame,
+        scene=scene.name,
+        intrinsics=scene.intrinsics,
+        scene_from_camera=item.trajectory.at(frame.index),
+        file_name=name,
+        depth_file_name=depth_name,
+    )
+
+
+def _objects(
+    building: Path, models: Sequence[KeypointModel], meshes: Mapping[str, Path], links: Counter[str]
+) -> list[CocoObject]:
+    objects = []
+    for model in models:
+        mesh = None
+        if model.name in meshes:
+            mesh = f"meshes/{model.name}{meshes[model.name].suffix}"
+            links[_link(meshes[model.name], building / mesh)] += 1
+        objects.append(CocoObject(model, mesh))
+    return objects
+
+
+def _write_splits(
+    building: Path,
+    spool: IO[str],
+    objects: Sequence[CocoObject],
+    splits: Mapping[FrameKey, SplitName],
+    collected: _Collected,
+    links: Counter[str],
+    messages: Sequence[str],
+) -> ExportSummary:
+    """Deal the lines of the spool out to the files of the splits."""
+    frames = {key: splits[key] for key in collected.frames}
+    names: list[SplitName] = [n for n in ("train", "val", "test") if n in frames.values()]
+    spool.seek(0)
+    with ExitStack() as stack:
+        writers = {n: stack.enter_context(writing_coco(building / f"{n}.json", objects)) for n in names}
+        for line in spool:
+            image, annotations = json.loads(line)
+            writers[frames[image["scene"], image["frame"]]].add(image, annotations)
+    count = Counter((frames[view.frame], view.object) for view in collected.views)
+    return ExportSummary(
+        images={n: sum(1 for split in frames.values() if split == n) for n in names},
+        instances={n: {o.model.name: count[n, o.model.name] for o in objects} for n in names},
+        scenes={n: tuple(dict.fromkeys(key[0] for key in frames if frames[key] == n)) for n in names},
+        invisible=collected.invisible,
+        links=dict(links),
+        views=view_distances(collected.views, frames),
+        messages=tuple(messages),
+    )
+
+
+def _assignment(folder: Path) -> dict[FrameKey, tuple[SplitName, int]]:
+    """The split and image id of every frame of an exported folder."""
+    names: tuple[SplitName, ...] = ("train", "val", "test")
+    found = {
+        (image["scene"], image["frame"]): (name, image["id"])
+        for name in names
+        if (folder / f"{name}.json").exists()
+        for image in read_json(folder / f"{name}.json")["images"]
+    }
+    if not found:
+        raise DataError(f"{folder} holds no exported COCO files; export the labels first")
+    return found
+
+
+# Files --------------------------------------------------------------------------------------------
+
+
+def _link(source: Path, target: Path) -> str:
+    """Make `target` the same bytes as `source` without writing them, where the file system allows."""
+    if not source.is_file():
+        raise DataError(f"{source} is missing; put it back or read the recording again")
+    source = source.resolve()
+    target.parent.mkdir(parents=True, exist_ok=True)
+    for how, link in (("hard link", os.link), ("symlink", os.symlink)):
+        try:
+            link(source, target)
+            return how
+        except OSError:  # another file system, or one that has no such links
+            continue
+    shutil.copyfile(source, target)
+    return "copy"
+
+
+@contextmanager
+def _replacing(folder: Path) -> Iterator[Path]:
+    """A temporary folder that takes the place of `folder` when the block ends well."""
+    building: Path | None = None
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        building = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}.partial-"))
+        building.chmod(0o755)
+        yield building
+        old = building.with_name(building.name + "-old")
+        if folder.exists():
+            folder.rename(old)
+        building.rename(folder)
+        building = None
+        shutil.rmtree(old, ignore_errors=True)
+    except OSError as error:
+        raise DataError(
+            f"cannot write {folder}: {error.strerror or error}; nothing was changed. "
+            "Free some space or choose another folder"
+        ) from error
+    finally:
+        if building is not None:
+            shutil.rmtree(building, ignore_errors=True)

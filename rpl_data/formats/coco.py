@@ -1,0 +1,302 @@
+"""COCO instances and keypoints, with extra keys for pose, camera and quality that COCO readers ignore.
+
+One file a split. A category is an object, ids from 1; boxes are ``x y width height``; masks are compressed
+RLE; the pixel convention is ours (the centre of the top-left pixel is (0, 0)) for keypoints and square
+boxes. File names are relative to the folder of the JSON file.
+
+The extras. Image: `scene`, `frame`, `timestamp_s`, `cam_K` (9, row-major), `distortion`, `scene_from_camera`
+(16, row-major), `depth_file_name`. Annotation: `camera_from_object` (16, row-major, metres), `visib_fract`,
+`truncated`, `segmentation_full`, `bbox_full`, `square_box` [cx, cy, side], `sigma_px` (one a keypoint, null
+where v = 0), `quality`. Top level: `rpl` with `version` and `objects`.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+import tempfile
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from jaxtyping import Float64
+
+from rpl_data.files import read_json, writing
+from rpl_data.formats.coco_check import validate_coco
+from rpl_data.records import asdict_values, matrix_from_json, numbers, rows_from_json, rows_to_json
+from rpl_data.types import (
+    Box,
+    Frame,
+    FrameLabel,
+    InstanceLabel,
+    Intrinsics,
+    KeypointModel,
+    Rle,
+    SquareBox,
+)
+
+Json = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class CocoObject:
+    """An object as the file describes it.
+
+    Attributes:
+        mesh: path of its mesh, relative to the JSON file's folder; None when there is none.
+        symmetries: rigid transforms (16 numbers, row-major) that leave the object looking the same.
+    """
+
+    model: KeypointModel
+    mesh: str | None = None
+    symmetries: tuple[tuple[float, ...], ...] = ()
+
+
+# To COCO ------------------------------------------------------------------------------------------
+
+
+def header(objects: Sequence[CocoObject]) -> Json:
+    """Everything but images and annotations; categories are numbered from 1 in the order given."""
+    return {
+        "info": {"description": "made by rpl-data", "version": "1.0"},
+        "licenses": [],
+        "categories": [_category(number, item.model) for number, item in enumerate(objects, start=1)],
+        "rpl": {
+            "version": _tool_version(),
+            "objects": [_object(number, item) for number, item in enumerate(objects, start=1)],
+        },
+    }
+
+
+def _tool_version() -> str:
+    try:
+        return version("rpl-data")
+    except PackageNotFoundError:  # run from a checkout that was never installed
+        return "unknown"
+
+
+def _category(number: int, model: KeypointModel) -> Json:
+    return {
+        "id": number,
+        "name": model.name,
+        "supercategory": "object",
+        "keypoints": list(model.keypoints),
+        "skeleton": [[a + 1, b + 1] for a, b in model.skeleton],  # COCO counts from 1 here
+    }
+
+
+def _object(number: int, item: CocoObject) -> Json:
+    return {
+        "name": item.model.name,
+        "category_id": number,
+        "points_object": rows_to_json(item.model.points_object),
+        "mesh": item.mesh,
+        "symmetries": [list(symmetry) for symmetry in item.symmetries],
+    }
+
+
+def image_to_coco(
+    image_id: int,
+    frame: Frame,
+    *,
+    scene: str,
+    intrinsics: Intrinsics,
+    scene_from_camera: Float64[np.ndarray, "4 4"],
+    file_name: str,
+    depth_file_name: str | None,
+) -> Json:
+    """The entry of an image."""
+    return {
+        "id": image_id,
+        "file_name": file_name,
+        "width": intrinsics.width,
+        "height": intrinsics.height,
+        "scene": scene,
+        "frame": frame.index,
+        "timestamp_s": frame.timestamp_s,
+        "cam_K": numbers(intrinsics.matrix),
+        "distortion": list(intrinsics.distortion),
+        "scene_from_camera": numbers(scene_from_camera),
+        "depth_file_name": depth_file_name,
+    }
+
+
+def instance_to_coco(
+    annotation_id: int, image_id: int, category_id: int, instance: InstanceLabel
+) -> Json | None:
+    """The entry of an instance; None when no pixel of it is visible (COCO has no word for that)."""
+    from pycocotools import mask as masks
+
+    area = int(masks.area(instance.mask))
+    if area == 0:
+        return None
+    return {
+        "id": annotation_id,
+        "image_id": image_id,
+        "category_id": category_id,
+        "segmentation": dict(instance.mask),
+        "area": area,
+        "bbox": _box_of(instance.mask),
+        "iscrowd": 0,
+        "keypoints": _keypoints_to_coco(instance),
+        "num_keypoints": int((instance.visibility > 0).sum()),
+        "camera_from_object": numbers(instance.camera_from_object),
+        "visib_fract": float(instance.visib_fract),
+        "truncated": bool(instance.truncated),
+        "segmentation_full": dict(instance.mask_full),
+        "bbox_full": _box_of(instance.mask_full),
+        "square_box": asdict_values(instance.square_box),
+        "sigma_px": [
+            float(s) if v > 0 and math.isfinite(s) else None
+            for s, v in zip(instance.sigma_px, instance.visibility, strict=True)
+        ],
+        "quality": float(instance.quality),
+    }
+
+
+def _keypoints_to_coco(instance: InstanceLabel) -> list[float | int]:
+    """x, y, v a keypoint; 0, 0, 0 where it is not labelled."""
+    flat: list[float | int] = []
+    for (u, v), seen in zip(instance.keypoints_px, instance.visibility, strict=True):
+        flat += [round(float(u), 4), round(float(v), 4), int(seen)] if seen > 0 else [0.0, 0.0, 0]
+    return flat
+
+
+def _box_of(mask: Rle) -> list[float]:
+    """x, y, width, height of a mask; taken from the pixels, so that box and mask always agree."""
+    from pycocotools import mask as masks
+
+    return [float(side) for side in masks.toBbox(mask)]
+
+
+# From COCO ----------------------------------------------------------------------------------------
+
+
+def objects_from_coco(data: Mapping[str, Any]) -> list[CocoObject]:
+    """The objects of a file, in the order of their category ids."""
+    described = {item["category_id"]: item for item in data["rpl"]["objects"]}
+    return [
+        CocoObject(
+            KeypointModel(
+                name=category["name"],
+                keypoints=tuple(category["keypoints"]),
+                points_object=rows_from_json(described[category["id"]]["points_object"], 3),
+                skeleton=tuple((a - 1, b - 1) for a, b in category["skeleton"]),
+            ),
+            mesh=described[category["id"]]["mesh"],
+            symmetries=tuple(tuple(s) for s in described[category["id"]]["symmetries"]),
+        )
+        for category in sorted(data["categories"], key=lambda c: int(c["id"]))
+    ]
+
+
+def intrinsics_from_coco(image: Mapping[str, Any]) -> Intrinsics:
+    """The camera of an image."""
+    fx, _, cx, _, fy, cy, *_ = image["cam_K"]
+    return Intrinsics(fx, fy, cx, cy, image["width"], image["height"], tuple(image["distortion"]))
+
+
+def labels_from_coco(data: Mapping[str, Any]) -> list[FrameLabel]:
+    """The labels of a file, a frame an image, in the file's order; positions of v = 0 become NaN."""
+    names = {category["id"]: category["name"] for category in data["categories"]}
+    instances: dict[int, list[InstanceLabel]] = {image["id"]: [] for image in data["images"]}
+    for annotation in data["annotations"]:
+        instances[annotation["image_id"]].append(
+            instance_from_coco(annotation, names[annotation["category_id"]])
+        )
+    return [
+        FrameLabel(image["scene"], image["frame"], image["timestamp_s"], tuple(instances[image["id"]]))
+        for image in data["images"]
+    ]
+
+
+def instance_from_coco(annotation: Mapping[str, Any], object_name: str) -> InstanceLabel:
+    """The instance of `instance_to_coco`."""
+    flat = np.array(annotation["keypoints"], dtype=float).reshape(-1, 3)
+    visibility = flat[:, 2].astype(np.int64)
+    return InstanceLabel(
+        object=object_name,
+        camera_from_object=matrix_from_json(annotation["camera_from_object"]),
+        keypoints_px=np.where(visibility[:, None] > 0, flat[:, :2], np.nan),
+        visibility=visibility,
+        sigma_px=np.array([math.nan if s is None else s for s in annotation["sigma_px"]], dtype=float),
+        square_box=SquareBox(*annotation["square_box"]),
+        box=_xyxy(annotation["bbox"]),
+        box_full=_xyxy(annotation["bbox_full"]),
+        mask=_rle(annotation["segmentation"]),
+        mask_full=_rle(annotation["segmentation_full"]),
+        visib_fract=annotation["visib_fract"],
+        truncated=annotation["truncated"],
+        quality=annotation["quality"],
+    )
+
+
+def _xyxy(xywh: Sequence[float]) -> Box:
+    x, y, width, height = xywh
+    return float(x), float(y), float(x + width), float(y + height)
+
+
+def _rle(segmentation: Mapping[str, Any]) -> Rle:
+    return {"size": list(segmentation["size"]), "counts": segmentation["counts"]}
+
+
+# Files --------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class CocoWriter:
+    """Where `writing_coco` collects entries; both are open temporary files."""
+
+    images: IO[str]
+    annotations: IO[str]
+
+    def add(self, image: Json, annotations: Iterable[Json]) -> None:
+        """Add an image and its annotations."""
+        _append(self.images, image)
+        for annotation in annotations:
+            _append(self.annotations, annotation)
+
+
+@contextmanager
+def writing_coco(path: Path, objects: Sequence[CocoObject]) -> Iterator[CocoWriter]:
+    """A writer whose file appears, whole, when the block ends well; memory does not grow with the entries."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with (
+        tempfile.TemporaryFile("w+", encoding="utf-8", dir=path.parent) as images,
+        tempfile.TemporaryFile("w+", encoding="utf-8", dir=path.parent) as annotations,
+    ):
+        yield CocoWriter(images, annotations)
+        top = json.dumps(header(objects), allow_nan=False)
+        with writing(path) as file:
+            file.write(top[:-1])
+            for key, part in (("images", images), ("annotations", annotations)):
+                file.write(f',\n"{key}": [\n')
+                part.seek(0)
+                shutil.copyfileobj(part, file)
+                file.write("]")
+            file.write("}\n")
+
+
+def _append(file: IO[str], entry: Json) -> None:
+    """An element of a JSON array, a line each."""
+    file.write((",\n" if file.tell() else "") + json.dumps(entry, allow_nan=False))
+
+
+def write_coco(path: Path, data: Json) -> None:
+    """Write a file from its parts held in memory; `data` is what `read_coco` returns."""
+    validate_coco(data, source=str(path))
+    with writing(path) as file:
+        json.dump(data, file, allow_nan=False)
+
+
+def read_coco(path: Path) -> Json:
+    """The content of a file, validated; DataError when it is missing, broken or not our dialect."""
+    data = read_json(path)
+    validate_coco(data, source=str(path))
+    content: Json = data
+    return content

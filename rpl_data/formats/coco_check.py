@@ -1,0 +1,156 @@
+"""The checks behind `coco.read_coco`: what our dialect of COCO promises, and the message when it breaks."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from rpl_data.records import matrix_from_json
+from rpl_data.types import DataError
+
+Json = dict[str, Any]
+
+TOP_KEYS = ("images", "annotations", "categories", "rpl")
+CATEGORY_KEYS = ("id", "name", "supercategory", "keypoints", "skeleton")
+OBJECT_KEYS = ("name", "category_id", "points_object", "mesh", "symmetries")
+IMAGE_KEYS = (
+    *("id", "file_name", "width", "height", "scene", "frame", "timestamp_s"),
+    *("cam_K", "distortion", "scene_from_camera", "depth_file_name"),
+)
+ANNOTATION_KEYS = (
+    *("id", "image_id", "category_id", "segmentation", "area", "bbox", "iscrowd", "keypoints"),
+    *("num_keypoints", "camera_from_object", "visib_fract", "truncated", "segmentation_full", "bbox_full"),
+    *("square_box", "sigma_px", "quality"),
+)
+
+
+def validate_coco(data: Any, *, source: str) -> None:
+    """Check everything this module promises about a file.
+
+    Raises:
+        DataError: the first thing that is wrong, with the entry's id, what was expected and found.
+    """
+    _check_keys(data, TOP_KEYS, source)
+    _check_keys(data["rpl"], ("version", "objects"), f"{source}: rpl")
+    categories = {c["id"]: c for c in _unique(data["categories"], CATEGORY_KEYS, f"{source}: category")}
+    images = {i["id"]: i for i in _unique(data["images"], IMAGE_KEYS, f"{source}: image")}
+    _check_categories(categories, data["rpl"]["objects"], source)
+    for image in images.values():
+        where = f"{source}: image {image['id']}"
+        _check_numbers(image["cam_K"], 9, f"{where}: cam_K")
+        _check_rigid(image["scene_from_camera"], f"{where}: scene_from_camera")
+    for annotation in _unique(data["annotations"], ANNOTATION_KEYS, f"{source}: annotation"):
+        where = f"{source}: annotation {annotation['id']}"
+        if annotation["image_id"] not in images or annotation["category_id"] not in categories:
+            raise _wrong(where, "image_id and category_id of entries of this file", _ids(annotation))
+        _check_instance(
+            annotation, images[annotation["image_id"]], categories[annotation["category_id"]], where
+        )
+
+
+def _ids(annotation: Mapping[str, Any]) -> str:
+    """What an annotation refers to, for a message."""
+    return f"image {annotation['image_id']}, category {annotation['category_id']}"
+
+
+def _check_keys(entry: Any, keys: tuple[str, ...], where: str) -> None:
+    """DataError unless `entry` is an object with at least these keys."""
+    if not isinstance(entry, dict):
+        raise _wrong(where, "a JSON object", type(entry).__name__)
+    missing = [key for key in keys if key not in entry]
+    if missing:
+        raise DataError(f"{where}: {', '.join(missing)} missing; export the dataset again with `rpl export`")
+
+
+def _wrong(where: str, expected: str, found: Any) -> DataError:
+    return DataError(
+        f"{where}: expected {expected}, found {found}; export the dataset again with `rpl export`"
+    )
+
+
+def _unique(entries: Any, keys: tuple[str, ...], what: str) -> list[Json]:
+    """The entries, checked for their keys and for an id of their own."""
+    if not isinstance(entries, list):
+        raise _wrong(what, "a list", type(entries).__name__)
+    seen: set[int] = set()
+    for number, entry in enumerate(entries):
+        _check_keys(entry, keys, f"{what} number {number}")
+        if not isinstance(entry["id"], int) or entry["id"] in seen:
+            raise _wrong(f"{what} number {number}", "a whole number of its own as id", entry["id"])
+        seen.add(entry["id"])
+    return entries
+
+
+def _check_categories(categories: Mapping[int, Json], objects: Any, source: str) -> None:
+    if sorted(categories) != list(range(1, len(categories) + 1)):
+        raise _wrong(f"{source}: categories", "ids from 1 without a gap", sorted(categories))
+    for item in objects:
+        _check_keys(item, OBJECT_KEYS, f"{source}: rpl.objects")
+    if {o["category_id"]: o["name"] for o in objects} != {n: c["name"] for n, c in categories.items()}:
+        raise _wrong(f"{source}: rpl.objects", "one a category", [o["name"] for o in objects])
+    for item in objects:
+        category = categories[item["category_id"]]
+        where, count = f"{source}: object {item['name']}", len(category["keypoints"])
+        if len(item["points_object"]) != count:
+            raise _wrong(where, f"{count} points_object, one a keypoint", len(item["points_object"]))
+        for point in item["points_object"]:
+            if point is not None:
+                _check_numbers(point, 3, f"{where}: points_object")
+        if any(not 1 <= end <= count for pair in category["skeleton"] for end in pair):
+            raise _wrong(where, f"skeleton ends from 1 to {count}", category["skeleton"])
+
+
+def _check_instance(annotation: Json, image: Json, category: Json, where: str) -> None:
+    count = len(category["keypoints"])
+    _check_rigid(annotation["camera_from_object"], f"{where}: camera_from_object")
+    _check_numbers(annotation["keypoints"], 3 * count, f"{where}: keypoints")
+    keypoints = np.array(annotation["keypoints"], dtype=float).reshape(-1, 3)
+    if not np.isin(keypoints[:, 2], (0, 1, 2)).all() or keypoints[keypoints[:, 2] == 0, :2].any():
+        raise _wrong(
+            where, "keypoints with v of 0, 1 or 2 and x = y = 0 where v = 0", annotation["keypoints"]
+        )
+    if annotation["num_keypoints"] != (keypoints[:, 2] > 0).sum():
+        raise _wrong(f"{where}: num_keypoints", "the count of v > 0", annotation["num_keypoints"])
+    if len(annotation["sigma_px"]) != count:
+        raise _wrong(f"{where}: sigma_px", f"{count} values", len(annotation["sigma_px"]))
+    _check_numbers(annotation["square_box"], 3, f"{where}: square_box")
+    for key in ("visib_fract", "quality"):
+        if not 0 <= annotation[key] <= 1:
+            raise _wrong(f"{where}: {key}", "0 to 1", annotation[key])
+    _check_mask(annotation, "segmentation", "bbox", image, where)
+    _check_mask(annotation, "segmentation_full", "bbox_full", image, where)
+
+
+def _check_mask(annotation: Json, mask_key: str, box_key: str, image: Json, where: str) -> None:
+    from pycocotools import mask as masks
+
+    mask = annotation[mask_key]
+    _check_keys(mask, ("size", "counts"), f"{where}: {mask_key}")
+    if list(mask["size"]) != [image["height"], image["width"]]:
+        raise _wrong(f"{where}: {mask_key}", f"size [{image['height']}, {image['width']}]", mask["size"])
+    _check_numbers(annotation[box_key], 4, f"{where}: {box_key}")
+    if not np.allclose(masks.toBbox(mask), annotation[box_key], atol=1e-3):
+        raise _wrong(f"{where}: {box_key}", f"the box of the mask {masks.toBbox(mask)}", annotation[box_key])
+    if mask_key == "segmentation" and int(masks.area(mask)) != annotation["area"]:
+        raise _wrong(f"{where}: area", f"the mask's {int(masks.area(mask))} px", annotation["area"])
+    if mask_key == "segmentation" and annotation["area"] == 0:
+        raise _wrong(f"{where}: segmentation", "at least one visible pixel", "none")
+
+
+def _check_numbers(values: Any, count: int, where: str) -> None:
+    if not isinstance(values, list) or len(values) != count:
+        raise _wrong(where, f"a list of {count} numbers", values)
+    if not all(isinstance(value, int | float) and math.isfinite(value) for value in values):
+        raise _wrong(where, "finite numbers", values)
+
+
+def _check_rigid(values: Any, where: str) -> None:
+    _check_numbers(values, 16, where)
+    matrix = matrix_from_json(values)
+    rotation = matrix[:3, :3]
+    proper = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-5) and np.linalg.det(rotation) > 0
+    if not proper or not np.allclose(matrix[3], (0, 0, 0, 1)):
+        raise _wrong(where, "a rigid transform, row-major", values)

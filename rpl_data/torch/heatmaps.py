@@ -1,0 +1,76 @@
+"""Keypoints as heatmaps: a Gaussian at the sub-pixel position, and the position back from the map.
+
+Positions are pixels of the heatmap whose centres are whole numbers, (u, v) = (column, row).
+"""
+
+from __future__ import annotations
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+SMALLEST_EXPONENT = -20.0
+"""Beyond it the Gaussian is 0: products of two tails would be denormal numbers, which CPUs are slow at."""
+
+
+def draw_heatmaps(
+    positions_px: Float[Tensor, "*batch k 2"], *, size_px: int, sigma_px: float = 1.0
+) -> Float[Tensor, "*batch k size size"]:
+    """A map a keypoint with a Gaussian of height 1 at its position; zeros where the position is NaN.
+
+    The Gaussian is separable: one row times one column for each keypoint, any number of keypoints at once.
+    """
+    grid = torch.arange(size_px, dtype=torch.float32, device=positions_px.device)
+    exponent = (grid - positions_px.to(torch.float32).unsqueeze(-1)).square_().mul_(-0.5 / sigma_px**2)
+    # NaN > x is false, so a keypoint without a position gives zeros.
+    profile = torch.where(exponent > SMALLEST_EXPONENT, exponent.exp(), 0.0)  # (*batch, k, uv, size)
+    return profile[..., 1, :].unsqueeze(-1) * profile[..., 0, :].unsqueeze(-2)
+
+
+def decode_heatmaps(
+    heatmaps: Float[Tensor, "*batch k height width"],
+) -> tuple[Float[Tensor, "*batch k 2"], Float[Tensor, "*batch k"]]:
+    """The position of each map's peak to a fraction of a pixel, and the height of the peak.
+
+    The logarithm of a Gaussian is a parabola, so three samples along each axis give its vertex exactly,
+    whatever its width; at the map's edge the three samples are the outermost ones. The vertex is not trusted
+    further than half a pixel from the highest sample.
+    """
+    height, width = heatmaps.shape[-2:]
+    score, flat = heatmaps.flatten(-2).max(dim=-1)
+    column, row = flat % width, flat // width
+    along_u = _take_row(heatmaps, row)
+    along_v = _take_row(heatmaps.transpose(-1, -2), column)
+    return torch.stack([_vertex(along_u, column), _vertex(along_v, row)], dim=-1), score
+
+
+def _take_row(maps: Tensor, row: Tensor) -> Tensor:
+    """Row number `row` of each map, shape (*batch, k, width)."""
+    index = row[..., None, None].expand(*row.shape, 1, maps.shape[-1])
+    return maps.gather(-2, index).squeeze(-2)
+
+
+def _vertex(profile: Tensor, peak: Tensor) -> Tensor:
+    """Where the parabola through the logarithms of three samples about `peak` has its vertex."""
+    middle = peak.clamp(1, profile.shape[-1] - 2)
+    around = middle.unsqueeze(-1) + torch.arange(-1, 2, device=profile.device)
+    before, at, after = profile.gather(-1, around).clamp_min(1e-12).log().unbind(-1)
+    bend = before - 2 * at + after
+    offset = torch.where(bend < -1e-6, 0.5 * (before - after) / bend.clamp_max(-1e-6), 0.0)
+    position = middle + offset
+    return torch.minimum(torch.maximum(position, peak - 0.5), peak + 0.5)
+
+
+def positions_in_image(
+    positions_px: Float[Tensor, "*batch k 2"],
+    crop_from_image: Float[Tensor, "*batch 2 3"],
+    *,
+    input_px: int,
+    heatmap_px: int,
+) -> Float[Tensor, "*batch k 2"]:
+    """Heatmap positions as positions in the full image, float64."""
+    zoom = input_px / heatmap_px
+    crop = (positions_px.double() + 0.5) * zoom - 0.5  # edges coincide, centres do not
+    affine = crop_from_image.double()
+    offset = (crop - affine[..., None, :, 2]).transpose(-1, -2)
+    return torch.linalg.solve(affine[..., :2], offset).transpose(-1, -2)

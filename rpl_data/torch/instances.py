@@ -1,0 +1,199 @@
+"""Whole images with boxes, labels and masks: torchvision's detection targets."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, TypedDict
+
+import cv2
+import numpy as np
+import torch
+from torch import Tensor
+from torch.utils.data import Dataset, get_worker_info
+from torchvision import tv_tensors
+
+from rpl_data.formats.coco import read_coco
+from rpl_data.torch.keypoints import to_unit_range
+from rpl_data.torch.regions import read_image
+from rpl_data.torch.transforms import Affine, Augmentation, jittered, moved, random_crop_from_square, warped
+
+
+class InstanceTarget(TypedDict):
+    """What torchvision's detection models are trained with; n instances, n may be 0.
+
+    Attributes:
+        boxes: n x 4, float32, x0 y0 x1 y1 with COCO's edges (of the visible mask).
+        labels: n, int64, category ids from 1; 0 is the background.
+        masks: n x height x width, uint8, visible pixels.
+        image_id: of the COCO file.
+        area: n, float32, visible pixels.
+        iscrowd: n, int64, zeros.
+        keypoints: n x k x 3, float32, x y v in pixels (centre of the first pixel is 0); objects with fewer
+            keypoints than the largest have rows of zeros behind.
+    """
+
+    boxes: Tensor
+    labels: Tensor
+    masks: Tensor
+    image_id: int
+    area: Tensor
+    iscrowd: Tensor
+    keypoints: Tensor
+
+
+InstanceSample = tuple[Tensor, InstanceTarget]
+
+
+class InstanceDataset(Dataset[InstanceSample]):
+    """Every image of an exported COCO file, those without an object too.
+
+    Attributes:
+        names: of the labels, `names[0]` is the background.
+    """
+
+    def __init__(
+        self, coco_json: Path, transforms: Callable[[Tensor, InstanceTarget], InstanceSample] | None = None
+    ) -> None:
+        """Read the annotations; images stay on disk.
+
+        Args:
+            coco_json: a file that `rpl export` wrote.
+            transforms: called with the image (float32, 3 x height x width, 0 to 1) and its target, both made
+                of tv_tensors, so that torchvision.transforms.v2 can be given; or `RandomAffine`. Do not flip:
+                a mirrored object is another object.
+        """
+        data = read_coco(Path(coco_json))
+        self.names = [
+            "background",
+            *(c["name"] for c in sorted(data["categories"], key=lambda c: int(c["id"]))),
+        ]
+        self._most_keypoints = max((len(c["keypoints"]) for c in data["categories"]), default=0)
+        self._folder, self._transforms = Path(coco_json).parent, transforms
+        self._images: list[dict[str, Any]] = data["images"]
+        self._annotations: dict[int, list[dict[str, Any]]] = {image["id"]: [] for image in self._images}
+        for annotation in data["annotations"]:
+            self._annotations[annotation["image_id"]].append(annotation)
+
+    def __len__(self) -> int:
+        """How many images."""
+        return len(self._images)
+
+    def __getitem__(self, row: int) -> InstanceSample:
+        """An image and its target."""
+        if get_worker_info() is not None:
+            cv2.setNumThreads(0)  # as in KeypointDataset
+        entry = self._images[row]
+        image = tv_tensors.Image(to_unit_range(read_image(str(self._folder / entry["file_name"]))))
+        target = _target(entry, self._annotations[entry["id"]], self._most_keypoints)
+        return (image, target) if self._transforms is None else self._transforms(image, target)
+
+
+def collate(batch: Sequence[InstanceSample]) -> tuple[list[Tensor], list[InstanceTarget]]:
+    """Images and targets as two lists, as torchvision's detection models take them."""
+    return [image for image, _ in batch], [target for _, target in batch]
+
+
+def _target(
+    image: dict[str, Any], annotations: Sequence[dict[str, Any]], most_keypoints: int
+) -> InstanceTarget:
+    size = (image["height"], image["width"])
+    keypoints = np.zeros((len(annotations), most_keypoints, 3), dtype=np.float32)
+    for row, annotation in enumerate(annotations):
+        mine = np.array(annotation["keypoints"], dtype=np.float32).reshape(-1, 3)
+        keypoints[row, : len(mine)] = mine
+    xywh = np.array([a["bbox"] for a in annotations], dtype=np.float32).reshape(-1, 4)
+    boxes = np.concatenate([xywh[:, :2], xywh[:, :2] + xywh[:, 2:]], axis=1)
+    return {
+        "boxes": tv_tensors.BoundingBoxes(boxes, format=tv_tensors.BoundingBoxFormat.XYXY, canvas_size=size),
+        "labels": torch.tensor([a["category_id"] for a in annotations], dtype=torch.int64),
+        "masks": tv_tensors.Mask(_masks(annotations, size)),
+        "image_id": image["id"],
+        "area": torch.tensor([a["area"] for a in annotations], dtype=torch.float32),
+        "iscrowd": torch.zeros(len(annotations), dtype=torch.int64),
+        "keypoints": torch.from_numpy(keypoints),
+    }
+
+
+def _masks(annotations: Sequence[dict[str, Any]], size: tuple[int, int]) -> Tensor:
+    """N x height x width, uint8."""
+    from pycocotools import mask as masks
+
+    if not annotations:
+        return torch.zeros((0, *size), dtype=torch.uint8)
+    stacked = masks.decode([a["segmentation"] for a in annotations])  # height x width x n, Fortran order
+    return torch.from_numpy(np.ascontiguousarray(stacked.transpose(2, 0, 1)))
+
+
+class RandomAffine:
+    """Shifts, zooms, turns and colours an image at random, and everything in its target with it."""
+
+    def __init__(self, augmentation: Augmentation) -> None:
+        """`augmentation.shift` is a share of the image's longer side."""
+        self._augmentation = augmentation
+
+    def __call__(self, image: Tensor, target: InstanceTarget) -> InstanceSample:
+        """Another view of the same size; instances that leave the image leave the target."""
+        rng = np.random.default_rng(int(torch.randint(2**62, ()).item()))
+        height, width = image.shape[-2:]
+        side = max(height, width)
+        centre = np.array([(width - 1) / 2, (height - 1) / 2])
+        square = random_crop_from_square(centre, side, self._augmentation, rng, input_px=side)
+        # The square crop's middle becomes the image's.
+        out_from_image = (
+            square + np.array([[0, 0, centre[0]], [0, 0, centre[1]]]) - [[0, 0, (side - 1) / 2]] * 2
+        )
+        return warp_instances(image, target, out_from_image, augmentation=self._augmentation, rng=rng)
+
+
+def warp_instances(
+    image: Tensor,
+    target: InstanceTarget,
+    out_from_image: Affine,
+    *,
+    augmentation: Augmentation | None = None,
+    rng: np.random.Generator | None = None,
+) -> InstanceSample:
+    """Image, masks, boxes, areas and keypoints moved together; boxes are those of the moved masks.
+
+    Keypoints that leave the image keep their place with v = 0... as COCO has it: 0, 0, 0.
+    """
+    height, width = image.shape[-2:]
+    pixels = (image.permute(1, 2, 0).numpy() * 255).round().astype(np.uint8)
+    pixels = warped(pixels, out_from_image, size=(width, height))
+    if augmentation is not None and rng is not None:
+        pixels = jittered(pixels, augmentation, rng)
+    masks = [
+        warped(mask.numpy() * np.uint8(255), out_from_image, size=(width, height)) > 127
+        for mask in target["masks"]
+    ]
+    kept = [row for row, mask in enumerate(masks) if mask.any()]
+    stacked = np.array([masks[row] for row in kept], dtype=np.uint8).reshape(-1, height, width)
+    boxes = np.array([_box(mask) for mask in stacked], dtype=np.float32).reshape(-1, 4)
+    moved_target: InstanceTarget = {
+        "boxes": tv_tensors.BoundingBoxes(
+            boxes, format=tv_tensors.BoundingBoxFormat.XYXY, canvas_size=(height, width)
+        ),
+        "labels": target["labels"][kept],
+        "masks": tv_tensors.Mask(torch.from_numpy(stacked)),
+        "image_id": target["image_id"],
+        "area": torch.from_numpy(stacked.sum(axis=(1, 2), dtype=np.float32)),
+        "iscrowd": target["iscrowd"][kept],
+        "keypoints": _moved_keypoints(target["keypoints"][kept], out_from_image, width=width, height=height),
+    }
+    return tv_tensors.Image(to_unit_range(pixels)), moved_target
+
+
+def _box(mask: np.ndarray) -> tuple[int, int, int, int]:
+    """COCO's edges of a mask with at least one pixel."""
+    columns, rows = np.flatnonzero(mask.any(axis=0)), np.flatnonzero(mask.any(axis=1))
+    return int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1
+
+
+def _moved_keypoints(keypoints: Tensor, out_from_image: Affine, *, width: int, height: int) -> Tensor:
+    xyv = keypoints.numpy().astype(float)
+    xy = moved(out_from_image, xyv[..., :2])
+    inside = ((xy >= -0.5) & (xy < np.array([width, height]) - 0.5)).all(axis=-1) & (xyv[..., 2] > 0)
+    return torch.from_numpy(
+        np.where(inside[..., None], np.concatenate([xy, xyv[..., 2:]], -1), 0.0).astype(np.float32)
+    )

@@ -1,0 +1,245 @@
+"""One object's crops with keypoint heatmaps: what the paper's hourglass is trained on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypedDict
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Float32, Float64, Int64
+from torch import Tensor
+from torch.utils.data import Dataset, get_worker_info
+
+from rpl_data.formats.coco import objects_from_coco, read_coco
+from rpl_data.torch.heatmaps import draw_heatmaps
+from rpl_data.torch.regions import Region, RegionCache, read_image, region_around
+from rpl_data.torch.transforms import (
+    Affine,
+    Augmentation,
+    Image,
+    chained,
+    crop_from_square,
+    heatmap_from_crop,
+    jittered,
+    moved,
+    random_crop_from_square,
+    reach,
+    warped,
+)
+from rpl_data.types import DataError, KeypointModel
+
+DISTORTION_LENGTH = 14
+"""OpenCV's longest list of coefficients; shorter ones mean the same with zeros behind."""
+
+
+class KeypointSample(TypedDict):
+    """One instance. A default-collated batch has the same keys with a leading batch axis.
+
+    Attributes:
+        image: 3 x input x input, RGB, 0 to 1.
+        heatmaps: K x heatmap x heatmap, a Gaussian of height 1 where the keypoint is.
+        weights: K; 1 where labelled (seen or hidden) and inside the crop, else 0.
+        keypoints_px: K x 2, full image; NaN where not labelled.
+        visibility: K; COCO's v.
+        crop_from_image: 2 x 3, full image to crop; holds the in-plane rotation too.
+        camera_matrix: 3 x 3, of the full image. distortion: OpenCV's coefficients, zeros behind.
+        camera_from_object: 4 x 4, metres.
+        points_object: K x 3, metres; NaN where never clicked.
+        square_box: cx, cy, side in pixels of the full image: the paper's box.
+        image_id, annotation_id: of the COCO file.
+    """
+
+    image: Tensor
+    heatmaps: Tensor
+    weights: Tensor
+    keypoints_px: Tensor
+    visibility: Tensor
+    crop_from_image: Tensor
+    camera_matrix: Tensor
+    distortion: Tensor
+    camera_from_object: Tensor
+    points_object: Tensor
+    square_box: Tensor
+    image_id: int
+    annotation_id: int
+
+
+@dataclass(frozen=True)
+class _Instances:
+    """The annotations of one object as arrays, a row an instance.
+
+    Arrays, not dictionaries: worker processes share them, and a list of dictionaries would be copied by
+    touching its reference counts.
+    """
+
+    files: np.ndarray
+    image_ids: Int64[np.ndarray, " n"]
+    annotation_ids: Int64[np.ndarray, " n"]
+    sizes: Int64[np.ndarray, "n 2"]
+    camera_matrices: Float64[np.ndarray, "n 3 3"]
+    distortions: Float64[np.ndarray, "n c"]
+    camera_from_object: Float64[np.ndarray, "n 4 4"]
+    keypoints: Float64[np.ndarray, "n k 3"]
+    square_boxes: Float64[np.ndarray, "n 3"]
+
+
+class KeypointDataset(Dataset[KeypointSample]):
+    """Square crops of one object of an exported COCO file.
+
+    Attributes:
+        model: the sparse model of the object.
+        input_px, heatmap_px: sides of crops and heatmaps.
+    """
+
+    def __init__(
+        self,
+        coco_json: Path,
+        *,
+        object: str | None = None,  # noqa: A002 (the recipe's and the CLI's word for it)
+        input_px: int = 256,
+        heatmap_px: int = 64,
+        sigma_px: float = 1.0,
+        augment: Augmentation | None = None,
+        cache: bool | Path = False,
+    ) -> None:
+        """Read the annotations; images stay on disk unless cached.
+
+        Args:
+            coco_json: a file that `rpl export` wrote.
+            object: its name; may be left out when the file has one object.
+            input_px: side of the crop.
+            heatmap_px: side of the heatmaps.
+            sigma_px: of the Gaussians, heatmap pixels.
+            augment: shifts, scales, turns and colours at random; None for evaluation. Draws from torch's
+                random state, so `torch.manual_seed` and DataLoader workers do the right thing.
+            cache: keep the decoded pixels around each box: True in memory, a folder to share them between
+                processes and runs. What comes out is the same to the bit.
+
+        Raises:
+            DataError: the file is not ours, or it has no such object, or no instance of it.
+        """
+        data = read_coco(Path(coco_json))
+        self.model, category_id = _choose(data, object, coco_json)
+        self.input_px, self.heatmap_px = input_px, heatmap_px
+        self._sigma_px, self._augment = sigma_px, augment
+        self._heatmap_from_crop = heatmap_from_crop(input_px=input_px, heatmap_px=heatmap_px)
+        self._rows = _instances(data, category_id, Path(coco_json).parent)
+        if len(self._rows.files) == 0:
+            raise DataError(f"{coco_json} has no instance of {self.model.name}; train on another split")
+        self._points_object = torch.from_numpy(self.model.points_object.copy())
+        self._cache = RegionCache(self._rows.files, self._regions(), cache) if cache else None
+
+    def __len__(self) -> int:
+        """How many instances."""
+        return len(self._rows.files)
+
+    def __getitem__(self, row: int) -> KeypointSample:
+        """The sample of an instance; IndexError past the last."""
+        if not -len(self) <= row < len(self):
+            raise IndexError(f"instance {row} of {len(self)}")
+        if get_worker_info() is not None:
+            # OpenCV's threads do not survive the fork of a DataLoader worker, and one core a worker is right.
+            cv2.setNumThreads(0)
+        rng = None
+        if self._augment is not None:
+            rng = np.random.default_rng(int(torch.randint(2**62, ()).item()))
+        crop_from_image = self._crop_from_image(row, rng)
+        crop = self._crop(row, crop_from_image)
+        if self._augment is not None and rng is not None:
+            crop = jittered(crop, self._augment, rng)
+        return self._sample(row, crop, crop_from_image)
+
+    def _crop_from_image(self, row: int, rng: np.random.Generator | None) -> Affine:
+        *centre, side = self._rows.square_boxes[row]
+        if self._augment is None or rng is None:
+            return crop_from_square(np.array(centre), side, input_px=self.input_px)
+        return random_crop_from_square(np.array(centre), side, self._augment, rng, input_px=self.input_px)
+
+    def _crop(self, row: int, crop_from_image: Affine) -> Image:
+        if self._cache is None:
+            return warped(
+                read_image(self._rows.files[row]), crop_from_image, size=(self.input_px, self.input_px)
+            )
+        pixels, region = self._cache[row]
+        image_from_region = np.array([[1.0, 0, region.left], [0, 1, region.top]])
+        return warped(
+            pixels, chained(crop_from_image, image_from_region), size=(self.input_px, self.input_px)
+        )
+
+    def _sample(self, row: int, crop: Image, crop_from_image: Affine) -> KeypointSample:
+        rows = self._rows
+        visibility = rows.keypoints[row, :, 2]
+        keypoints_px = np.where(visibility[:, None] > 0, rows.keypoints[row, :, :2], np.nan)
+        on_crop = moved(crop_from_image, keypoints_px)
+        # Edges of the crop; False for NaN.
+        inside = ((on_crop >= -0.5) & (on_crop < self.input_px - 0.5)).all(axis=1)
+        on_heatmap = np.where(inside[:, None], moved(self._heatmap_from_crop, on_crop), np.nan)
+        return {
+            "image": to_unit_range(crop),
+            "heatmaps": draw_heatmaps(
+                torch.from_numpy(on_heatmap), size_px=self.heatmap_px, sigma_px=self._sigma_px
+            ),
+            "weights": torch.from_numpy(inside.astype(np.float32)),
+            "keypoints_px": torch.from_numpy(keypoints_px),
+            "visibility": torch.from_numpy(visibility.astype(np.int64)),
+            "crop_from_image": torch.from_numpy(crop_from_image),
+            "camera_matrix": torch.from_numpy(rows.camera_matrices[row].copy()),
+            "distortion": torch.from_numpy(rows.distortions[row].copy()),
+            "camera_from_object": torch.from_numpy(rows.camera_from_object[row].copy()),
+            "points_object": self._points_object,
+            "square_box": torch.from_numpy(rows.square_boxes[row].copy()),
+            "image_id": int(rows.image_ids[row]),
+            "annotation_id": int(rows.annotation_ids[row]),
+        }
+
+    def _regions(self) -> list[Region]:
+        """The pixels that a crop may need, an instance."""
+        half = reach(self._augment)
+        return [
+            region_around(box, half=half, width=int(width), height=int(height))
+            for box, (width, height) in zip(self._rows.square_boxes, self._rows.sizes, strict=True)
+        ]
+
+
+def to_unit_range(image: Image) -> Float32[Tensor, "3 height width"]:
+    """uint8 height x width x 3 as float32 3 x height x width, 0 to 1."""
+    return torch.from_numpy(image).permute(2, 0, 1).contiguous().to(torch.float32).div_(255)
+
+
+def _choose(data: dict[str, Any], name: str | None, source: Path) -> tuple[KeypointModel, int]:
+    """The model and category id of the object asked for."""
+    models = [item.model for item in objects_from_coco(data)]
+    names = [model.name for model in models]
+    if name is None and len(models) == 1:
+        return models[0], 1
+    if name not in names:
+        asked = "no object was named" if name is None else f"there is no object {name!r}"
+        raise DataError(f"{source}: {asked}; choose one of {', '.join(names)}")
+    return models[names.index(name)], names.index(name) + 1
+
+
+def _instances(data: dict[str, Any], category_id: int, folder: Path) -> _Instances:
+    chosen = [a for a in data["annotations"] if a["category_id"] == category_id]
+    by_id = {image["id"]: image for image in data["images"]}
+    images = [by_id[annotation["image_id"]] for annotation in chosen]
+    distortions = np.zeros((len(chosen), DISTORTION_LENGTH))
+    for row, image in enumerate(images):
+        distortions[row, : len(image["distortion"])] = image["distortion"]
+    return _Instances(
+        files=np.array([str(folder / image["file_name"]) for image in images]),
+        image_ids=np.array([image["id"] for image in images], dtype=np.int64),
+        annotation_ids=np.array([a["id"] for a in chosen], dtype=np.int64),
+        sizes=np.array([[image["width"], image["height"]] for image in images], dtype=np.int64).reshape(
+            -1, 2
+        ),
+        camera_matrices=np.array([image["cam_K"] for image in images], dtype=float).reshape(-1, 3, 3),
+        distortions=distortions,
+        camera_from_object=np.array([a["camera_from_object"] for a in chosen], dtype=float).reshape(-1, 4, 4),
+        keypoints=np.array([a["keypoints"] for a in chosen], dtype=float).reshape(len(chosen), -1, 3)
+        if chosen
+        else np.zeros((0, 0, 3)),
+        square_boxes=np.array([a["square_box"] for a in chosen], dtype=float).reshape(-1, 3),
+    )

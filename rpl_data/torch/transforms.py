@@ -1,0 +1,125 @@
+"""Affine maps between image, crop and heatmap, and what moves along with them.
+
+A 2x3 matrix ``a_from_b`` takes pixel positions in b to a; pixel centres are whole numbers in all of them, so
+an image n pixels wide covers -0.5 to n - 0.5 and resizing keeps edges, not centres, in place. Nothing here
+mirrors: a mirrored object is another object.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Float64, UInt8
+
+Affine = Float64[np.ndarray, "2 3"]
+Image = UInt8[np.ndarray, "height width 3"]
+
+
+@dataclass(frozen=True)
+class Augmentation:
+    """How far a training crop may stray from the label's box. Amounts are largest deviations, uniform.
+
+    Attributes:
+        scale: the side of the box times 1 - scale to 1 + scale (the paper's trainer: 0.25).
+        shift: of the box, as a share of its side, each axis.
+        rotation_deg: in the image plane, about the centre of the crop. It is part of `crop_from_image` and
+            never alters the intrinsics.
+        gain: factor 1 - gain to 1 + gain of each colour channel (the paper's trainer: 0.2).
+        offset: added to all channels, as a share of white.
+    """
+
+    scale: float = 0.25
+    shift: float = 0.1
+    rotation_deg: float = 30.0
+    gain: float = 0.2
+    offset: float = 0.1
+
+
+# Affine maps --------------------------------------------------------------------------------------
+
+
+def crop_from_square(
+    centre_px: Float64[np.ndarray, "2"], side_px: float, *, input_px: int, rotation_rad: float = 0.0
+) -> Affine:
+    """The map from the image to a crop `input_px` wide that shows the square, turned by `rotation_rad`."""
+    zoom = input_px / side_px
+    cos, sin = zoom * np.cos(rotation_rad), zoom * np.sin(rotation_rad)
+    linear = np.array([[cos, -sin], [sin, cos]])
+    middle = (input_px - 1) / 2  # between the edges -0.5 and input_px - 0.5
+    return np.column_stack([linear, middle - linear @ centre_px])
+
+
+def heatmap_from_crop(*, input_px: int, heatmap_px: int) -> Affine:
+    """The map from a crop to its heatmap; their edges coincide."""
+    zoom = heatmap_px / input_px
+    return np.array([[zoom, 0, (zoom - 1) / 2], [0, zoom, (zoom - 1) / 2]])
+
+
+def moved(a_from_b: Affine, positions_b: Float64[np.ndarray, "*batch 2"]) -> Float64[np.ndarray, "*batch 2"]:
+    """Positions in a; NaN stays NaN."""
+    positions: Float64[np.ndarray, "*batch 2"] = positions_b @ a_from_b[:, :2].T + a_from_b[:, 2]
+    return positions
+
+
+def inverted(a_from_b: Affine) -> Affine:
+    """``b_from_a``."""
+    linear = np.linalg.inv(a_from_b[:, :2])
+    return np.column_stack([linear, -linear @ a_from_b[:, 2]])
+
+
+def chained(a_from_b: Affine, b_from_c: Affine) -> Affine:
+    """``a_from_c``."""
+    return np.column_stack(
+        [a_from_b[:, :2] @ b_from_c[:, :2], a_from_b[:, :2] @ b_from_c[:, 2] + a_from_b[:, 2]]
+    )
+
+
+def warped(
+    image: UInt8[np.ndarray, "..."], out_from_image: Affine, *, size: tuple[int, int]
+) -> UInt8[np.ndarray, "..."]:
+    """The image seen through the map, (width, height) = `size`, black beyond the image's edge."""
+    result: UInt8[np.ndarray, "..."] = cv2.warpAffine(image, out_from_image, size, flags=cv2.INTER_LINEAR)
+    return result
+
+
+# Augmentation -------------------------------------------------------------------------------------
+
+
+def random_crop_from_square(
+    centre_px: Float64[np.ndarray, "2"],
+    side_px: float,
+    augmentation: Augmentation,
+    rng: np.random.Generator,
+    *,
+    input_px: int,
+) -> Affine:
+    """`crop_from_square` of a square that is shifted, scaled and turned at random."""
+    shift, turn = (
+        rng.uniform(-augmentation.shift, augmentation.shift, 2),
+        np.deg2rad(augmentation.rotation_deg),
+    )
+    return crop_from_square(
+        centre_px + shift * side_px,
+        side_px * rng.uniform(1 - augmentation.scale, 1 + augmentation.scale),
+        input_px=input_px,
+        rotation_rad=rng.uniform(-turn, turn),
+    )
+
+
+def reach(augmentation: Augmentation | None) -> float:
+    """Half side of the upright square that holds every augmented crop, as a multiple of the box's side."""
+    if augmentation is None:
+        return 0.5
+    turn = np.deg2rad(min(augmentation.rotation_deg, 45.0))
+    return float((1 + augmentation.scale) * (np.cos(turn) + np.sin(turn)) / 2 + augmentation.shift)
+
+
+def jittered(image: Image, augmentation: Augmentation, rng: np.random.Generator) -> Image:
+    """The image with another gain in each channel and another brightness; a look-up, so it costs little."""
+    gains = rng.uniform(1 - augmentation.gain, 1 + augmentation.gain, 3)
+    offset = 255 * rng.uniform(-augmentation.offset, augmentation.offset)
+    table = np.clip(np.arange(256)[:, None] * gains + offset, 0, 255).astype(np.uint8)
+    result: Image = cv2.LUT(image, table.reshape(1, 256, 3))
+    return result
