@@ -108,7 +108,10 @@ def clicks_from_csv(text: str, *, source: str, object_name: str, keypoints: Sequ
     reader = csv.DictReader(io.StringIO(text))
     missing = [column for column in CSV_COLUMNS if column not in (reader.fieldnames or [])]
     if missing:
-        raise DataError(f"{source}: column {', '.join(missing)} is missing; the first line must be {','.join(CSV_COLUMNS)}")
+        raise DataError(
+            f"{source}: column {', '.join(missing)} is missing; "
+            f"the first line must be {','.join(CSV_COLUMNS)}"
+        )
     numbers = {str(i): i for i in range(len(keypoints))} | {name: i for i, name in enumerate(keypoints)}
     clicks, others = [], set()
     for line, row in enumerate(reader, start=2):
@@ -123,10 +126,17 @@ def clicks_from_csv(text: str, *, source: str, object_name: str, keypoints: Sequ
         try:
             u_px, v_px, frame = float(row["u_px"]), float(row["v_px"]), int(row["frame"])
         except (TypeError, ValueError) as error:
-            raise DataError(f"{source} line {line}: frame must be a whole number and u_px, v_px numbers; {error}") from error
+            raise DataError(
+                f"{source} line {line}: frame must be a whole number and u_px, v_px numbers; {error}"
+            ) from error
         if not (math.isfinite(u_px) and math.isfinite(v_px)):
-            raise DataError(f"{source} line {line}: u_px and v_px must be finite, got {u_px}, {v_px}; delete the line")
+            raise DataError(
+                f"{source} line {line}: u_px and v_px must be finite, got {u_px}, {v_px}; delete the line"
+            )
         clicks.append(Click(object_name, numbers[row["keypoint"]], row["scene"], frame, u_px, v_px))
     if not clicks:
-        raise DataError(f"{source} has no click for object {object_name!r}; it has clicks for {sorted(others) or 'nothing'}")
+        raise DataError(
+            f"{source} has no click for object {object_name!r}; "
+            f"it has clicks for {sorted(others) or 'nothing'}"
+        )
     return clicks

@@ -53,7 +53,9 @@ def invert(a_from_b: Float64[np.ndarray, "*batch 4 4"]) -> Float64[np.ndarray, "
     return inverse
 
 
-def transform(a_from_b: Transform, points_b: Float64[np.ndarray, "*batch 3"]) -> Float64[np.ndarray, "*batch 3"]:
+def transform(
+    a_from_b: Transform, points_b: Float64[np.ndarray, "*batch 3"]
+) -> Float64[np.ndarray, "*batch 3"]:
     """``points_a``; rows of NaN stay NaN."""
     moved: Float64[np.ndarray, "*batch 3"] = points_b @ a_from_b[:3, :3].T + a_from_b[:3, 3]
     return moved
@@ -142,7 +144,11 @@ def project(intrinsics: Intrinsics, points_camera: Points) -> Pixels:
     if ahead.any():
         if intrinsics.distortion:
             distorted, _ = cv2.projectPoints(
-                points_camera[ahead], np.zeros(3), np.zeros(3), intrinsics.matrix, np.array(intrinsics.distortion)
+                points_camera[ahead],
+                np.zeros(3),
+                np.zeros(3),
+                intrinsics.matrix,
+                np.array(intrinsics.distortion),
             )
             uv[ahead] = distorted.reshape(-1, 2)
         else:
@@ -154,22 +160,22 @@ def project(intrinsics: Intrinsics, points_camera: Points) -> Pixels:
 def rays(intrinsics: Intrinsics, uv_px: Pixels) -> Points:
     """Directions with z = 1 through pixels, lens distortion removed; inverse of `project`."""
     if intrinsics.distortion and len(uv_px):
-        xy = cv2.undistortPointsIter(
-            uv_px.reshape(-1, 1, 2),
+        xy = cv2.undistortPoints(
+            np.asarray(uv_px, dtype=float).reshape(-1, 1, 2),
             intrinsics.matrix,
             np.array(intrinsics.distortion),
-            None,
-            None,
-            (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12),
+            criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12),
         ).reshape(-1, 2)
     else:
         xy = (uv_px - [intrinsics.cx, intrinsics.cy]) / [intrinsics.fx, intrinsics.fy]
-    return np.column_stack([xy, np.ones(len(uv_px))])
+    directions: Points = np.column_stack([xy, np.ones(len(uv_px))])
+    return directions
 
 
 def back_project(intrinsics: Intrinsics, uv_px: Pixels, depth_m: Float64[np.ndarray, " n"]) -> Points:
     """Points in the camera frame at the given depths along the optical axis."""
-    return rays(intrinsics, uv_px) * depth_m[:, None]
+    points: Points = rays(intrinsics, uv_px) * depth_m[:, None]
+    return points
 
 
 def cropped(intrinsics: Intrinsics, *, left_px: int, top_px: int, width: int, height: int) -> Intrinsics:
@@ -214,7 +220,10 @@ def depth_sigma_m(depth_m: Float64[np.ndarray, "*shape"] | float) -> Float64[np.
 def inside_image(intrinsics: Intrinsics, uv_px: Pixels) -> Bool[np.ndarray, " n"]:
     """Which pixels positions fall on the image's pixels; False for NaN."""
     u, v = uv_px[:, 0], uv_px[:, 1]
-    return (u >= -0.5) & (u < intrinsics.width - 0.5) & (v >= -0.5) & (v < intrinsics.height - 0.5)
+    inside: Bool[np.ndarray, " n"] = (
+        (u >= -0.5) & (u < intrinsics.width - 0.5) & (v >= -0.5) & (v < intrinsics.height - 0.5)
+    )
+    return inside
 
 
 def box_around(uv_px: Pixels) -> Box:

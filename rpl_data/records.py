@@ -14,8 +14,8 @@ import numpy as np
 from jaxtyping import Float64
 
 from rpl_data.types import (
-    ClickResidual,
     Click,
+    ClickResidual,
     Frame,
     FrameLabel,
     InstanceLabel,
@@ -80,7 +80,9 @@ def recording_from_json(data: Json) -> Recording:
     """The recording of `recording_to_json`, without a trajectory."""
     intrinsics = Intrinsics(**data["intrinsics"] | {"distortion": tuple(data["intrinsics"]["distortion"])})
     frames = tuple(
-        Frame(f["index"], f["timestamp_s"], Path(f["color"]), None if f["depth"] is None else Path(f["depth"]))
+        Frame(
+            f["index"], f["timestamp_s"], Path(f["color"]), None if f["depth"] is None else Path(f["depth"])
+        )
         for f in data["frames"]
     )
     scene = Scene(

@@ -120,7 +120,8 @@ class Trajectory:
         row = int(np.searchsorted(self.frames, frame))
         if row == len(self.frames) or self.frames[row] != frame:
             raise DataError(f"the trajectory has no pose for frame {frame}; choose another frame")
-        return self.scene_from_camera[row]
+        pose: Float64[np.ndarray, "4 4"] = self.scene_from_camera[row]
+        return pose
 
 
 @dataclass(frozen=True)

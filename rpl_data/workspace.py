@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -66,6 +67,11 @@ class Workspace:
     def recording(self) -> Path:
         """Where a twin writes its recording."""
         return self.root / "recording"
+
+    @property
+    def truth(self) -> Path:
+        """The truth workspace of the recording: a twin's, or made from true poses."""
+        return self.recording / "truth"
 
     @property
     def report(self) -> Path:
@@ -177,12 +183,11 @@ class Workspace:
             with path.open("a", encoding="utf-8") as file:
                 file.write("".join(json.dumps(event) + "\n" for event in events))
                 file.flush()
-                # An acknowledged click survives a power cut.
-                import os
-
-                os.fsync(file.fileno())
+                os.fsync(file.fileno())  # an acknowledged click survives a power cut
         except OSError as error:
-            raise DataError(f"cannot write {path}: {error.strerror}; the last action was not saved") from error
+            raise DataError(
+                f"cannot write {path}: {error.strerror}; the last action was not saved"
+            ) from error
 
     def load_events(self, object_name: str) -> list[Event]:
         """The log; a last line cut off by a crash is left out."""
@@ -244,7 +249,9 @@ def read_color(frame: Frame) -> ColorImage:
     """The colour image as RGB; DataError when it is missing or broken."""
     image = cv2.imread(str(frame.color), cv2.IMREAD_COLOR_RGB) if frame.color.exists() else None
     if image is None:
-        raise DataError(f"frame {frame.index}: cannot read the colour image {frame.color}; it is missing or broken")
+        raise DataError(
+            f"frame {frame.index}: cannot read the colour image {frame.color}; it is missing or broken"
+        )
     return image
 
 
@@ -289,7 +296,11 @@ def load_mesh(path: Path) -> Mesh:
     legacy = o3d.io.read_triangle_mesh(str(path))
     if not legacy.has_triangles():
         raise DataError(f"{path} holds no triangles; expected a mesh, not a point cloud")
-    colors = (np.asarray(legacy.vertex_colors) * 255).round().astype(np.uint8) if legacy.has_vertex_colors() else None
+    colors = (
+        (np.asarray(legacy.vertex_colors) * 255).round().astype(np.uint8)
+        if legacy.has_vertex_colors()
+        else None
+    )
     return Mesh(np.asarray(legacy.vertices).copy(), np.asarray(legacy.triangles).astype(np.int64), colors)
 
 
@@ -323,7 +334,9 @@ def _write_ply(path: Path, write: Any) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         if not write(str(temporary)):
-            raise DataError(f"cannot write {path}: the disk is full or the folder read-only; nothing was changed")
+            raise DataError(
+                f"cannot write {path}: the disk is full or the folder read-only; nothing was changed"
+            )
         temporary.replace(path)
     except OSError as error:
         raise DataError(f"cannot write {path}: {error.strerror}; nothing was changed") from error

@@ -1,0 +1,28 @@
+# Each target sets up all it needs on a bare machine with Python 3.11 and apt; safe to run twice.
+PYTHON ?= $(shell command -v python3.11 || command -v python3)
+STAMP := .venv/.made-from-constraints
+
+.PHONY: demo test bench lint
+
+demo: $(STAMP)
+	.venv/bin/rpl build datasets/demo.yaml --workspace workspaces/demo
+
+test: $(STAMP)
+	.venv/bin/python -m pytest -n 2 tests
+
+bench: $(STAMP)
+	.venv/bin/python -m pytest -s -o addopts= -o python_files='bench_*.py' tests/bench
+
+lint: $(STAMP)
+	.venv/bin/ruff check .
+	.venv/bin/ruff format --check .
+	.venv/bin/mypy --strict rpl_data
+
+# Made again when the packages change. A .venv that was cut off has no stamp, so it is completed.
+$(STAMP): constraints.txt pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+		{ echo "Python 3.11 or newer is needed, $(PYTHON) is older: make PYTHON=/path/to/python3.11" >&2; exit 1; }
+	@sh .ci/system-packages $(PYTHON)
+	test -x .venv/bin/pip || $(PYTHON) -m venv .venv
+	.venv/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[training,dev]'
+	@touch $@

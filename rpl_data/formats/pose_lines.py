@@ -1,0 +1,80 @@
+"""Text files with a line a frame: TUM's pose lines, and matching them to frames by time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+from rpl_data.files import read_text, write_text
+from rpl_data.geometry import from_quaternion_xyzw, to_quaternion_xyzw
+from rpl_data.types import DataError
+
+
+def data_lines(path: Path) -> Iterator[tuple[int, str]]:
+    """Line numbers and lines that are neither empty nor a comment."""
+    for number, line in enumerate(read_text(path).splitlines(), start=1):
+        if line.strip() and not line.lstrip().startswith("#"):
+            yield number, line.strip()
+
+
+def finite_numbers(tokens: Sequence[str], path: Path, number: int) -> list[float]:
+    """The tokens of a line as numbers; DataError naming the line where one is none or not finite."""
+    try:
+        values = [float(token) for token in tokens]
+    except ValueError as error:
+        raise DataError(f"{path} line {number}: {error}; repair or delete the line") from error
+    if not all(map(math.isfinite, values)):
+        found = " ".join(tokens)
+        raise DataError(
+            f"{path} line {number}: numbers must be finite, found {found}; repair or delete the line"
+        )
+    return values
+
+
+def read_pose_lines(path: Path) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, "n 4 4"]]:
+    """Times in seconds, sorted, and poses of the lines ``t tx ty tz qx qy qz qw``.
+
+    Raises:
+        DataError: a line has other than 8 finite numbers or no unit quaternion, or there is no line.
+    """
+    times: list[float] = []
+    poses: list[np.ndarray] = []
+    for number, line in data_lines(path):
+        tokens = line.split()
+        if len(tokens) != 8:
+            raise DataError(f"{path} line {number}: expected 't tx ty tz qx qy qz qw', found {line!r}")
+        values = np.array(finite_numbers(tokens, path, number))
+        if not 0.9 < np.linalg.norm(values[4:]) < 1.1:
+            raise DataError(f"{path} line {number}: qx qy qz qw is no unit quaternion in {line!r}; delete it")
+        times.append(float(values[0]))
+        poses.append(from_quaternion_xyzw(values[4:], values[1:4]))
+    if not times:
+        raise DataError(
+            f"{path} is empty (a killed ElasticFusion leaves it so); track the scene again, "
+            "or delete the file to have the camera tracked here"
+        )
+    order = np.argsort(times, kind="stable")
+    return np.array(times)[order], np.array(poses)[order]
+
+
+def write_pose_lines(path: Path, times_s: Iterable[float], poses: Float64[np.ndarray, "n 4 4"]) -> None:
+    """Write a line ``t tx ty tz qx qy qz qw`` a pose."""
+    lines = []
+    for t, pose in zip(times_s, poses, strict=True):
+        values = " ".join(f"{value:.9f}" for value in (*pose[:3, 3], *to_quaternion_xyzw(pose)))
+        lines.append(f"{t:.6f} {values}\n")
+    write_text(path, "".join(lines))
+
+
+def nearest(
+    times_s: Float64[np.ndarray, " n"], wanted_s: Float64[np.ndarray, " m"]
+) -> tuple[Int64[np.ndarray, " m"], Float64[np.ndarray, " m"]]:
+    """Row of the sorted `times_s` nearest to each wanted time, and how far apart they are, seconds."""
+    after = np.searchsorted(times_s, wanted_s).clip(0, len(times_s) - 1)
+    before = (after - 1).clip(0)
+    row = np.where(np.abs(times_s[before] - wanted_s) <= np.abs(times_s[after] - wanted_s), before, after)
+    return row.astype(np.int64), np.abs(times_s[row] - wanted_s)
