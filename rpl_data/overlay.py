@@ -1,0 +1,147 @@
+"""Labels drawn on the picture they belong to."""
+
+from __future__ import annotations
+
+import colorsys
+from collections.abc import Mapping
+
+import cv2
+import numpy as np
+from jaxtyping import Float64, UInt8
+
+from rpl_data.types import Box, ColorImage, FrameLabel, InstanceLabel, KeypointModel, Rle
+
+Rgb = tuple[int, int, int]
+
+OBJECT_COLORS: tuple[Rgb, ...] = (
+    (46, 196, 182),
+    (255, 159, 28),
+    (156, 106, 222),
+    (90, 170, 255),
+    (240, 98, 146),
+)
+"""Tint of the first, second, ... object; they repeat."""
+SHIFT_BITS = 4
+"""OpenCV draws at 1/16 px: an overlay that rounds would hide half-pixel errors."""
+
+
+def keypoint_color(keypoint: int, count: int) -> Rgb:
+    """Bright colours spread over the hues; neighbours in number are far apart in hue."""
+    step = next(s for s in (3, 5, 7, 2, 1) if count % s or s == 1)
+    red, green, blue = colorsys.hsv_to_rgb((keypoint * step % count) / count, 0.75, 1.0)
+    return round(255 * red), round(255 * green), round(255 * blue)
+
+
+def draw_overlay(
+    color: ColorImage,
+    label: FrameLabel,
+    models: Mapping[str, KeypointModel],
+    *,
+    view: Box | None = None,
+    width_px: int | None = None,
+) -> UInt8[np.ndarray, "h w 3"]:
+    """A new image of the labels: visible mask tinted, boxes, skeleton, keypoints with their numbers.
+
+    A keypoint is filled when it is seen (v = 2) and a ring when it is hidden (v = 1). An object that
+    `models` lacks is drawn without its skeleton. `view` is the part of the image to show, the whole
+    when None; `width_px` is the width of the result: lines stay thin when the view is enlarged.
+    """
+    x0, y0, x1, y1 = view or (0.0, 0.0, float(color.shape[1]), float(color.shape[0]))
+    scale = (width_px or x1 - x0) / (x1 - x0)
+    size = (round((x1 - x0) * scale), round((y1 - y0) * scale))
+    # Edges stay edges: the pixel (u, v) covers [u, u + 1) in box coordinates, which start at view's corner.
+    view_from_box = np.array([[scale, 0, -x0 * scale], [0, scale, -y0 * scale]])
+    view_from_pixel = view_from_box.copy()
+    view_from_pixel[:, 2] += scale / 2 - 0.5
+    picture = cv2.warpAffine(color, view_from_pixel, size, flags=cv2.INTER_LINEAR).astype(np.uint8)
+    order = sorted(models)
+    for number, instance in enumerate(label.instances):
+        tint = OBJECT_COLORS[
+            (order.index(instance.object) if instance.object in order else number) % len(OBJECT_COLORS)
+        ]
+        _draw_masks(picture, instance, tint, view_from_pixel)
+        _draw_boxes(picture, instance, tint, view_from_box)
+        _draw_keypoints(picture, instance, models.get(instance.object), view_from_pixel)
+    return picture
+
+
+def _draw_masks(
+    picture: ColorImage, instance: InstanceLabel, tint: Rgb, view_from_pixel: Float64[np.ndarray, "2 3"]
+) -> None:
+    """The visible mask tinted with its outline; the outline of the full mask thin where it is hidden."""
+    visible, full = (
+        _mask_in_view(rle, picture, view_from_pixel) for rle in (instance.mask, instance.mask_full)
+    )
+    inside = visible > 0
+    picture[inside] = (0.68 * picture[inside] + 0.32 * np.array(tint)).astype(np.uint8)
+    for mask, rgb in ((full, (235, 235, 235)), (visible, tint)):
+        outlines, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+        cv2.drawContours(picture, outlines, -1, rgb, 1, cv2.LINE_AA)
+
+
+def _mask_in_view(rle: Rle, picture: ColorImage, view_from_pixel: Float64[np.ndarray, "2 3"]) -> np.ndarray:
+    from pycocotools import mask as coco_mask
+
+    size = (picture.shape[1], picture.shape[0])
+    mask = cv2.warpAffine(np.ascontiguousarray(coco_mask.decode(rle)) * 255, view_from_pixel, size)
+    return (mask > 127).astype(np.uint8)
+
+
+def _draw_boxes(
+    picture: ColorImage, instance: InstanceLabel, tint: Rgb, view_from_box: Float64[np.ndarray, "2 3"]
+) -> None:
+    """The box of the visible mask, and thin in white the square box of the keypoints."""
+    square = instance.square_box
+    half = square.side_px / 2
+    # The square is centred on pixel coordinates, boxes count from pixel edges: half a pixel between them.
+    cx, cy = square.cx_px + 0.5, square.cy_px + 0.5
+    boxes: list[tuple[Box, Rgb]] = [((cx - half, cy - half, cx + half, cy + half), (200, 200, 200))]
+    if instance.box is not None:
+        boxes.append((instance.box, tint))
+    for (x0, y0, x1, y1), rgb in boxes:
+        corners = (
+            np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]]) @ view_from_box[:, :2].T + view_from_box[:, 2]
+        )
+        # Box edges lie between pixels; OpenCV draws through centres.
+        outline = np.round((corners - 0.5) * 2**SHIFT_BITS).astype(np.int32)
+        cv2.polylines(picture, [outline], True, rgb, 1, cv2.LINE_AA, SHIFT_BITS)
+
+
+def _draw_keypoints(
+    picture: ColorImage,
+    instance: InstanceLabel,
+    model: KeypointModel | None,
+    view_from_pixel: Float64[np.ndarray, "2 3"],
+) -> None:
+    pixels = instance.keypoints_px @ view_from_pixel[:, :2].T + view_from_pixel[:, 2]
+    drawn = (instance.visibility > 0) & np.isfinite(pixels).all(axis=1)
+    for a, b in model.skeleton if model else ():
+        if drawn[a] and drawn[b]:
+            cv2.line(
+                picture, _fixed(pixels[a]), _fixed(pixels[b]), (250, 250, 250), 1, cv2.LINE_AA, SHIFT_BITS
+            )
+    radius = 4 * 2**SHIFT_BITS
+    for k in np.flatnonzero(drawn):
+        rgb, centre = keypoint_color(int(k), len(pixels)), _fixed(pixels[k])
+        if instance.visibility[k] == 2:
+            cv2.circle(picture, centre, radius, rgb, cv2.FILLED, cv2.LINE_AA, SHIFT_BITS)
+            cv2.circle(picture, centre, radius, (20, 20, 20), 1, cv2.LINE_AA, SHIFT_BITS)
+        else:
+            cv2.circle(picture, centre, radius, (20, 20, 20), 3, cv2.LINE_AA, SHIFT_BITS)
+            cv2.circle(picture, centre, radius, rgb, 1, cv2.LINE_AA, SHIFT_BITS)
+    for k in np.flatnonzero(drawn):
+        _write_number(picture, int(k), pixels[k], keypoint_color(int(k), len(pixels)))
+
+
+def _write_number(picture: ColorImage, keypoint: int, at: Float64[np.ndarray, "2"], rgb: Rgb) -> None:
+    """The number beside its keypoint, on a dark rim so that it reads on any background."""
+    corner = (round(float(at[0])) + 6, round(float(at[1])) - 5)
+    for color, thickness in (((15, 15, 15), 3), (rgb, 1)):
+        cv2.putText(
+            picture, str(keypoint), corner, cv2.FONT_HERSHEY_SIMPLEX, 0.42, color, thickness, cv2.LINE_AA
+        )
+
+
+def _fixed(pixel: Float64[np.ndarray, "2"]) -> tuple[int, int]:
+    """OpenCV's fixed-point coordinates."""
+    return round(float(pixel[0]) * 2**SHIFT_BITS), round(float(pixel[1]) * 2**SHIFT_BITS)
