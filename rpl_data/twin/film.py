@@ -1,0 +1,154 @@
+"""One video of a twin: what stands where, where the camera goes, and each frame with its truth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int64
+
+from rpl_data.geometry import Transform, box_around, inside_image, invert, project, square_box, transform
+from rpl_data.twin.objects import TwinObject, build
+from rpl_data.twin.renderer import Rendered, Renderer
+from rpl_data.twin.scene import TwinScene, compose
+from rpl_data.twin.sensor import measure_color, measure_depth
+from rpl_data.twin.spec import TwinSpec
+from rpl_data.twin.trajectory import hand_held
+from rpl_data.types import Box, ColorImage, DepthImage, FrameLabel, InstanceLabel, Rle
+
+SEEN_WITHIN_M = 0.001
+"""Landmarks lie on the surface; a surface this much in front of one is its own."""
+
+
+@dataclass(frozen=True)
+class Shot:
+    """A frame as the sensor gives it, and the truth."""
+
+    color: ColorImage
+    depth_m: DepthImage
+    perfect: Rendered
+    label: FrameLabel
+
+
+@dataclass(frozen=True)
+class Film:
+    """A video before it is rendered.
+
+    Attributes:
+        table_from_camera: one a frame.
+    """
+
+    spec: TwinSpec
+    number: int
+    objects: tuple[TwinObject, ...]
+    scene: TwinScene
+    table_from_camera: Float64[np.ndarray, "n 4 4"]
+
+    @cached_property
+    def renderer(self) -> Renderer:
+        """The scene prepared for rays, on first use."""
+        return Renderer(self.scene, self.spec.intrinsics)
+
+    @property
+    def scene_from_camera(self) -> Float64[np.ndarray, "n 4 4"]:
+        """The trajectory in the frame of the first camera."""
+        return invert(self.table_from_camera[0]) @ self.table_from_camera
+
+    def scene_from_object(self, number: int) -> Transform:
+        """Where an object stands, in the frame of the first camera."""
+        return invert(self.table_from_camera[0]) @ self.scene.table_from_object[number]
+
+    def shoot(self, frame: int) -> Shot:
+        """Render a frame; the same spec, scene and frame give the same pixels."""
+        rng = np.random.default_rng([self.spec.seed, self.number, 1, frame])
+        perfect = self.renderer.render(self.table_from_camera[frame], rng=rng)
+        depth_m = measure_depth(
+            perfect.depth_m,
+            perfect.cos_incidence,
+            self.spec.depth_sensor,
+            focal_px=self.spec.intrinsics.fx,
+            rng=rng,
+        )
+        color = measure_color(perfect.color, self.spec.color_sensor, rng=rng)
+        return Shot(color, depth_m, perfect, self._label(frame, perfect.thing))
+
+    def _label(self, frame: int, thing: Int64[np.ndarray, "height width"]) -> FrameLabel:
+        found = (self._instance(number, frame, thing) for number in range(len(self.objects)))
+        instances = tuple(instance for instance in found if instance is not None)
+        return FrameLabel(
+            self.spec.scene_names[self.number], frame, float(self.spec.times_s[frame]), instances
+        )
+
+    def _instance(
+        self, number: int, frame: int, thing: Int64[np.ndarray, "height width"]
+    ) -> InstanceLabel | None:
+        """The exact label of an object; None when it is not in the image at all."""
+        table_from_camera, table_from_object = (
+            self.table_from_camera[frame],
+            self.scene.table_from_object[number],
+        )
+        full = self.renderer.full_mask(number, table_from_camera)
+        if not full.any():
+            return None
+        visible = thing == number
+        camera_from_object = invert(table_from_camera) @ table_from_object
+        one, intrinsics = self.objects[number], self.spec.intrinsics
+        keypoints_px = project(intrinsics, transform(camera_from_object, one.model.points_object))
+        surface_px = project(intrinsics, transform(camera_from_object, one.surface.vertices))
+        return InstanceLabel(
+            object=one.model.name,
+            camera_from_object=camera_from_object,
+            keypoints_px=keypoints_px,
+            visibility=self._visibility(number, keypoints_px, table_from_camera),
+            sigma_px=np.zeros(len(keypoints_px)),
+            square_box=square_box(keypoints_px[np.isfinite(keypoints_px).all(axis=1)]),
+            box=_box(visible) if visible.any() else None,
+            box_full=_box(full),
+            mask=_encode(visible),
+            mask_full=_encode(full),
+            visib_fract=min(1.0, float(visible.sum() / full.sum())),
+            truncated=not bool(inside_image(intrinsics, surface_px).all()),
+            quality=1.0,
+        )
+
+    def _visibility(
+        self, number: int, keypoints_px: Float64[np.ndarray, "k 2"], table_from_camera: Transform
+    ) -> Int64[np.ndarray, " k"]:
+        """COCO's v: 2 seen, 1 hidden by the object itself or another thing, 0 outside the image."""
+        points = transform(self.scene.table_from_object[number], self.objects[number].model.points_object)
+        seen = self.renderer.sees(points, table_from_camera, tolerance_m=SEEN_WITHIN_M)
+        inside = inside_image(self.spec.intrinsics, keypoints_px)
+        return np.where(inside, np.where(seen, 2, 1), 0).astype(np.int64)
+
+
+def film(spec: TwinSpec, number: int) -> Film:
+    """The video with that number; everything follows from the spec.
+
+    Raises:
+        DataError: an object that does not exist.
+    """
+    objects = tuple(build(name) for name in spec.objects)
+    rng = np.random.default_rng([spec.seed, number, 0])
+    scene = compose(objects, rng=rng, number=number, clutter=spec.clutter)
+    poses = hand_held(
+        rng,
+        times_s=spec.times_s,
+        target_m=scene.target_m,
+        sweep_deg=spec.sweep_deg,
+        distance_m=spec.distance_m,
+        elevation_deg=spec.elevation_deg,
+    )
+    return Film(spec, number, objects, scene, poses)
+
+
+def _box(mask: Bool[np.ndarray, "height width"]) -> Box:
+    rows, columns = np.nonzero(mask)
+    return box_around(np.column_stack([columns, rows]).astype(float))
+
+
+def _encode(mask: Bool[np.ndarray, "height width"]) -> Rle:
+    from pycocotools import mask as coco_mask
+
+    encoded = coco_mask.encode(np.asfortranarray(mask, dtype=np.uint8))
+    return Rle(size=[int(n) for n in encoded["size"]], counts=encoded["counts"].decode("ascii"))

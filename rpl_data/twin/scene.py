@@ -1,0 +1,205 @@
+"""What stands where in a scene of a twin; the table frame has z up and z = 0 on the table's top."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64
+from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
+
+from rpl_data.geometry import Transform, rigid
+from rpl_data.twin import surfaces, textures
+from rpl_data.twin.objects import TwinObject
+from rpl_data.twin.surfaces import Surface
+
+TABLE_SIZE_M = (1.10, 0.80, 0.03)
+FLOOR_M = -0.74
+ROOM_M = 5.0
+
+
+@dataclass(frozen=True)
+class Light:
+    """A lamp above the table and the light the room throws back."""
+
+    position_m: Float64[np.ndarray, "3"]
+    radius_m: float
+    strength: float
+    ambient: float
+    color: Float64[np.ndarray, "3"]
+
+
+@dataclass(frozen=True)
+class TwinScene:
+    """Everything the renderer needs.
+
+    Attributes:
+        surfaces: in the table frame; the objects come first, in order.
+        table_from_object: where each object stands.
+        target_m: what a person filming would look at.
+    """
+
+    surfaces: tuple[Surface, ...]
+    table_from_object: tuple[Transform, ...]
+    light: Light
+    target_m: Float64[np.ndarray, "3"]
+
+
+def compose(
+    objects: Sequence[TwinObject], *, rng: np.random.Generator, number: int, clutter: int
+) -> TwinScene:
+    """Objects at rest on a table: another resting pose and support for every `number`.
+
+    Args:
+        clutter: how many other things stand about.
+    """
+    spots = _spots(rng, [_footprint_m(o.surface.vertices) for o in objects])
+    poses = [_placed(rng, thing, spot, number) for thing, spot in zip(objects, spots, strict=True)]
+    things = [thing.surface.moved(pose) for thing, pose in zip(objects, poses, strict=True)]
+    taken = [(pose[:2, 3], _footprint_m(thing.vertices)) for pose, thing in zip(poses, things, strict=True)]
+    for _ in range(clutter):
+        things.extend(_clutter(rng, taken))
+    light = Light(
+        position_m=np.array([*rng.uniform(-0.8, 0.8, 2), rng.uniform(1.3, 1.8)]),
+        radius_m=0.12,
+        strength=rng.uniform(0.75, 0.95),
+        ambient=rng.uniform(0.28, 0.42),
+        color=np.array([1.0, rng.uniform(0.93, 1.0), rng.uniform(0.82, 1.0)]),
+    )
+    centre = np.concatenate([thing.vertices for thing in things[: len(objects)]])
+    target = (centre.min(axis=0) + centre.max(axis=0)) / 2
+    return TwinScene((*things, *_furniture(rng, number)), tuple(poses), light, target)
+
+
+# Resting poses ------------------------------------------------------------------------------------
+
+
+def resting_rotations(
+    vertices: Float64[np.ndarray, "n 3"], *, steady_deg: float = 6.0
+) -> list[Float64[np.ndarray, "3 3"]]:
+    """`table_from_object` rotations in which a rigid thing stands by itself, the steadiest first.
+
+    It rests on a face of its convex hull if the centre of mass (here: of the hull) is above that
+    face, and still is when the table tilts by `steady_deg` (Goldberg et al., IJRR 18, 1999).
+    """
+    hull = ConvexHull(vertices)
+    centre = vertices[hull.vertices].mean(axis=0)
+    found: list[tuple[float, Float64[np.ndarray, "3 3"]]] = []
+    for normal, offset in {tuple(np.round(e[:3], 3)): (e[:3], e[3]) for e in hull.equations}.values():
+        on_plane = vertices[hull.vertices][np.abs(vertices[hull.vertices] @ normal + offset) < 5e-4]
+        rotation = _turning_down(normal)
+        steady = _steadiness_rad(on_plane @ rotation.T, centre @ rotation.T)
+        if steady > np.deg2rad(steady_deg):
+            found.append((steady, rotation))
+    return [rotation for _, rotation in sorted(found, key=lambda pair: -pair[0])]
+
+
+def _turning_down(normal: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "3 3"]:
+    """A rotation that takes the direction to -z."""
+    rotation, _ = Rotation.align_vectors([[0.0, 0.0, -1.0]], [normal])
+    matrix: Float64[np.ndarray, "3 3"] = rotation.as_matrix()
+    return matrix
+
+
+def _steadiness_rad(base: Float64[np.ndarray, "n 3"], centre: Float64[np.ndarray, "3"]) -> float:
+    """The tilt at which a thing on that base falls over; negative when it does not stand at all."""
+    if len(base) < 3 or np.linalg.svd(base[:, :2] - base[:, :2].mean(axis=0), compute_uv=False)[1] < 1e-3:
+        return -1.0
+    edges = ConvexHull(base[:, :2]).equations
+    inside_m = -(edges[:, :2] @ centre[:2] + edges[:, 2]).max()
+    return float(np.arctan2(inside_m, centre[2] - base[:, 2].mean()))
+
+
+# Placing ------------------------------------------------------------------------------------------
+
+
+def _footprint_m(vertices: Float64[np.ndarray, "n 3"]) -> float:
+    """Radius of the upright cylinder a thing needs, whichever way it lies."""
+    return float(np.linalg.norm(vertices - vertices.mean(axis=0), axis=1).max())
+
+
+def _spots(rng: np.random.Generator, radii_m: Sequence[float]) -> list[Float64[np.ndarray, "2"]]:
+    """Places on the table: one in the middle, more side by side on a circle, never touching."""
+    if len(radii_m) == 1:
+        return [rng.uniform(-0.03, 0.03, 2)]
+    circle_m = max(radii_m) / np.sin(np.pi / len(radii_m)) * 0.9
+    angles = rng.uniform(0, 2 * np.pi) + 2 * np.pi * np.arange(len(radii_m)) / len(radii_m)
+    return [circle_m * np.array([np.cos(angle), np.sin(angle)]) for angle in angles]
+
+
+def _placed(
+    rng: np.random.Generator, thing: TwinObject, spot: Float64[np.ndarray, "2"], number: int
+) -> Transform:
+    """`table_from_object` with a resting pose that changes with the scene's number, and any heading."""
+    choices = resting_rotations(thing.surface.vertices)[:4]
+    heading = Rotation.from_euler("z", rng.uniform(0, 360), degrees=True).as_matrix()
+    rotation = heading @ choices[number % len(choices)]
+    turned = thing.surface.vertices @ rotation.T
+    middle = (turned.min(axis=0) + turned.max(axis=0)) / 2
+    return rigid(rotation, np.array([spot[0] - middle[0], spot[1] - middle[1], -turned[:, 2].min()]))
+
+
+def _clutter(rng: np.random.Generator, taken: list[tuple[Float64[np.ndarray, "2"], float]]) -> list[Surface]:
+    """A book, a tin or a ball, where nothing stands yet; nothing when no place was found."""
+    for _ in range(40):
+        spot = rng.uniform(-1, 1, 2) * (np.array(TABLE_SIZE_M[:2]) / 2 - 0.1)
+        size_m = rng.uniform(0.04, 0.075)
+        if all(np.linalg.norm(spot - centre) > size_m * 1.3 + radius + 0.02 for centre, radius in taken):
+            taken.append((spot, size_m * 1.3))
+            return [_thing(rng, size_m).moved(rigid(_heading(rng), np.array([*spot, 0.0])))]
+    return []
+
+
+def _heading(rng: np.random.Generator) -> Float64[np.ndarray, "3 3"]:
+    matrix: Float64[np.ndarray, "3 3"] = Rotation.from_euler(
+        "z", rng.uniform(0, 360), degrees=True
+    ).as_matrix()
+    return matrix
+
+
+def _thing(rng: np.random.Generator, size_m: float) -> Surface:
+    """Something that stands on z = 0 with its axis at x = y = 0, no wider than `size_m` from it."""
+    image = textures.print_of(rng, 320, 320)
+    kind = rng.choice(["book", "tin", "ball"])
+    if kind == "book":
+        height = rng.uniform(0.02, 0.05)
+        part = surfaces.joined(
+            surfaces.box((size_m * 2, size_m * 1.4, height), [surfaces.WHOLE] * 6, cells=1), image
+        )
+        return replace(part, vertices=part.vertices + [0, 0, height / 2])
+    if kind == "tin":
+        r, top = size_m * 0.6, rng.uniform(0.06, 0.12)
+        profiles = [[(0, top), (r, top)], [(r, top), (r, 0.0)]]
+        return surfaces.joined([surfaces.patch(surfaces.lathe_grid(p)) for p in profiles], image, gloss=0.2)
+    angle = np.linspace(0, np.pi, 24)
+    r = size_m * 0.6
+    profile = np.stack([r * np.sin(angle), r + r * np.cos(angle)], -1)
+    return surfaces.joined([surfaces.patch(surfaces.lathe_grid(profile.tolist()))], image, gloss=0.1)
+
+
+# Furniture ----------------------------------------------------------------------------------------
+
+
+def _furniture(rng: np.random.Generator, number: int) -> list[Surface]:
+    """The table, the floor and four walls."""
+    names = list(textures.SUPPORTS)
+    top = textures.SUPPORTS[names[number % len(names)]](rng)
+    table = surfaces.joined(surfaces.box(TABLE_SIZE_M, [surfaces.WHOLE] * 6, cells=1), top, gloss=0.05)
+    table = replace(table, vertices=table.vertices - [0, 0, TABLE_SIZE_M[2] / 2])
+    h = ROOM_M / 2
+    floor = surfaces.quad([(-h, h, FLOOR_M), (h, h, FLOOR_M), (-h, -h, FLOOR_M), (h, -h, FLOOR_M)], cells=1)
+    floor_texture = textures.tiles(rng) if rng.random() < 0.5 else textures.wood(rng)
+    walls = [_wall(turn, h) for turn in range(4)]
+    return [table, surfaces.joined([floor], floor_texture), surfaces.joined(walls, textures.plaster(rng))]
+
+
+def _wall(turn: int, half_m: float) -> Surface:
+    """A wall of the room, seen from inside."""
+    z0, z1 = FLOOR_M, FLOOR_M + 2.6
+    corners = np.array(
+        [(-half_m, half_m, z1), (half_m, half_m, z1), (-half_m, half_m, z0), (half_m, half_m, z0)]
+    )
+    quarter = Rotation.from_euler("z", 90 * turn, degrees=True).as_matrix()
+    return surfaces.quad((corners @ quarter.T).tolist(), cells=1)

@@ -1,0 +1,192 @@
+"""A twin on disk: an ordinary RapidPoseLabels tree, clicks, and the truth beside them.
+
+::
+
+    camera.txt  clicks.csv
+    <scene>/    rgb/*.jpg  depth/*.png  associations.txt  camera.poses
+    truth/      a Workspace: objects/<object>/{solution.json,mesh.ply}, labels/<scene>.jsonl
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from functools import lru_cache
+from multiprocessing import get_context
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from rpl_data.clicklog import clicks_to_csv
+from rpl_data.files import write_bytes, write_text
+from rpl_data.formats.rpl import write_associations, write_camera, write_poses
+from rpl_data.geometry import Transform
+from rpl_data.twin import annotator
+from rpl_data.twin.film import Film, film
+from rpl_data.twin.objects import build
+from rpl_data.twin.spec import TwinSpec
+from rpl_data.types import Click, DataError, FrameLabel, Solution
+from rpl_data.workspace import Workspace, save_mesh
+
+Progress = Callable[[int, int], None]
+
+
+def write_twin(folder: Path, spec: TwinSpec, *, workers: int = 2, progress: Progress | None = None) -> None:
+    """Write the recording, its clicks and its truth; the folder appears when all of it is there.
+
+    An older folder of that name is replaced. `truth/` is a `Workspace` with the true models, meshes and
+    labels of every frame; the same spec gives the same pixels.
+
+    Args:
+        workers: processes that render; 1 = this one.
+        progress: called with the frames done and their total.
+
+    Raises:
+        DataError: an unknown object, a spec that makes no video, a full disk, a worker that died.
+    """
+    spec.check()
+    with _building(folder) as partial:
+        truth = Workspace(partial / "truth")
+        write_camera(partial, spec.intrinsics)
+        labels = _render_all(partial, spec, workers, progress)
+        clicks: dict[str, list[Click]] = {name: [] for name in spec.objects}
+        poses: dict[str, dict[str, Transform]] = {name: {} for name in spec.objects}
+        for number, scene in enumerate(spec.scene_names):
+            of_scene = [next(labels) for _ in range(spec.frames)]
+            truth.save_labels(scene, of_scene)
+            video = film(spec, number)
+            _write_lists(partial / scene, video)
+            for place, name in enumerate(spec.objects):
+                clicks[name] += _clicks(spec, number, name, of_scene)
+                poses[name][scene] = video.scene_from_object(place)
+        next(labels, None)  # lets the pool end
+        _write_objects(truth, poses)
+        write_text(partial / "clicks.csv", _csv(spec, clicks))
+
+
+@contextmanager
+def _building(folder: Path) -> Iterator[Path]:
+    """A folder beside `folder` that takes its place when the block ends well, and else disappears."""
+    partial = folder.with_name(f".{folder.name}.partial")
+    try:
+        shutil.rmtree(partial, ignore_errors=True)
+        partial.mkdir(parents=True)
+        yield partial
+        if folder.exists():
+            shutil.rmtree(folder)
+        partial.rename(folder)
+    except OSError as error:
+        raise DataError(
+            f"cannot write the twin {folder}: {error.strerror or error}; nothing half-written remains. "
+            "Free some space or choose another folder"
+        ) from error
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+
+
+# Frames -------------------------------------------------------------------------------------------
+
+
+def _render_all(
+    partial: Path, spec: TwinSpec, workers: int, progress: Progress | None
+) -> Iterator[FrameLabel]:
+    """Render and write every frame, in order; their labels as they are done."""
+    jobs = [(partial, spec, scene, frame) for scene in range(spec.scenes) for frame in range(spec.frames)]
+    for done, label in enumerate(_in_processes(jobs, workers), start=1):
+        if progress is not None:
+            progress(done, len(jobs))
+        yield label
+
+
+def _in_processes(jobs: list[tuple[Path, TwinSpec, int, int]], workers: int) -> Iterator[FrameLabel]:
+    if workers <= 1:
+        yield from map(_write_frame, jobs)
+        return
+    # Spawned, not forked: Open3D's threads do not survive a fork.
+    pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_one_thread)
+    try:
+        yield from pool.map(_write_frame, jobs, chunksize=4)
+    except BrokenProcessPool as error:
+        raise DataError(
+            "a process that rendered the twin died, out of memory perhaps; use fewer workers"
+        ) from error
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _one_thread() -> None:
+    """The processes share the cores; threads below them would only fight."""
+    cv2.setNumThreads(1)
+    os.environ["OMP_NUM_THREADS"] = "1"
+
+
+@lru_cache(maxsize=1)
+def _film(spec: TwinSpec, scene: int) -> Film:
+    """The prepared scene; a process works on one at a time."""
+    return film(spec, scene)
+
+
+def _write_frame(job: tuple[Path, TwinSpec, int, int]) -> FrameLabel:
+    partial, spec, scene, frame = job
+    shot = _film(spec, scene).shoot(frame)
+    folder = partial / spec.scene_names[scene]
+    quality = [cv2.IMWRITE_JPEG_QUALITY, spec.color_sensor.jpeg_quality]
+    _write_image(folder / _color_name(frame), shot.color[..., ::-1], quality)
+    # The reader multiplies by 0.001, so the image holds millimetres whatever the sensor's quantum is.
+    units = np.round(shot.depth_m * 1000).clip(0, 65535).astype(np.uint16)
+    _write_image(folder / _depth_name(frame), units, [])
+    return shot.label
+
+
+def _write_image(path: Path, image: np.ndarray, options: list[int]) -> None:
+    ok, encoded = cv2.imencode(path.suffix, image, options)
+    if not ok:
+        raise DataError(f"cannot encode {path}")
+    write_bytes(path, encoded.tobytes())
+
+
+def _color_name(frame: int) -> str:
+    return f"rgb/{frame:06d}.jpg"
+
+
+def _depth_name(frame: int) -> str:
+    return f"depth/{frame:06d}.png"
+
+
+# Lists, clicks and truth --------------------------------------------------------------------------
+
+
+def _write_lists(folder: Path, video: Film) -> None:
+    frames, times_s = range(video.spec.frames), video.spec.times_s.tolist()
+    write_associations(folder, times_s, [_color_name(f) for f in frames], [_depth_name(f) for f in frames])
+    write_poses(folder, times_s, video.scene_from_camera)
+
+
+def _clicks(spec: TwinSpec, number: int, name: str, labels: list[FrameLabel]) -> list[Click]:
+    return annotator.click(
+        labels,
+        name,
+        intrinsics=spec.intrinsics,
+        clicks_per_keypoint=spec.clicks_per_keypoint,
+        noise_px=spec.click_noise_px,
+        rng=np.random.default_rng([spec.seed, number, 2, spec.objects.index(name)]),
+    )
+
+
+def _csv(spec: TwinSpec, clicks: dict[str, list[Click]]) -> str:
+    """One table for all objects: the heading once."""
+    tables = [clicks_to_csv(clicks[name], build(name).model.keypoints) for name in spec.objects]
+    return tables[0] + "".join(table.split("\n", 1)[1] for table in tables[1:])
+
+
+def _write_objects(truth: Workspace, poses: Mapping[str, Mapping[str, Transform]]) -> None:
+    for name, scene_from_object in poses.items():
+        thing = build(name)
+        covariance = np.zeros((len(thing.model.keypoints), 3, 3))
+        truth.save_solution(Solution(thing.model, covariance, scene_from_object))
+        save_mesh(truth.mesh_file(name), thing.surface.mesh)
