@@ -223,7 +223,7 @@ def test_unregistered_depth_is_refused(tree: Path) -> None:
 
 def test_a_camera_with_distortion_is_not_written(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="cannot hold lens distortion"):
-        write_camera(tmp_path, Intrinsics(50, 50, 32, 24, 64, 48, (0.1, 0, 0, 0)))
+        write_camera(tmp_path, Intrinsics(50.0, 50.0, 32.0, 24.0, 64, 48, (0.1, 0.0, 0.0, 0.0)))
 
 
 def test_probe_agrees_with_the_decoder(tmp_path: Path) -> None:

@@ -1,0 +1,75 @@
+"""RapidPoseLabels' sparse_model.txt: the keypoints in the frame of the first scene (the paper's F_w).
+
+::
+
+    <SparseObjectPoints>
+        <point x="0.1" y="-0.2" z="1e-05" name="0"/>
+    </SparseObjectPoints>
+    <GraspPoint> four rows of a matrix, written by another tool </GraspPoint>
+
+The file looks like XML and is none (two roots); the original's reader loses exponents and signs.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from rpl_data.files import read_text, write_text
+from rpl_data.geometry import Points, transform
+from rpl_data.types import DataError, Solution
+
+_BLOCK = re.compile(r"<SparseObjectPoints>(.*?)</SparseObjectPoints>", re.DOTALL)
+_POINT = re.compile(r"<point\b([^>]*?)/?>")
+_ATTRIBUTE = re.compile(r"(\w+)\s*=\s*[\"']([^\"']*)[\"']")
+
+
+def read_sparse_model(path: Path) -> Points:
+    """A row a keypoint, metres, first scene's frame; NaN for a number the file leaves out.
+
+    Of a file that was appended to, the last model counts; a grasp point is passed over.
+
+    Raises:
+        DataError: there is no model, or a point without finite x, y, z or with a name used twice.
+    """
+    blocks = _BLOCK.findall(read_text(path))
+    if not blocks:
+        raise DataError(
+            f"{path} holds no <SparseObjectPoints> block; expected a sparse model of RapidPoseLabels"
+        )
+    points: dict[int, list[float]] = {}
+    for match in _POINT.finditer(blocks[-1]):
+        attributes = dict(_ATTRIBUTE.findall(match.group(1)))
+        try:
+            number = int(attributes["name"])
+            xyz = [float(attributes[axis]) for axis in "xyz"]
+        except (KeyError, ValueError) as error:
+            raise DataError(
+                f"{path}: {match.group(0)} needs numbers x, y, z and a whole number name"
+            ) from error
+        if not np.isfinite(xyz).all() or number < 0 or number in points:
+            raise DataError(f"{path}: {match.group(0)} is not finite, or its name is used twice or negative")
+        points[number] = xyz
+    if not points:
+        raise DataError(f"{path}: the last <SparseObjectPoints> block has no point")
+    model = np.full((max(points) + 1, 3), np.nan)
+    model[list(points)] = list(points.values())
+    return model
+
+
+def write_sparse_model(path: Path, points_world: Points) -> None:
+    """Write keypoints given in the first scene's frame; those without a position are left out."""
+    lines = [
+        '\t<point x="{!r}" y="{!r}" z="{!r}" name="{}"/>\n'.format(*map(float, point), number)
+        for number, point in enumerate(points_world)
+        if np.isfinite(point).all()
+    ]
+    write_text(path, "<SparseObjectPoints>\n" + "".join(lines) + "</SparseObjectPoints>\n")
+
+
+def points_in_first_scene(solution: Solution) -> Points:
+    """The keypoints in the frame of the first scene by name, the paper's F_w."""
+    first = min(solution.scene_from_object)
+    return transform(solution.scene_from_object[first], solution.model.points_object)
