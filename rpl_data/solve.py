@@ -18,6 +18,7 @@ from typing import Literal
 
 import numpy as np
 from jaxtyping import Float64
+from scipy.spatial.transform import Rotation
 
 from rpl_data.adjustment.bundle import (
     LET_GO,
@@ -28,7 +29,7 @@ from rpl_data.adjustment.bundle import (
     rays_of,
 )
 from rpl_data.adjustment.hypotheses import hypotheses_of_scene
-from rpl_data.adjustment.procrustes import Adjusted, Fragments, Loss, adjust_points, kabsch_stack
+from rpl_data.adjustment.procrustes import Adjusted, Fragments, Loss, adjust_points, eq2_cost
 from rpl_data.adjustment.rigidity import describe_loose, generic_points, loose_scenes
 from rpl_data.adjustment.slsqp import adjust_points_slsqp
 from rpl_data.adjustment.start import Hypotheses, Start, join_scenes, match
@@ -67,9 +68,9 @@ def solve(
         fragments = first_fragments(groups, len(keypoints))
         adjusted = adjust_points_slsqp(fragments)
     else:
-        adjusted, fragments = _start(object_name, groups, len(keypoints))
+        adjusted, fragments = _start(groups, len(keypoints))
     refuse_loose(object_name, adjusted.points_model, fragments.clicked > 0, scenes, keypoints)
-    known = fragments.clicked.any(axis=0)
+    known: np.ndarray = fragments.clicked.sum(axis=0) > 0
     rays = rays_of(observations, scenes)
     bundle = adjust_rays(rays, adjusted.scene_from_model, adjusted.points_model)
     for _ in range(ROUNDS):
@@ -122,20 +123,20 @@ def register(
     clicked = sorted(places)
     if len(clicked) < 3:
         raise DataError(
-            f"object {name}, scene {scene}: {len(clicked)} usable keypoints clicked, at least 3 are needed; "
+            f"object {name}, scene {scene}: {len(clicked)} usable keypoints clicked, at least 3 needed; "
             "click more of the model's keypoints, where there is depth"
         )
     if spread_m(model.points_object[clicked])[1] < 0.004:
         raise DataError(
-            f"object {name}, scene {scene}: keypoints {', '.join(model.keypoints[k] for k in clicked)} lie on a "
-            "line, about which the object could turn; click one more keypoint off that line"
+            f"object {name}, scene {scene}: keypoints {', '.join(model.keypoints[k] for k in clicked)} lie on "
+            "a line, about which the object could turn; click one more keypoint off that line"
         )
     known = {int(k): model.points_object[k][None] for k in np.flatnonzero(model.known)}
     scene_from_object = match(known, places, samples=600, random=np.random.default_rng(0))
     if scene_from_object is None:
         raise DataError(
-            f"object {name}, scene {scene}: no three clicks fit the model within 15 mm; check that every keypoint "
-            "was clicked where the model has it"
+            f"object {name}, scene {scene}: no three clicks fit the model within 15 mm; check that every "
+            "keypoint was clicked where the model has it"
         )
     rays = rays_of(observations, [scene])
     bundle = adjust_rays(rays, scene_from_object[None], np.nan_to_num(model.points_object), hold_points=True)
@@ -153,7 +154,8 @@ def refuse_bad(object_name: str, observations: Sequence[Observation]) -> None:
         if not (np.isfinite(o.ray_camera).all() and np.isfinite(o.scene_from_camera).all()):
             raise DataError(
                 f"object {object_name}, scene {o.click.scene}, frame {o.click.frame}: the click on keypoint "
-                f"{o.click.keypoint} or the camera pose is not a finite number; delete the click or mend the pose"
+                f"{o.click.keypoint} or the camera pose is not a finite number; delete the click or "
+                "mend the pose"
             )
 
 
@@ -195,7 +197,7 @@ def first_fragments(groups: Sequence[Hypotheses], keypoints: int) -> Fragments:
     return Fragments(points, clicked)
 
 
-def _start(object_name: str, groups: Sequence[Hypotheses], keypoints: int) -> tuple[Adjusted, Fragments]:
+def _start(groups: Sequence[Hypotheses], keypoints: int) -> tuple[Adjusted, Fragments]:
     start = join_scenes(groups, keypoints)
     adjusted = adjust_points(start.fragments, _complete(start, groups))
     return adjusted, start.fragments
@@ -203,7 +205,7 @@ def _start(object_name: str, groups: Sequence[Hypotheses], keypoints: int) -> tu
 
 def _places_in_model(
     groups: Sequence[Hypotheses], scene_from_model: Float64[np.ndarray, "s 4 4"], keypoints: int
-) -> list[Float64[np.ndarray, "p 3"]]:
+) -> list[Float64[np.ndarray, "_ 3"]]:
     """All hypotheses of each keypoint, brought to the model frame by the scenes as they stand."""
     places: list[list[np.ndarray]] = [[] for _ in range(keypoints)]
     for group, transform_s in zip(groups, scene_from_model, strict=True):
@@ -221,22 +223,20 @@ def _complete(start: Start, groups: Sequence[Hypotheses]) -> Float64[np.ndarray,
     if all(found is not None for found in start.scene_from_model):
         return np.stack([found for found in start.scene_from_model if found is not None])
     random = np.random.default_rng(0)
-    best, lowest = None, np.inf
-    for _ in range(30):
-        guess = np.stack([_random_turn(random) if t is None else t for t in start.scene_from_model])
-        adjusted = adjust_points(start.fragments, guess, loss="l2")
-        predicted = adjusted.points_model @ np.swapaxes(adjusted.scene_from_model[:, :3, :3], 1, 2)
-        errors = predicted + adjusted.scene_from_model[:, None, :3, 3] - start.fragments.points_scene
-        cost = float((start.fragments.clicked[..., None] * errors**2).sum())
-        if cost < lowest:
-            best, lowest = adjusted.scene_from_model, cost
-    assert best is not None
-    return best
+    tries = [
+        adjust_points(
+            start.fragments,
+            np.stack([_random_turn(random) if t is None else t for t in start.scene_from_model]),
+            loss="l2",
+        )
+        for _ in range(30)
+    ]
+    best = min(tries, key=lambda adjusted: eq2_cost(start.fragments, adjusted))
+    return best.scene_from_model
 
 
 def _random_turn(random: np.random.Generator) -> Float64[np.ndarray, "4 4"]:
-    quaternion = random.normal(size=(1, 3, 3))
-    return kabsch_stack(quaternion, random.normal(size=(1, 3, 3)), np.ones((1, 3)))[0]
+    return rigid(Rotation.random(rng=random).as_matrix(), np.zeros(3))
 
 
 def _in_first_scene(adjusted: Adjusted) -> Adjusted:

@@ -131,14 +131,15 @@ def _candidate_costs(rays: Rays, z_m: np.ndarray) -> np.ndarray:
 
 
 def _depth_sigma_m(depth_m: np.ndarray) -> np.ndarray:
-    return np.hypot(np.asarray(depth_sigma_m(depth_m)), LIFT_SIGMA_M)
+    sigma_m: np.ndarray = np.hypot(np.asarray(depth_sigma_m(depth_m)), LIFT_SIGMA_M)
+    return sigma_m
 
 
 def choose_places(
     rays: Rays,
     scene_from_model: Float64[np.ndarray, "s 4 4"],
     points_model: Float64[np.ndarray, "k 3"],
-    places_model: Sequence[Float64[np.ndarray, "p 3"]],
+    places_model: Sequence[Float64[np.ndarray, "_ 3"]],
 ) -> Float64[np.ndarray, "k 3"]:
     """Every keypoint at the cheapest of its present place and the given ones, scenes held fixed.
 

@@ -73,7 +73,7 @@ def _support(place: Float64[np.ndarray, "3"], group: Sequence[Observation]) -> f
         in_camera = transform(invert(o.scene_from_camera), place)
         if in_camera[2] <= 0:
             continue
-        miss_px = np.linalg.norm(in_camera[:2] / in_camera[2] - o.ray_camera[:2]) / o.pixel_rad
+        miss_px = float(np.linalg.norm(in_camera[:2] / in_camera[2] - o.ray_camera[:2])) / o.pixel_rad
         if miss_px < RAY_PX:
             score += 1 - 0.5 * miss_px / RAY_PX
             agrees = np.abs(o.depths_m - in_camera[2]) < AGREE_M

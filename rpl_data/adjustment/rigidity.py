@@ -1,4 +1,4 @@
-"""Do the clicks tie all scenes together? (Paper, "Selection of Keypoints".)
+"""Whether the clicks tie all scenes together (paper, "Selection of Keypoints").
 
 Three shared, non-collinear keypoints tie a pair of scenes, but fewer can do when the graph as a
 whole is rigid. So the whole graph is tested: small motions (w_s, v_s) of the scenes and d_k of the
@@ -73,7 +73,7 @@ def describe_loose(
     lines = []
     for s in loose:
         rest = [r for r in range(len(scenes)) if r != s]
-        shared = np.flatnonzero(clicked[s] & clicked[rest].any(axis=0))
+        shared = [int(k) for k in np.flatnonzero(clicked[s] & clicked[rest].any(axis=0))]
         names = ", ".join(keypoints[k] for k in shared) or "none"
         word = "keypoint" if len(shared) == 1 else "keypoints"
         reason = (

@@ -33,7 +33,8 @@ def adjust_points_slsqp(fragments: Fragments) -> Adjusted:
 
     def unit_length(unknowns: Float64[np.ndarray, " u"]) -> Float64[np.ndarray, " c"]:
         quaternions = unknowns[:free].reshape(-1, 7)[:, 3:]
-        return (quaternions**2).sum(axis=1) - 1
+        excess: Float64[np.ndarray, " c"] = (quaternions**2).sum(axis=1) - 1
+        return excess
 
     result = minimize(
         cost,

@@ -17,7 +17,7 @@ from jaxtyping import Float64
 from rpl_data.adjustment.procrustes import Fragments, kabsch_stack
 from rpl_data.geometry import fit_rigid, invert, spread_m, transform
 
-Hypotheses = dict[int, Float64[np.ndarray, "h 3"]]
+Hypotheses = dict[int, Float64[np.ndarray, "_ 3"]]
 """Keypoint -> places where it may be, most likely first."""
 
 AGREE_M = 0.015
@@ -82,7 +82,7 @@ def match(
     return _polish(candidates[best], padded_model, padded_scene)
 
 
-def _padded(hypotheses: Hypotheses, shared: list[int]) -> Float64[np.ndarray, "n h 3"]:
+def _padded(hypotheses: Hypotheses, shared: list[int]) -> Float64[np.ndarray, "_ _ 3"]:
     """A dense array; a keypoint with fewer hypotheses repeats its first."""
     most = max(len(hypotheses[k]) for k in shared)
     return np.stack(

@@ -1,0 +1,84 @@
+"""Clicks to rays with candidate depths."""
+
+import numpy as np
+import pytest
+
+from rpl_data.geometry import project
+from rpl_data.lift import candidate_depths_m, lift, lift_clicks
+from rpl_data.types import Click, DataError, Frame, Intrinsics, Scene, Trajectory
+
+CAMERA = Intrinsics(600.0, 600.0, 320.0, 240.0, 640, 480, (0.05, -0.1, 0.001, -0.001))
+
+
+def edge_image(left_m: float, right_m: float) -> np.ndarray:
+    """Left of column 100 at one depth, right of it at another."""
+    image = np.full((480, 640), left_m, dtype=np.float32)
+    image[:, 100:] = right_m
+    return image
+
+
+def test_both_surfaces_of_an_edge_are_kept_nearest_first():
+    image = edge_image(0.9, 0.7)
+    for u in (98.0, 101.0):
+        assert np.allclose(candidate_depths_m(image, u, 50.0), [0.7, 0.9])
+
+
+def test_holes_are_no_candidates():
+    image = edge_image(0.0, 0.7)
+    assert np.allclose(candidate_depths_m(image, 98.0, 50.0), [0.7])
+    assert len(candidate_depths_m(np.zeros((480, 640), dtype=np.float32), 98.0, 50.0)) == 0
+
+
+def test_a_slanted_surface_is_one_candidate_at_the_click():
+    rows, columns = np.mgrid[0:480, 0:640]
+    image = (0.7 + 0.0005 * (columns - 200)).astype(np.float32)
+    assert np.allclose(candidate_depths_m(image, 200.0, 50.0), [0.7], atol=1e-3)
+
+
+def test_at_the_border_of_the_image():
+    assert np.allclose(candidate_depths_m(edge_image(0.9, 0.7), 639.4, -0.4), [0.7])
+
+
+def test_the_ray_goes_through_the_click_with_distortion():
+    click = Click("cube", 0, "00", 0, 17.25, 402.5)
+    observation = lift(click, CAMERA, np.eye(4), edge_image(0.9, 0.7))
+    back = project(CAMERA, (0.8 * observation.ray_camera)[None])
+    assert np.allclose(back, [[17.25, 402.5]], atol=1e-3)
+
+
+def scene_and_reader(tmp_path):
+    frames = tuple(Frame(i, i / 30, tmp_path / "c.png", tmp_path / "d.png") for i in (0, 2))
+    scene = Scene("00", CAMERA, 0.001, frames)
+    trajectory = Trajectory(np.array([0, 2]), np.stack([np.eye(4)] * 2))
+    reads = []
+
+    def read(scene, frame):
+        reads.append(frame.index)
+        return edge_image(0.9, 0.7)
+
+    return {"00": scene}, {"00": trajectory}, read, reads
+
+
+def test_every_clicked_image_is_read_once(tmp_path):
+    scenes, trajectories, read, reads = scene_and_reader(tmp_path)
+    clicks = [Click("cube", k, "00", f, 100.0 + k, 50.0) for k in range(4) for f in (0, 2)]
+    assert len(lift_clicks(clicks, scenes, trajectories, read)) == 8
+    assert sorted(reads) == [0, 2]
+
+
+@pytest.mark.parametrize(
+    ("click", "message"),
+    [
+        (Click("cube", 3, "00", 0, 640.0, 50.0), r"outside the image of 640 x 480"),
+        (Click("cube", 3, "00", 0, 10.0, -0.6), r"outside the image"),
+        (
+            Click("cube", 3, "07", 0, 10.0, 10.0),
+            r"scene '07', which is not in the workspace; the scenes are 00",
+        ),
+        (Click("cube", 3, "00", 1, 10.0, 10.0), r"scene 00 has no frame 1"),
+    ],
+)
+def test_bad_clicks_are_named(tmp_path, click, message):
+    scenes, trajectories, read, _ = scene_and_reader(tmp_path)
+    with pytest.raises(DataError, match=message):
+        lift_clicks([click], scenes, trajectories, read)

@@ -1,0 +1,288 @@
+"""The sparse solve: exact without noise, robust with wrong clicks, honest about loose scenes."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from rpl_data.adjustment.procrustes import Fragments, eq2_cost
+from rpl_data.geometry import fit_rigid, invert, rays, rigid, rotation_angle_rad, transform
+from rpl_data.solve import register, solve, solve_points
+from rpl_data.types import Click, DataError, Intrinsics, KeypointModel, Observation
+
+CAMERA = Intrinsics(600.0, 600.0, 320.0, 240.0, 640, 480)
+CUBE = np.array([[x, y, z] for x in (-0.05, 0.05) for y in (-0.05, 0.05) for z in (-0.05, 0.05)])
+CUBE = CUBE + np.random.default_rng(5).uniform(-0.01, 0.01, CUBE.shape)  # no symmetry
+NAMES = tuple("abcdefgh")
+
+
+def pose(random, distance_m=0.7):
+    return rigid(Rotation.random(rng=random).as_matrix(), np.array([0.0, 0.0, distance_m]))
+
+
+def click_scene(name, points, scene_from_object, cameras, random, noise_px=0.0, depths=None, keypoints=None):
+    """Observations of points by cameras (scene_from_camera); `depths` may replace the candidates."""
+    observations = []
+    for frame, scene_from_camera in enumerate(cameras):
+        in_camera = transform(invert(scene_from_camera) @ scene_from_object, points)
+        uv = (
+            in_camera[:, :2] / in_camera[:, 2:] * 600
+            + [320, 240]
+            + random.normal(0, noise_px, (len(points), 2))
+        )
+        for k in range(len(points)) if keypoints is None else keypoints:
+            z = in_camera[k, 2]
+            candidates = np.array([z] if depths is None else depths(k, frame, z), dtype=float)
+            click = Click("cube", int(k), name, frame, float(uv[k, 0]), float(uv[k, 1]))
+            observations.append(
+                Observation(click, rays(CAMERA, uv[k : k + 1])[0], scene_from_camera, candidates, 1 / 600)
+            )
+    return observations
+
+
+def cameras(n, spread_rad=0.3):
+    """Cameras around a point 0.7 m ahead of the first."""
+    pivot = rigid(np.eye(3), np.array([0, 0, 0.7]))
+    turns = [Rotation.from_rotvec([0, a, 0]).as_matrix() for a in np.linspace(0, spread_rad, n)]
+    return [pivot @ rigid(turn, np.zeros(3)) @ invert(pivot) for turn in turns]
+
+
+def error_mm(points):
+    known = np.isfinite(points).all(axis=1)
+    fit = fit_rigid(CUBE[known], points[known])
+    return 1e3 * np.linalg.norm(transform(fit, points[known]) - CUBE[known], axis=1)
+
+
+def two_scenes(**options):
+    random = np.random.default_rng(1)
+    truth = {"00": pose(random), "01": pose(random)}
+    observations = [
+        o for name, at in truth.items() for o in click_scene(name, CUBE, at, cameras(3), random, **options)
+    ]
+    return truth, observations
+
+
+@pytest.mark.parametrize("method", ["robust", "slsqp"])
+def test_exact_without_noise(method):
+    truth, observations = two_scenes()
+    solution = solve("cube", NAMES, observations, method=method)
+    assert error_mm(solution.model.points_object).max() < (1e-3 if method == "robust" else 0.2)
+    assert np.allclose(solution.model.points_object.mean(axis=0), 0, atol=1e-9)
+    between = solution.scene_from_object["01"] @ invert(solution.scene_from_object["00"])
+    expected = truth["01"] @ invert(truth["00"])
+    assert rotation_angle_rad(between[:3, :3] @ expected[:3, :3].T) < 3e-3
+    assert not any(r.outlier for r in solution.residuals)
+
+
+def test_object_frame_has_the_axes_of_the_first_scene():
+    _, observations = two_scenes()
+    assert np.allclose(
+        solve("cube", NAMES, observations).scene_from_object["00"][:3, :3], np.eye(3), atol=1e-9
+    )
+
+
+def test_moving_all_scenes_rigidly_changes_nothing_but_the_scenes():
+    _, observations = two_scenes(noise_px=1.0)
+    moved_by = pose(np.random.default_rng(9))
+    moved = [
+        Observation(o.click, o.ray_camera, moved_by @ o.scene_from_camera, o.depths_m, o.pixel_rad)
+        for o in observations
+    ]
+    a, b = solve("cube", NAMES, observations), solve("cube", NAMES, moved)
+    between = [
+        np.linalg.norm(p[:, None] - p[None], axis=2) for p in (a.model.points_object, b.model.points_object)
+    ]
+    assert np.allclose(*between, atol=1e-5)
+
+
+def test_covariance_tells_the_error():
+    """Over many noisy solves the squared error, in units of its covariance, averages to about one."""
+    random = np.random.default_rng(3)
+    ratios = []
+    for _ in range(30):
+        observations = [
+            o
+            for name in ("00", "01", "02")
+            for o in click_scene(
+                name,
+                CUBE,
+                pose(random),
+                cameras(3),
+                random,
+                noise_px=2.5,
+                depths=lambda k, f, z: [z + random.normal(0, 0.0025)],
+            )
+        ]
+        solution = solve("cube", NAMES, observations)
+        fit = fit_rigid(solution.model.points_object, CUBE)
+        errors = transform(fit, CUBE) - solution.model.points_object
+        ratios.append(
+            np.mean([e @ np.linalg.pinv(c) @ e / 3 for e, c in zip(errors, solution.covariance, strict=True)])
+        )
+    assert 0.5 < np.mean(ratios) < 2.0
+
+
+def test_background_depth_loses_against_the_rigid_model():
+    """A third of the clicks see the table behind as well, a tenth see nothing else."""
+    random = np.random.default_rng(4)
+
+    def depths(k, frame, z):
+        chance = random.random()
+        return [z + 0.15] if chance < 0.1 else [z, z + 0.15] if chance < 0.4 else [z]
+
+    truth = [pose(random) for _ in range(4)]
+    observations = [
+        o
+        for s, at in enumerate(truth)
+        for o in click_scene(f"{s:02d}", CUBE, at, cameras(2, 0.05), random, noise_px=1.0, depths=depths)
+    ]
+    solution = solve("cube", NAMES, observations)
+    assert error_mm(solution.model.points_object).max() < 5
+    assert {r.depth_state for r in solution.residuals} >= {"agrees", "rejected"}
+
+
+def test_a_swapped_pair_is_named():
+    random = np.random.default_rng(6)
+    observations = [
+        o
+        for s in range(4)
+        for o in click_scene(f"{s:02d}", CUBE, pose(random), cameras(1), random, noise_px=1.0)
+    ]
+    a, b = (
+        next(i for i, o in enumerate(observations) if o.click.keypoint == k and o.click.scene == "02")
+        for k in (1, 6)
+    )
+
+    def renamed(o, keypoint):
+        c = o.click
+        click = Click(c.object, keypoint, c.scene, c.frame, c.u_px, c.v_px)
+        return Observation(click, o.ray_camera, o.scene_from_camera, o.depths_m, o.pixel_rad)
+
+    observations[a], observations[b] = renamed(observations[a], 6), renamed(observations[b], 1)
+    solution = solve("cube", NAMES, observations)
+    assert error_mm(solution.model.points_object).max() < 6
+    blamed = [r for r in solution.residuals if r.outlier]
+    assert {(r.click.scene, r.click.keypoint) for r in blamed} == {("02", 1), ("02", 6)}
+    assert all("swapped?" in r.reason for r in blamed)
+
+
+def test_keypoints_clicked_once_or_never_are_said():
+    random = np.random.default_rng(7)
+    observations = click_scene("00", CUBE, pose(random), cameras(2), random, keypoints=[0, 1, 2, 3, 4, 5, 6])
+    observations += click_scene("01", CUBE, pose(random), cameras(2), random, keypoints=[0, 1, 2, 3, 4, 5])
+    solution = solve("cube", NAMES, observations)
+    assert list(solution.model.known) == [True] * 7 + [False]
+    assert "keypoint h was never clicked" in solution.warnings[1]
+    assert "keypoint g was clicked in scene 00 only" in solution.warnings[0]
+
+
+def test_two_shared_points_are_refused_and_named():
+    random = np.random.default_rng(8)
+    observations = click_scene("00", CUBE, pose(random), cameras(1), random, keypoints=[0, 1, 2, 3, 4])
+    observations += click_scene("01", CUBE, pose(random), cameras(1), random, keypoints=[0, 1, 2, 3, 4])
+    observations += click_scene("03", CUBE, pose(random), cameras(1), random, keypoints=[4, 1, 5, 6])
+    with pytest.raises(
+        DataError, match="scene 03 shares only keypoints b, e with the rest; click at least 3 common"
+    ):
+        solve("cube", NAMES, observations)
+
+
+def test_three_shared_points_on_a_line_are_refused():
+    random = np.random.default_rng(9)
+    points = CUBE.copy()
+    points[[0, 1, 2]] = [[-0.05, 0.0, 0], [0, 0, 0], [0.05, 0, 0]]
+    observations = click_scene("00", points, pose(random), cameras(1), random, keypoints=[0, 1, 2, 3, 4])
+    observations += click_scene("01", points, pose(random), cameras(1), random, keypoints=[0, 1, 2, 5, 6])
+    with pytest.raises(DataError, match="on a line"):
+        solve("cube", NAMES, observations)
+
+
+def test_scenes_tied_only_as_a_whole_are_solved():
+    """No pair shares three keypoints, yet three scenes hinged in a ring are rigid."""
+    random = np.random.default_rng(10)
+    observations = click_scene("00", CUBE, pose(random), cameras(1), random, keypoints=[0, 1, 2, 3, 6])
+    observations += click_scene("01", CUBE, pose(random), cameras(1), random, keypoints=[2, 3, 4, 5])
+    observations += click_scene("02", CUBE, pose(random), cameras(1), random, keypoints=[4, 5, 0, 1])
+    assert error_mm(solve("cube", NAMES, observations).model.points_object).max() < 0.1
+
+
+def test_non_finite_numbers_are_refused():
+    _, observations = two_scenes()
+    o = observations[3]
+    broken = Observation(o.click, np.array([np.nan, 0, 1]), o.scene_from_camera, o.depths_m, o.pixel_rad)
+    with pytest.raises(DataError, match="not a finite number"):
+        solve("cube", NAMES, [*observations, broken])
+
+
+def fragments(scenes, keypoints, seed, wrong=0.0):
+    """The generator of wrong clicks: 2 mm noise per axis, 60 % seen, gross errors of 5-30 cm."""
+    random = np.random.default_rng(seed)
+    points = random.uniform(-0.1, 0.1, (keypoints, 3))
+    clicked = random.random((scenes, keypoints)) < 0.6
+    clicked[:, :4] = True  # tied
+    w = np.stack([transform(pose(random), points) for _ in range(scenes)]) + random.normal(
+        0, 0.002, (scenes, keypoints, 3)
+    )
+    bad = (random.random((scenes, keypoints)) < wrong) & clicked
+    direction = random.normal(size=w.shape)
+    direction /= np.linalg.norm(direction, axis=2, keepdims=True)
+    w[bad] += (direction * random.uniform(0.05, 0.3, (scenes, keypoints, 1)))[bad]
+    return points, Fragments(np.where(clicked[..., None], w, 0), clicked.astype(float))
+
+
+def test_points_l2_reaches_the_cost_of_the_papers_solver():
+    _, w = fragments(3, 6, 0)
+    ours, papers = solve_points(w, loss="l2"), solve_points(w, method="slsqp")
+    assert eq2_cost(w, ours) <= eq2_cost(w, papers) * (1 + 1e-9)
+    assert eq2_cost(w, papers) < eq2_cost(w, ours) * 1.05
+    assert np.allclose(ours.scene_from_model[0], np.eye(4), atol=1e-12)
+
+
+def test_points_robust_to_gross_errors():
+    good = 0
+    for seed in range(20):
+        points, w = fragments(10, 12, seed, wrong=0.05)
+        found = solve_points(w).points_model
+        errors = transform(fit_rigid(points, found), found) - points
+        good += np.sqrt((errors**2).sum(axis=1).mean()) < 0.005
+    assert good >= 18
+
+
+@pytest.mark.parametrize("keypoints", [[0, 1, 2], [0, 3, 5, 6]])
+def test_register_a_new_scene(keypoints):
+    random = np.random.default_rng(11)
+    model = KeypointModel("cube", NAMES, CUBE)
+    at = pose(random)
+    observations = click_scene("new", CUBE, at, cameras(1), random, keypoints=keypoints)
+    found, residuals = register(model, observations)
+    assert np.allclose(found, at, atol=1e-4)
+    assert np.linalg.det(found[:3, :3]) == pytest.approx(1)
+    assert len(residuals) == len(keypoints)
+
+
+def test_register_is_never_a_mirror_image():
+    random = np.random.default_rng(12)
+    model = KeypointModel("cube", NAMES, CUBE)
+    for _ in range(50):
+        observations = click_scene(
+            "new",
+            CUBE,
+            pose(random),
+            cameras(1),
+            random,
+            noise_px=2,
+            keypoints=[0, 3, 5],
+            depths=lambda k, f, z: [z + random.normal(0, 0.003)],
+        )
+        found, _ = register(model, observations)
+        assert np.linalg.det(found[:3, :3]) == pytest.approx(1)
+
+
+def test_register_refuses_too_few_and_collinear():
+    random = np.random.default_rng(13)
+    points = CUBE.copy()
+    points[[0, 1, 2]] = [[-0.05, 0.0, 0], [0, 0, 0], [0.05, 0, 0]]
+    model = KeypointModel("cube", NAMES, points)
+    with pytest.raises(DataError, match="at least 3"):
+        register(model, click_scene("new", points, pose(random), cameras(1), random, keypoints=[0, 5]))
+    with pytest.raises(DataError, match="line"):
+        register(model, click_scene("new", points, pose(random), cameras(1), random, keypoints=[0, 1, 2]))
