@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
+from scipy.spatial import ConvexHull, cKDTree
 
 from rpl_data.geometry import Points
 from rpl_data.types import Mesh, PointCloud
@@ -194,6 +194,17 @@ def _refined(plane: Plane, points: Points) -> Plane:
     normal = np.linalg.svd(points - centre, full_matrices=False)[2][2]
     normal = normal * np.sign(normal @ plane.normal)
     return Plane(normal, float(normal @ centre))
+
+
+def beyond_footprint_m(plane: Plane, shape: Points, points: Points) -> Float64[np.ndarray, " n"]:
+    """How far points lie outside the convex footprint of a shape on a plane; negative inside."""
+    axes = np.linalg.svd(plane.normal[None])[2][1:]
+    corners = shape @ axes.T
+    if len(corners) < 3 or np.linalg.svd(corners - corners.mean(axis=0), compute_uv=False)[1] < 1e-6:
+        return np.full(len(points), -np.inf)  # no area to compare with: nothing is known to be outside
+    edges = ConvexHull(corners).equations
+    beyond: Float64[np.ndarray, " n"] = (points @ axes.T @ edges[:, :2].T + edges[:, 2]).max(axis=1)
+    return beyond
 
 
 def height_above(

@@ -13,6 +13,7 @@ from rpl_data.completion import closed_mesh
 from rpl_data.geometry import Points, invert, transform
 from rpl_data.regions import (
     Plane,
+    beyond_footprint_m,
     components,
     height_above,
     joined,
@@ -79,7 +80,10 @@ def segment_object(
             if len(surface.points) >= 50:
                 planes = planes_below(surface, keypoints)
                 views[scene] = _View(surface, planes, _without_planes(surface, planes))
-    grown = {scene: _grow(view.above, keypoints, voxel_m) for scene, view in views.items()}
+    grown = {
+        scene: _without_skirt(_grow(view.above, keypoints, voxel_m), view.planes, keypoints)
+        for scene, view in views.items()
+    }
     grown = {scene: region for scene, region in grown.items() if len(region.points)}
     if not grown:
         raise DataError(
@@ -136,6 +140,27 @@ def _grow(
     return select(cloud, (seeded > 0)[region] & (size > 20)[region])
 
 
+def _without_skirt(
+    region: PointCloud,
+    planes: list[Plane],
+    keypoints: Points,
+    *,
+    low_m: float = 0.02,
+    reach_m: float = 0.008,
+) -> PointCloud:
+    """The region without flat tails along the support: bumps of the table or of its depth.
+
+    Low points are kept only under or near what stands higher, or the keypoints.
+    """
+    kept = np.ones(len(region.points), bool)
+    for plane in planes:
+        height = plane.height_m(region.points)
+        limit_m = min(low_m, 0.3 * float(plane.height_m(keypoints).max()))
+        upper = np.concatenate([region.points[height > limit_m], keypoints])
+        kept &= (height > limit_m) | (beyond_footprint_m(plane, upper, region.points) < reach_m)
+    return select(region, kept)
+
+
 def _not_seen_through(region: PointCloud, own: str, views: Mapping[str, _View], voxel_m: float) -> PointCloud:
     """The region without points that float before a surface seen in another scene (carving)."""
     kept = np.ones(len(region.points), bool)
@@ -146,12 +171,17 @@ def _not_seen_through(region: PointCloud, own: str, views: Mapping[str, _View], 
     return select(region, kept)
 
 
-def _around_keypoints(cloud: PointCloud, keypoints: Points, voxel_m: float) -> PointCloud:
-    """The pieces of the merged cloud that hang together with the keypoints, without crumbs."""
-    pairs = cKDTree(cloud.points).query_pairs(3 * voxel_m, output_type="ndarray").astype(np.int64)
+def _around_keypoints(
+    cloud: PointCloud, keypoints: Points, voxel_m: float, *, seed_radius_m: float = 0.008
+) -> PointCloud:
+    """The pieces of the merged cloud that keypoints lie on, and large ones, without crumbs."""
+    tree = cKDTree(cloud.points)
+    pairs = tree.query_pairs(3 * voxel_m, output_type="ndarray").astype(np.int64)
     piece = components(len(cloud.points), pairs)
     size = np.bincount(piece)
-    kept: Bool[np.ndarray, " n"] = (size > 0.02 * len(piece))[piece]
+    seeds = np.concatenate(tree.query_ball_point(keypoints, seed_radius_m)).astype(int)
+    seeded = np.bincount(piece[seeds], minlength=len(size)) > 0
+    kept: Bool[np.ndarray, " n"] = ((seeded & (size > 0.02 * len(piece))) | (size > 0.2 * len(piece)))[piece]
     return select(cloud, kept)
 
 
