@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Bool, Float, Float64
 from scipy.spatial.transform import Rotation
 
 from rpl_data.types import Box, DataError, Intrinsics, SquareBox
@@ -205,7 +205,7 @@ def resized(intrinsics: Intrinsics, *, width: int, height: int) -> Intrinsics:
     )
 
 
-def depth_sigma_m(depth_m: Float64[np.ndarray, "*shape"] | float) -> Float64[np.ndarray, "*shape"] | float:
+def depth_sigma_m(depth_m: Float[np.ndarray, "*shape"] | float) -> Float[np.ndarray, "*shape"] | float:
     """Standard deviation of a depth measurement: 1.5 mm at 0.7 m, growing with z squared.
 
     Stereo triangulation: dz = z^2 / (f b) * d(disparity); for a RealSense D435 at 640x480

@@ -9,11 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int64
+from jaxtyping import Bool, Float, Float32, Float64, Int64
 
-from rpl_data.geometry import Transform, invert, rays
+from rpl_data.geometry import NEAREST_M, Points, Transform, invert, rays
 from rpl_data.types import DataError, Intrinsics, Mesh
 
 
@@ -39,8 +40,11 @@ class Hits:
 class RayScene:
     """Meshes of one common frame, indexed for rays."""
 
-    def __init__(self, meshes: Sequence[Mesh]) -> None:
+    def __init__(self, meshes: Sequence[Mesh], *, threads: int = 0) -> None:
         """Build the index.
+
+        Args:
+            threads: how many cores a call may use; 0 = all. 1 where frames are shared out instead.
 
         Raises:
             DataError: there is no triangle at all.
@@ -50,6 +54,7 @@ class RayScene:
         if not sum(len(mesh.triangles) for mesh in meshes):
             raise DataError("a mesh without triangles cannot be seen; run the segment stage again")
         self._tensor = o3d.core.Tensor
+        self._threads = threads
         self._scene = o3d.t.geometry.RaycastingScene()
         for mesh in meshes:
             self._scene.add_triangles(
@@ -59,9 +64,7 @@ class RayScene:
 
     def cast(self, origin_directions: Float32[np.ndarray, "n 6"]) -> Hits:
         """The first hit of each ray (ox, oy, oz, dx, dy, dz) in the meshes' frame."""
-        answer = self._scene.cast_rays(
-            self._tensor(np.ascontiguousarray(origin_directions, dtype=np.float32))
-        )
+        answer = self._scene.cast_rays(self._as_tensor(origin_directions), nthreads=self._threads)
         t = answer["t_hit"].numpy()
         hit = np.isfinite(t)
         return Hits(
@@ -74,9 +77,7 @@ class RayScene:
 
     def cast_t(self, origin_directions: Float32[np.ndarray, "n 6"]) -> Float32[np.ndarray, " n"]:
         """Distance of the first hit alone, inf = miss; `cast` without the rest."""
-        answer = self._scene.cast_rays(
-            self._tensor(np.ascontiguousarray(origin_directions, dtype=np.float32))
-        )
+        answer = self._scene.cast_rays(self._as_tensor(origin_directions), nthreads=self._threads)
         t: Float32[np.ndarray, " n"] = answer["t_hit"].numpy()
         return t
 
@@ -84,22 +85,27 @@ class RayScene:
         self, origin_directions: Float32[np.ndarray, "n 6"], *, far: float
     ) -> Bool[np.ndarray, " n"]:
         """Which rays meet something before the distance `far` (in lengths of the direction)."""
-        tensor = self._tensor(np.ascontiguousarray(origin_directions, dtype=np.float32))
-        blocked: Bool[np.ndarray, " n"] = self._scene.test_occlusions(tensor, tnear=0.0, tfar=far).numpy()
+        blocked: Bool[np.ndarray, " n"] = self._scene.test_occlusions(
+            self._as_tensor(origin_directions), tnear=0.0, tfar=far, nthreads=self._threads
+        ).numpy()
         return blocked
+
+    def _as_tensor(self, origin_directions: Float32[np.ndarray, "n 6"]) -> Any:
+        """The rays as Open3D takes them, without a copy when they are float32 already."""
+        return self._tensor.from_numpy(np.ascontiguousarray(origin_directions, dtype=np.float32))
 
 
 def pixel_rays(
     intrinsics: Intrinsics, *, left_px: int, top_px: int, width: int, height: int
 ) -> Float64[np.ndarray, "h w 3"]:
-    """Directions with z = 1 through the pixel centres of a rectangle, lens distortion removed; camera frame."""
+    """Directions with z = 1 through a rectangle's pixel centres, lens distortion removed; camera frame."""
     u, v = np.meshgrid(np.arange(left_px, left_px + width), np.arange(top_px, top_px + height))
     uv = np.column_stack([u.ravel(), v.ravel()]).astype(float)
     return rays(intrinsics, uv).reshape(height, width, 3)
 
 
 def rays_in_object(
-    directions_camera: Float64[np.ndarray, "*shape 3"], camera_from_object: Transform
+    directions_camera: Float[np.ndarray, "*shape 3"], camera_from_object: Transform
 ) -> Float32[np.ndarray, "n 6"]:
     """Rays from the camera centre, as `RayScene` wants them, in the object frame."""
     object_from_camera = invert(camera_from_object).astype(np.float32)
@@ -126,9 +132,58 @@ def render_depth_m(
 
 
 def depth_along_m(
-    rays: RayScene, directions_camera: Float64[np.ndarray, "h w 3"], camera_from_object: Transform
+    rays: RayScene, directions_camera: Float[np.ndarray, "h w 3"], camera_from_object: Transform
 ) -> Float32[np.ndarray, "h w"]:
     """`render_depth_m` with the directions of `pixel_rays` at hand; 0 = nothing there."""
     t = rays.cast_t(rays_in_object(directions_camera, camera_from_object))
     depth_m: Float32[np.ndarray, "h w"] = np.where(np.isfinite(t), t, np.float32(0))
     return depth_m.reshape(directions_camera.shape[:2])
+
+
+@dataclass(frozen=True)
+class PixelTable:
+    """Directions of all pixels of a camera, computed once: undistorting a lens costs more than casting.
+
+    Attributes:
+        intrinsics: the camera.
+        directions: z = 1, camera frame.
+        x_range, y_range: lowest and highest x of every column's directions, y of every row's.
+    """
+
+    intrinsics: Intrinsics
+    directions: Float32[np.ndarray, "height width 3"]
+    x_range: Float64[np.ndarray, "2 width"]
+    y_range: Float64[np.ndarray, "2 height"]
+
+    @staticmethod
+    def of(intrinsics: Intrinsics) -> PixelTable:
+        """The table of a camera; 12 bytes a pixel."""
+        directions = pixel_rays(
+            intrinsics, left_px=0, top_px=0, width=intrinsics.width, height=intrinsics.height
+        )
+        x, y = directions[..., 0], directions[..., 1]
+        return PixelTable(
+            intrinsics,
+            directions.astype(np.float32),
+            np.array([x.min(axis=0), x.max(axis=0)]),
+            np.array([y.min(axis=1), y.max(axis=1)]),
+        )
+
+    def window(self, points_camera: Points) -> tuple[slice, slice] | None:
+        """Rows and columns that hold the convex hull of the points; None when it is out of view.
+
+        Directions are compared, not pixels: then no lens bends an edge of the hull out of the window
+        or folds a far point into it. A hull that reaches behind the camera gets the whole image.
+        """
+        ahead = points_camera[:, 2] > NEAREST_M
+        if not ahead.any():
+            return None
+        low, high = np.full(2, -np.inf), np.full(2, np.inf)
+        if ahead.all():
+            xy = points_camera[:, :2] / points_camera[:, 2:]
+            low, high = xy.min(axis=0), xy.max(axis=0)
+        columns = np.flatnonzero((self.x_range[1] >= low[0]) & (self.x_range[0] <= high[0]))
+        rows = np.flatnonzero((self.y_range[1] >= low[1]) & (self.y_range[0] <= high[1]))
+        if not len(columns) or not len(rows):
+            return None
+        return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)

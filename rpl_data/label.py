@@ -1,0 +1,308 @@
+"""Labels of every frame from one solution a scene: pose, keypoints, masks (paper III-E, Eq. 3).
+
+``camera_from_object = invert(scene_from_camera) @ scene_from_object`` carries the object into every
+frame; the rest is seen from there: keypoints are projected, masks are cast as rays inside the
+projected region only, and what hides the object is decided from its own mesh, the other objects'
+meshes and the measured depth. Frames are independent: ranges of them may be labelled in parallel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+from rpl_data.geometry import (
+    Pixels,
+    Points,
+    Transform,
+    inside_image,
+    invert,
+    project,
+    square_box,
+    transform,
+)
+from rpl_data.masks import MaskPatch, Window, box_of, cleaned, encode, overlap, reaches_border
+from rpl_data.occlusion import FAR_M, DepthPatch, Tolerances, depth_agreement, hidden_pixels, keypoints_seen
+from rpl_data.raycast import PixelTable, RayScene, depth_along_m
+from rpl_data.types import (
+    Box,
+    DataError,
+    DepthImage,
+    Frame,
+    FrameLabel,
+    InstanceLabel,
+    Intrinsics,
+    KeypointModel,
+    Mesh,
+    Scene,
+    SquareBox,
+    Trajectory,
+)
+
+MARGIN_PX = 3
+"""Rim around the projected region: room for the neighbourhoods below."""
+
+
+@dataclass(frozen=True)
+class SceneObject:
+    """An object as it stands in one scene.
+
+    Attributes:
+        covariance: a 3x3 matrix a keypoint, m^2, object frame; NaN where never clicked.
+        mesh: triangles in the object frame.
+    """
+
+    model: KeypointModel
+    covariance: Float64[np.ndarray, "k 3 3"]
+    mesh: Mesh
+    scene_from_object: Transform
+
+
+def sample_frames(frames: Sequence[Frame], *, rate_hz: float | None) -> list[Frame]:
+    """The frames to label: the first of every period by timestamp; None = all of them.
+
+    Raises:
+        DataError: the rate is not positive.
+    """
+    if rate_hz is None:
+        return list(frames)
+    if not rate_hz > 0:
+        raise DataError(f"the label rate is {rate_hz} Hz; expected a positive number, or `all`")
+    chosen: list[Frame] = []
+    last_period = -1
+    for frame in frames:
+        # 5 % of a period absorbs the jitter of timestamps without letting the schedule drift.
+        period = int((frame.timestamp_s - frames[0].timestamp_s) * rate_hz + 0.05)
+        if period > last_period:
+            chosen.append(frame)
+            last_period = period
+    return chosen
+
+
+def label_frames(
+    scene: Scene,
+    trajectory: Trajectory,
+    objects: Sequence[SceneObject],
+    frames_with_depth: Iterable[tuple[Frame, DepthImage | None]],
+    *,
+    camera_from_object: Mapping[tuple[int, str], Transform] | None = None,
+    tolerances: Tolerances | None = None,
+) -> Iterator[FrameLabel]:
+    """Labels of the given frames, one at a time, in constant memory.
+
+    Args:
+        frames_with_depth: frames of the scene and their depth in metres; None or 0 = not measured,
+            which hides nothing.
+        camera_from_object: refined poses by (frame index, object name); they replace Eq. 3's.
+
+    Raises:
+        DataError: depth and colour are not registered, a mesh has no triangles, or the trajectory
+            has no pose for a frame.
+    """
+    if not scene.registered:
+        raise DataError(
+            f"scene {scene.name}: depth is not registered to colour, so masks and visibility would be "
+            "wrong; align depth to colour when recording, or warp the depth images to it first"
+        )
+    return _label_frames(
+        scene, trajectory, objects, frames_with_depth, camera_from_object or {}, tolerances or Tolerances()
+    )
+
+
+def _label_frames(
+    scene: Scene,
+    trajectory: Trajectory,
+    objects: Sequence[SceneObject],
+    frames_with_depth: Iterable[tuple[Frame, DepthImage | None]],
+    refined: Mapping[tuple[int, str], Transform],
+    tolerances: Tolerances,
+) -> Iterator[FrameLabel]:
+    camera = PixelTable.of(scene.intrinsics)
+    bodies = [_Body.of(item) for item in objects]
+    for frame, depth_m in frames_with_depth:
+        camera_from_scene = invert(trajectory.at(frame.index))
+        views = []
+        for body in bodies:
+            eq3 = camera_from_scene @ body.item.scene_from_object
+            view = _look(camera, body, refined.get((frame.index, body.item.model.name), eq3))
+            if view is not None:
+                views.append(view)
+        instances = tuple(_instance(camera, view, views, depth_m, tolerances) for view in views)
+        yield FrameLabel(scene.name, frame.index, frame.timestamp_s, instances)
+
+
+@dataclass(frozen=True)
+class _Body:
+    """An object with its rays and the vertices that bound it."""
+
+    item: SceneObject
+    rays: RayScene
+    hull: Points
+
+    @staticmethod
+    def of(item: SceneObject) -> _Body:
+        from scipy.spatial import ConvexHull
+
+        rays = RayScene([item.mesh], threads=1)
+        corners = ConvexHull(item.mesh.vertices, qhull_options="QJ").vertices  # QJ: flat meshes too
+        return _Body(item, rays, item.mesh.vertices[corners])
+
+
+# One object in one frame, as if nothing else were there -------------------------------------------
+
+
+@dataclass(frozen=True)
+class _View:
+    """An object alone in the camera; depths and mask of the window only.
+
+    Attributes:
+        window: rows and columns of the image.
+        depth_m: of the mesh; FAR_M = nothing there.
+        mask: what the object covers.
+    """
+
+    body: _Body
+    camera_from_object: Transform
+    keypoints_px: Pixels
+    window: Window
+    depth_m: DepthPatch
+    mask: MaskPatch
+
+
+def _look(camera: PixelTable, body: _Body, camera_from_object: Transform) -> _View | None:
+    """The object alone; None when it does not cover a pixel."""
+    keypoints_px = _project_keypoints(camera, transform(camera_from_object, body.item.model.points_object))
+    window = _window(camera, transform(camera_from_object, body.hull), keypoints_px)
+    if window is None:
+        return None
+    depth_m = depth_along_m(body.rays, camera.directions[window], camera_from_object)
+    depth_m[depth_m == 0] = FAR_M
+    # Pin-holes of a fused mesh are closed; the hole of a handle is wider and stays.
+    mask = cleaned(depth_m < FAR_M, "close", size_px=3)
+    if not mask.any():
+        return None
+    return _View(body, camera_from_object, keypoints_px, window, depth_m, mask)
+
+
+def _project_keypoints(camera: PixelTable, points_camera: Points) -> Pixels:
+    """Pixels; NaN behind the camera, and where a lens polynomial folds a far point into the image."""
+    uv = project(camera.intrinsics, points_camera)
+    if camera.intrinsics.distortion:
+        inside = np.flatnonzero(inside_image(camera.intrinsics, uv))
+        column, row = np.rint(uv[inside]).astype(int).T
+        xy = points_camera[inside, :2] / points_camera[inside, 2:]
+        pixel = 1 / min(camera.intrinsics.fx, camera.intrinsics.fy)
+        folded = np.abs(camera.directions[row, column, :2] - xy).max(axis=1, initial=0) > 5 * pixel
+        uv[inside[folded]] = np.nan
+    return uv
+
+
+def _window(
+    camera: PixelTable, hull_camera: Points, keypoints_px: Float64[np.ndarray, "k 2"]
+) -> Window | None:
+    """Part of the image that holds the object, its keypoints and a margin; None when not in view."""
+    window = camera.window(hull_camera)
+    if window is None:
+        return None
+    shown = np.rint(keypoints_px[inside_image(camera.intrinsics, keypoints_px)]).astype(int)
+    height, width = camera.intrinsics.height, camera.intrinsics.width
+    return _widened(window[0], shown[:, 1], height), _widened(window[1], shown[:, 0], width)
+
+
+def _widened(span: slice, numbers: Int64[np.ndarray, " n"], size: int) -> slice:
+    """The span with those numbers and the margin, inside 0..size."""
+    low = min(span.start, numbers.min(initial=size)) - MARGIN_PX
+    high = max(span.stop, numbers.max(initial=-1) + 1) + MARGIN_PX
+    return slice(max(int(low), 0), min(int(high), size))
+
+
+# What the others hide -----------------------------------------------------------------------------
+
+
+def _instance(
+    camera: PixelTable,
+    view: _View,
+    views: Sequence[_View],
+    depth_m: DepthImage | None,
+    tolerances: Tolerances,
+) -> InstanceLabel:
+    measured = np.zeros_like(view.depth_m) if depth_m is None else depth_m[view.window]
+    others = _nearest_other(view, views)
+    visible = view.mask & ~hidden_pixels(view.depth_m, others, measured, tolerances)
+    visibility = _visibility(camera, view, others, measured, tolerances)
+    sigma_px = _sigma_px(camera.intrinsics, view.body.item, view.camera_from_object)
+    box_full = box_of(view.mask, view.window)
+    size = {"width": camera.intrinsics.width, "height": camera.intrinsics.height}
+    return InstanceLabel(
+        object=view.body.item.model.name,
+        camera_from_object=view.camera_from_object,
+        keypoints_px=view.keypoints_px,
+        visibility=visibility,
+        sigma_px=np.where(visibility > 0, sigma_px, np.nan),
+        square_box=_square_box(view.keypoints_px, box_full),
+        box=box_of(visible, view.window) if visible.any() else None,
+        box_full=box_full,
+        mask=encode(visible, view.window, **size),
+        mask_full=encode(view.mask, view.window, **size),
+        visib_fract=float(visible.sum() / view.mask.sum()),
+        truncated=reaches_border(box_full, **size),
+        quality=depth_agreement(view.depth_m, visible, measured, tolerances),
+    )
+
+
+def _visibility(
+    camera: PixelTable, view: _View, others: DepthPatch, measured: DepthPatch, tolerances: Tolerances
+) -> Int64[np.ndarray, " k"]:
+    """COCO's v: 0 never clicked, behind the camera or outside the image; 1 hidden; 2 seen."""
+    visibility = np.zeros(len(view.keypoints_px), dtype=np.int64)
+    inside = inside_image(camera.intrinsics, view.keypoints_px)
+    z_m = transform(view.camera_from_object, view.body.item.model.points_object)[inside, 2]
+    seen = keypoints_seen(
+        view.keypoints_px[inside], z_m, view.window, view.depth_m, others, measured, tolerances
+    )
+    visibility[inside] = np.where(seen, 2, 1)
+    return visibility
+
+
+def _nearest_other(view: _View, views: Sequence[_View]) -> DepthPatch:
+    """Depth of the nearest other object in the view's window; FAR_M = none."""
+    nearest = np.full_like(view.depth_m, FAR_M)
+    for other in views:
+        common = overlap(view.window, other.window)
+        if other is not view and common is not None:
+            here, there = common
+            nearest[here] = np.minimum(nearest[here], other.depth_m[there])
+    return nearest
+
+
+# Numbers of the label -----------------------------------------------------------------------------
+
+
+def _sigma_px(
+    intrinsics: Intrinsics, item: SceneObject, camera_from_object: Transform
+) -> Float64[np.ndarray, " k"]:
+    """Standard deviation on an axis of each projected keypoint (root mean square of u and v).
+
+    First order: the covariance through the derivative of the pinhole projection; the lens is left
+    out, which changes a pixel by a few per cent at most.
+    """
+    x, y, z = transform(camera_from_object, item.model.points_object).T
+    zero = np.zeros_like(x)
+    with np.errstate(divide="ignore", invalid="ignore"):  # keypoints in the camera's plane are not labelled
+        du = np.array([intrinsics.fx / z, zero, -intrinsics.fx * x / z**2])
+        dv = np.array([zero, intrinsics.fy / z, -intrinsics.fy * y / z**2])
+        derivative = np.array([du, dv]).transpose(2, 0, 1) @ camera_from_object[:3, :3]
+        variance = np.einsum("kij,kjl,kil->k", derivative, item.covariance, derivative)
+        sigma: Float64[np.ndarray, " k"] = np.sqrt(variance / 2)
+    return sigma
+
+
+def _square_box(keypoints_px: Pixels, box_full: Box) -> SquareBox:
+    """The paper's box of the keypoints; of the mask where no keypoint projects."""
+    known = keypoints_px[np.isfinite(keypoints_px).all(axis=1)]
+    if not len(known):
+        known = np.array(box_full).reshape(2, 2) - 0.5
+    return square_box(known)

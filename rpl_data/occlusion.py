@@ -1,0 +1,111 @@
+"""What hides an object: itself, other objects, anything the depth sensor saw in front of it.
+
+Everything here works on patches of depth in metres along the optical axis, all of the same window.
+A model's depth is FAR_M where it is not; a measured depth is 0 where there is none, and hides nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float32, Float64, Int64
+
+from rpl_data.geometry import Pixels, depth_sigma_m
+from rpl_data.masks import MaskPatch, Window, cleaned
+
+DepthPatch = Float32[np.ndarray, "h w"]
+
+FAR_M = 1e3
+"""Depth of "nothing there" where depths are compared; finite, so that it can be squared."""
+
+
+@dataclass(frozen=True)
+class Tolerances:
+    """When one surface hides another.
+
+    Attributes:
+        depth_m, depth_sigmas: measured depth hides what lies behind it by more than the larger of
+            the two; the second in standard deviations of the sensor.
+        surface_m: a keypoint may lie this deep inside the mesh and still be seen.
+        neighbourhood_px: half the window in which depths are compared; absorbs misalignment.
+    """
+
+    depth_m: float = 0.015
+    depth_sigmas: float = 4.0
+    surface_m: float = 0.006
+    neighbourhood_px: int = 2
+
+    def depth_at_m(self, depth_m: Any) -> Any:
+        """The difference that matters at a depth."""
+        return np.maximum(np.float32(self.depth_m), np.float32(self.depth_sigmas) * depth_sigma_m(depth_m))
+
+
+def hidden_pixels(
+    model_m: DepthPatch, others_m: DepthPatch, measured_m: DepthPatch, tolerances: Tolerances
+) -> MaskPatch:
+    """Pixels where another object, or something measured, stands in front of the object.
+
+    Measured depth is compared with the nearest part of the object nearby, so that the object's own
+    edges, a pixel off, do not hide it; specks of wrong depth are dropped and gaps are filled.
+    """
+    size = 2 * tolerances.neighbourhood_px + 1
+    nearest = cv2.erode(model_m, np.ones((size, size), np.uint8))
+    blocked = (measured_m > 0) & (measured_m < nearest - tolerances.depth_at_m(nearest))
+    if blocked.any():
+        blocked = cleaned(cleaned(blocked, "open", size_px=3), "close", size_px=5)
+    hidden: MaskPatch = blocked | (others_m < model_m)
+    return hidden
+
+
+def keypoints_seen(
+    uv_px: Pixels,
+    z_m: Float64[np.ndarray, " n"],
+    window: Window,
+    model_m: DepthPatch,
+    others_m: DepthPatch,
+    measured_m: DepthPatch,
+    tolerances: Tolerances,
+) -> Bool[np.ndarray, " n"]:
+    """Which keypoints nothing hides.
+
+    Keypoints lie on edges and corners, where depth jumps from pixel to pixel: one is seen when any
+    pixel beside it sees as far as the keypoint.
+
+    Args:
+        uv_px: where they project, in the image and inside the window.
+        z_m: their depth.
+    """
+    patch = _neighbours(uv_px, window, tolerances.neighbourhood_px, model_m.shape)
+    rendered, measured = np.minimum(model_m, others_m)[patch], measured_m[patch]
+    measured[~(measured > 0).any(axis=1)] = FAR_M
+    z = z_m[:, None]
+    seen: Bool[np.ndarray, " n"] = (rendered >= z - tolerances.surface_m).any(axis=1)
+    seen &= (measured >= z - tolerances.depth_at_m(z)).any(axis=1)
+    return seen
+
+
+def _neighbours(
+    uv_px: Pixels, window: Window, radius_px: int, shape: tuple[int, ...]
+) -> tuple[Int64[np.ndarray, "n m"], Int64[np.ndarray, "n m"]]:
+    """Rows and columns, in the window, of the square around each position."""
+    offsets = np.arange(-radius_px, radius_px + 1)
+    rows, columns = (side.ravel() for side in np.meshgrid(offsets, offsets, indexing="ij"))
+    centre = np.rint(uv_px).astype(np.int64)
+    row = centre[:, 1:] - window[0].start + rows
+    column = centre[:, :1] - window[1].start + columns
+    return row.clip(0, shape[0] - 1), column.clip(0, shape[1] - 1)
+
+
+def depth_agreement(
+    model_m: DepthPatch, visible: MaskPatch, measured_m: DepthPatch, tolerances: Tolerances
+) -> float:
+    """Share of the visible, measured pixels whose depth agrees with the model; 1 when there are none."""
+    compared = visible & (measured_m > 0) & (model_m < FAR_M)
+    if not compared.any():
+        return 1.0
+    expected = model_m[compared]
+    agrees = np.abs(measured_m[compared] - expected) <= tolerances.depth_at_m(expected)
+    return float(agrees.mean())
