@@ -88,6 +88,21 @@ def keypoints_event(names: Sequence[str]) -> Event:
     return {"op": "keypoints", "names": list(names)}
 
 
+def events_to(annotation: Annotation, keypoints: Sequence[str], clicks: Iterable[Click]) -> list[Event]:
+    """The events after which the log says exactly these keypoints and clicks; none when it does already.
+
+    A later click on the same keypoint in the same frame replaces an earlier one.
+    """
+    wanted = {(click.keypoint, click.scene, click.frame): click for click in clicks}
+    marks = {(click.keypoint, click.scene, click.frame): click for click in annotation.clicks}
+    events = [] if annotation.keypoints == tuple(keypoints) else [keypoints_event(keypoints)]
+    events += [
+        {"op": "delete", "keypoint": keypoint, "scene": scene, "frame": frame}
+        for keypoint, scene, frame in marks.keys() - wanted.keys()
+    ]
+    return events + [click_event(click) for key, click in wanted.items() if marks.get(key) != click]
+
+
 def clicks_to_csv(clicks: Iterable[Click], keypoints: Sequence[str]) -> str:
     """Clicks as CSV text, keypoints by name."""
     text = io.StringIO()

@@ -18,6 +18,8 @@ from typing import Any, Literal, TypeVar
 import yaml
 
 from rpl_data.files import read_text
+from rpl_data.split import SplitRule
+from rpl_data.twin.spec import TwinSpec
 from rpl_data.types import DataError
 
 AnyRecipe = TypeVar("AnyRecipe")
@@ -85,7 +87,8 @@ class Reconstruct:
     """Where the camera's trajectory comes from.
 
     Attributes:
-        method: `given` takes the poses of the recording; `track` computes them from the images.
+        method: `given` takes the poses of the recording. `track`, computing them from the images, is
+            a word of the grammar that this version refuses.
         voxel_m: size of a voxel of the fused surface.
     """
 
@@ -98,12 +101,11 @@ class Solve:
     """How clicks become a sparse model.
 
     Attributes:
-        method: `robust`, or `slsqp` for exactly the paper's Eq. 2 with scipy's SLSQP.
-        loss: `robust` forgives wrong clicks; `l2` is plain least squares.
+        method: `robust` forgives wrong clicks and wrong depths; `slsqp` is exactly the paper's Eq. 2
+            with scipy's SLSQP.
     """
 
     method: Literal["robust", "slsqp"] = "robust"
-    loss: Literal["robust", "l2"] = "robust"
 
 
 @dataclass(frozen=True)
@@ -123,51 +125,6 @@ class LabelRecipe:
 
 
 @dataclass(frozen=True)
-class Split:
-    """How labelled frames become train, val and test.
-
-    Attributes:
-        test_scenes: whole scenes that training never sees (the strict protocol): how many of the last
-            ones, or their names. With fewer than three scenes there is no test split.
-        val_fraction: share of the frames of the remaining scenes that go to val at random (the
-            paper's 90/10; neighbouring frames leak into it).
-        seed: of that choice.
-    """
-
-    test_scenes: int | tuple[str, ...] = 1
-    val_fraction: float = 0.1
-    seed: int = 0
-
-
-@dataclass(frozen=True)
-class Twin:
-    """A synthetic recording with exact truth; written to `recording/` in the workspace.
-
-    Scenes, objects and clicks then default to what was written.
-
-    Attributes:
-        objects: which of the built-in objects stand in the scenes.
-        scenes: number of videos.
-        frames: frames a video.
-        frame_rate_hz: frames a second of the video.
-        width, height: image size in pixels.
-        frames_clicked: in how many frames of a scene every visible keypoint is clicked.
-        click_noise_px: standard deviation of a click, each axis.
-        seed: of everything random.
-    """
-
-    objects: tuple[str, ...] = ("carton", "kettle")
-    scenes: int = 4
-    frames: int = 60
-    frame_rate_hz: float = 30.0
-    width: int = 640
-    height: int = 480
-    frames_clicked: int = 3
-    click_noise_px: float = 2.0
-    seed: int = 0
-
-
-@dataclass(frozen=True)
 class Recipe:
     """Everything `rpl build` needs to know.
 
@@ -175,7 +132,8 @@ class Recipe:
         name: of the dataset.
         scenes: where scenes come from.
         objects: what is labelled.
-        twin: make a synthetic recording first.
+        twin: make a synthetic recording with exact truth first, in `recording/` of the workspace;
+            scenes, objects, clicks and truth then default to what was written.
         reconstruct, solve, label, split: options of the stages.
         export: formats to write.
         truth: where the truth of these scenes is, when it is known: a workspace folder, or a JSON file
@@ -186,11 +144,11 @@ class Recipe:
     name: str
     scenes: tuple[SceneSource, ...] = ()
     objects: tuple[ObjectRecipe, ...] = ()
-    twin: Twin | None = None
+    twin: TwinSpec | None = None
     reconstruct: Reconstruct = Reconstruct()
     solve: Solve = Solve()
     label: LabelRecipe = LabelRecipe()
-    split: Split = Split()
+    split: SplitRule = SplitRule()
     export: tuple[str, ...] = ("coco",)
     truth: Path | None = None
 
@@ -302,5 +260,10 @@ def _check(recipe: Recipe, source: str) -> None:
             raise DataError(f"{source}: the skeleton of {item.name} names keypoints beyond 0..{count - 1}")
     if recipe.label.rate_hz is not None and recipe.label.rate_hz <= 0:
         raise DataError(f"{source}: label.rate must be positive or `all`, got {recipe.label.rate}")
+    if recipe.reconstruct.method == "track":
+        raise DataError(
+            f"{source}: reconstruct.method `track` is not part of this version; "
+            "use `given` with a recording that has camera poses"
+        )
     if not 0 <= recipe.split.val_fraction < 1:
         raise DataError(f"{source}: split.val_fraction must be in [0, 1), got {recipe.split.val_fraction}")

@@ -1,0 +1,136 @@
+"""Recipe -> workspace: the stages in order, only the steps that no longer hold.
+
+Every finished step is in `stages.json` before the next one starts, and every file is written whole or
+not at all, so a build may be interrupted anywhere and goes on where it was when it is run again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from rpl_data import products, stages
+from rpl_data.files import write_text
+from rpl_data.pool import Pool
+from rpl_data.recipe import Recipe, load_recipe, recipe_to_yaml
+from rpl_data.stages import Context
+from rpl_data.steps import Ledger, Outcome, Step
+from rpl_data.types import DataError
+from rpl_data.workspace import Workspace
+
+STAGES: dict[str, Callable[[Context], list[Step]]] = {
+    "twin": stages.twin_steps,
+    "import": stages.import_steps,
+    "clicks": stages.clicks_steps,
+    "solve": stages.solve_steps,
+    "surface": stages.surface_steps,
+    "segment": stages.segment_steps,
+    "label": stages.label_steps,
+    "export": products.export_steps,
+    "quality": products.quality_steps,
+}
+"""In order. Each plans its steps when those of the stages before it hold."""
+
+
+@dataclass(frozen=True)
+class Progress:
+    """What a build tells its caller.
+
+    Attributes:
+        state: `runs` (with `done` of `total` frames; total 0 = not known), `ran`, or `kept`: nothing
+            it depends on has changed, so it was not run.
+        seconds: how long it took, now or when it last ran.
+    """
+
+    stage: str
+    item: str
+    state: Literal["runs", "ran", "kept"]
+    done: int = 0
+    total: int = 0
+    seconds: float = 0.0
+    outcome: Outcome = Outcome()
+
+
+Tell = Callable[[Progress], None]
+
+
+def build(
+    recipe: Recipe,
+    workspace: Workspace,
+    *,
+    until: str | None = None,
+    again: Collection[str] = (),
+    workers: int | None = None,
+    tell: Tell = lambda progress: None,
+) -> Ledger:
+    """Run what is stale, in order.
+
+    Args:
+        until: the last stage to run; all of them when None.
+        again: stages whose steps run even if they hold.
+        workers: processes; the number of cores when None, 1 = this process only.
+        tell: called with every step's progress.
+
+    Returns:
+        The ledger: what every step ran with, how long it took and what it had to say.
+
+    Raises:
+        DataError: what the user can mend; steps that were finished stay finished.
+    """
+    save_recipe(recipe, workspace)
+    ledger = Ledger(workspace.stages_file)
+    with Pool(workers) as pool:
+        context = Context(recipe, workspace, pool)
+        for stage, plan in STAGES.items():
+            steps = plan(context)
+            ledger.keep_only(stage, [item.item for item in steps])
+            for item in steps:
+                _bring_up_to_date(ledger, item, stage in again, tell)
+            if stage == until:
+                break
+    return ledger
+
+
+def _bring_up_to_date(ledger: Ledger, step: Step, anyway: bool, tell: Tell) -> None:
+    if ledger.holds(step) and not anyway:
+        entry = ledger.entries[step.name]
+        tell(Progress(step.stage, step.item, "kept", seconds=entry.seconds, outcome=entry.outcome))
+        return
+    tell(Progress(step.stage, step.item, "runs"))
+    entry = ledger.run(step, lambda done, total: tell(Progress(step.stage, step.item, "runs", done, total)))
+    tell(Progress(step.stage, step.item, "ran", seconds=entry.seconds, outcome=entry.outcome))
+
+
+def stale_steps(recipe: Recipe, workspace: Workspace) -> dict[str, list[tuple[str, bool]]]:
+    """(scene or object, whether it holds) of every step that can be planned, by stage.
+
+    Planning ends at the first stage with a step that does not hold: what comes after depends on it.
+    """
+    ledger = Ledger(workspace.stages_file)
+    found: dict[str, list[tuple[str, bool]]] = {}
+    with Pool(1) as pool:
+        context = Context(recipe, workspace, pool)
+        for stage, plan in STAGES.items():
+            found[stage] = [(step.item, ledger.holds(step)) for step in plan(context)]
+            if not all(holds for _, holds in found[stage]):
+                break
+    return found
+
+
+def save_recipe(recipe: Recipe, workspace: Workspace) -> None:
+    """Write the resolved recipe that later commands on this workspace go by."""
+    text = recipe_to_yaml(recipe)
+    if not workspace.recipe_file.exists() or workspace.recipe_file.read_text(encoding="utf-8") != text:
+        write_text(workspace.recipe_file, text)
+
+
+def recipe_of(workspace: Workspace) -> Recipe:
+    """The recipe a workspace was built with."""
+    if not workspace.recipe_file.exists():
+        raise DataError(
+            f"{workspace.root} is not a workspace (it has no {workspace.recipe_file.name}); "
+            f"make it with `rpl build RECIPE --workspace {workspace.root}` or `rpl import RECIPE ...`"
+        )
+    return load_recipe(Path(workspace.recipe_file))

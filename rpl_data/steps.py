@@ -1,0 +1,178 @@
+"""Steps of a build and the ledger (`stages.json`) that knows which of them still hold.
+
+A step is a stage applied to one scene or object. Its key is made of everything it depends on: its
+version, its options, sizes and times of its sources, and the keys of the steps before it. Recordings
+are never hashed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import time
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from rpl_data.files import read_json, write_json
+
+Json = dict[str, Any]
+IMAGE_SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff"}
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a step leaves behind besides its files.
+
+    Attributes:
+        frames: how many frames it worked through; 0 for work that is not by frame.
+        messages: lines for a person.
+        details: JSON-ready figures for the report and the steps after it.
+    """
+
+    frames: int = 0
+    messages: tuple[str, ...] = ()
+    details: Json = field(default_factory=dict)
+
+
+Advance = Callable[[int, int], None]
+"""``advance(done, total)``: a step tells how many of its frames are done."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """One stage, on one scene or object.
+
+    Attributes:
+        stage: name of the stage.
+        item: scene or object; empty when the stage works on all at once.
+        version: raised when the code of the stage changes what it writes.
+        options: the part of the recipe it depends on, JSON-ready.
+        sources: sizes and times of the files from outside it depends on, as `stamps` gives them.
+        after: names of the steps whose results it reads.
+        outputs: files that must be there for the step to hold.
+        run: does the work.
+    """
+
+    stage: str
+    item: str
+    version: int
+    options: Json
+    sources: Json
+    after: tuple[str, ...]
+    outputs: tuple[Path, ...]
+    run: Callable[[Advance], Outcome]
+
+    @property
+    def name(self) -> str:
+        """`stage` or `stage/item`."""
+        return f"{self.stage}/{self.item}" if self.item else self.stage
+
+
+@dataclass(frozen=True)
+class Entry:
+    """What the ledger knows about a step that ran to its end."""
+
+    key: str
+    version: int
+    options: Json
+    sources: Json
+    after: dict[str, str]
+    seconds: float
+    outcome: Outcome
+
+
+class Ledger:
+    """The content of `stages.json`; written after every step, so a build can be cut off anywhere."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        stored = read_json(path) if path.exists() else {}
+        self.entries: dict[str, Entry] = {name: _entry(data) for name, data in stored.items()}
+
+    def key(self, step: Step) -> str:
+        """The key of the step as things stand now."""
+        content = [step.version, step.options, step.sources, self._before(step)]
+        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
+
+    def holds(self, step: Step) -> bool:
+        """The step ran with exactly what it would run with now, and its files are there."""
+        entry = self.entries.get(step.name)
+        return (
+            entry is not None and entry.key == self.key(step) and all(path.exists() for path in step.outputs)
+        )
+
+    def run(self, step: Step, advance: Advance) -> Entry:
+        """Run the step and remember it; when it fails or is interrupted, nothing is remembered."""
+        if self.entries.pop(step.name, None) is not None:
+            self._save()  # its files are about to change
+        started = time.perf_counter()
+        outcome = step.run(advance)
+        seconds = time.perf_counter() - started
+        entry = Entry(
+            self.key(step), step.version, step.options, step.sources, self._before(step), seconds, outcome
+        )
+        self.entries[step.name] = entry
+        self._save()
+        return entry
+
+    def keep_only(self, stage: str, items: Iterable[str]) -> None:
+        """Forget the steps of a stage whose scene or object is gone."""
+        kept = {f"{stage}/{item}" if item else stage for item in items}
+        gone = [name for name in self.entries if name.split("/")[0] == stage and name not in kept]
+        for name in gone:
+            del self.entries[name]
+        if gone:
+            self._save()
+
+    def of_stage(self, stage: str) -> dict[str, Entry]:
+        """The entries of a stage, by item."""
+        pairs = ((name.partition("/"), entry) for name, entry in self.entries.items())
+        return {item: entry for (found, _, item), entry in pairs if found == stage}
+
+    def _before(self, step: Step) -> dict[str, str]:
+        return {name: self.entries[name].key for name in step.after if name in self.entries}
+
+    def _save(self) -> None:
+        write_json(self.path, {name: asdict(entry) for name, entry in self.entries.items()})
+
+
+def _entry(data: Mapping[str, Any]) -> Entry:
+    outcome = data["outcome"]
+    messages = tuple(outcome["messages"])
+    return Entry(**{**data, "outcome": Outcome(outcome["frames"], messages, outcome["details"])})
+
+
+def stamps(*paths: Path, but_not: Path | None = None) -> Json:
+    """Size and time of files by path; of a folder, those of its files, images only counted.
+
+    Args:
+        but_not: a folder inside that is left out (a workspace kept within the recording).
+    """
+    found: Json = {}
+    for path in paths:
+        if path.is_dir():
+            found |= _folder_stamps(path, but_not)
+        elif path.exists():
+            found[str(path)] = _stamp(path)
+    return found
+
+
+def _folder_stamps(folder: Path, but_not: Path | None) -> Json:
+    found: Json = {}
+    for parent, folders, files in os.walk(folder):
+        folders[:] = [name for name in folders if Path(parent, name) != but_not]
+        images = sum(Path(name).suffix.lower() in IMAGE_SUFFIXES for name in files)
+        if images:
+            found[parent] = images
+        for name in files:
+            if Path(name).suffix.lower() not in IMAGE_SUFFIXES:
+                found[str(Path(parent, name))] = _stamp(Path(parent, name))
+    return found
+
+
+def _stamp(path: Path) -> list[int]:
+    status = path.stat()
+    return [status.st_size, status.st_mtime_ns]
