@@ -73,4 +73,5 @@ def positions_in_image(
     crop = (positions_px.double() + 0.5) * zoom - 0.5  # edges coincide, centres do not
     affine = crop_from_image.double()
     offset = (crop - affine[..., None, :, 2]).transpose(-1, -2)
-    return torch.linalg.solve(affine[..., :2], offset).transpose(-1, -2)
+    image: Tensor = torch.linalg.solve(affine[..., :2], offset).transpose(-1, -2)
+    return image

@@ -43,6 +43,7 @@ class InstanceTarget(TypedDict):
 
 
 InstanceSample = tuple[Tensor, InstanceTarget]
+Json = dict[str, Any]
 
 
 class InstanceDataset(Dataset[InstanceSample]):
@@ -64,14 +65,12 @@ class InstanceDataset(Dataset[InstanceSample]):
                 a mirrored object is another object.
         """
         data = read_coco(Path(coco_json))
-        self.names = [
-            "background",
-            *(c["name"] for c in sorted(data["categories"], key=lambda c: int(c["id"]))),
-        ]
+        by_id = sorted(data["categories"], key=lambda category: int(category["id"]))
+        self.names = ["background", *(category["name"] for category in by_id)]
         self._most_keypoints = max((len(c["keypoints"]) for c in data["categories"]), default=0)
         self._folder, self._transforms = Path(coco_json).parent, transforms
-        self._images: list[dict[str, Any]] = data["images"]
-        self._annotations: dict[int, list[dict[str, Any]]] = {image["id"]: [] for image in self._images}
+        self._images: list[Json] = data["images"]
+        self._annotations: dict[int, list[Json]] = {image["id"]: [] for image in self._images}
         for annotation in data["annotations"]:
             self._annotations[annotation["image_id"]].append(annotation)
 
@@ -94,9 +93,7 @@ def collate(batch: Sequence[InstanceSample]) -> tuple[list[Tensor], list[Instanc
     return [image for image, _ in batch], [target for _, target in batch]
 
 
-def _target(
-    image: dict[str, Any], annotations: Sequence[dict[str, Any]], most_keypoints: int
-) -> InstanceTarget:
+def _target(image: Json, annotations: Sequence[Json], most_keypoints: int) -> InstanceTarget:
     size = (image["height"], image["width"])
     keypoints = np.zeros((len(annotations), most_keypoints, 3), dtype=np.float32)
     for row, annotation in enumerate(annotations):
@@ -115,7 +112,7 @@ def _target(
     }
 
 
-def _masks(annotations: Sequence[dict[str, Any]], size: tuple[int, int]) -> Tensor:
+def _masks(annotations: Sequence[Json], size: tuple[int, int]) -> Tensor:
     """N x height x width, uint8."""
     from pycocotools import mask as masks
 
@@ -138,11 +135,8 @@ class RandomAffine:
         height, width = image.shape[-2:]
         side = max(height, width)
         centre = np.array([(width - 1) / 2, (height - 1) / 2])
-        square = random_crop_from_square(centre, side, self._augmentation, rng, input_px=side)
-        # The square crop's middle becomes the image's.
-        out_from_image = (
-            square + np.array([[0, 0, centre[0]], [0, 0, centre[1]]]) - [[0, 0, (side - 1) / 2]] * 2
-        )
+        out_from_image = random_crop_from_square(centre, side, self._augmentation, rng, input_px=side)
+        out_from_image[:, 2] += centre - (side - 1) / 2  # from the middle of a square to the image's
         return warp_instances(image, target, out_from_image, augmentation=self._augmentation, rng=rng)
 
 
@@ -156,17 +150,15 @@ def warp_instances(
 ) -> InstanceSample:
     """Image, masks, boxes, areas and keypoints moved together; boxes are those of the moved masks.
 
-    Keypoints that leave the image keep their place with v = 0... as COCO has it: 0, 0, 0.
+    Keypoints that leave the image become 0, 0, 0.
     """
     height, width = image.shape[-2:]
     pixels = (image.permute(1, 2, 0).numpy() * 255).round().astype(np.uint8)
     pixels = warped(pixels, out_from_image, size=(width, height))
     if augmentation is not None and rng is not None:
         pixels = jittered(pixels, augmentation, rng)
-    masks = [
-        warped(mask.numpy() * np.uint8(255), out_from_image, size=(width, height)) > 127
-        for mask in target["masks"]
-    ]
+    white = target["masks"].numpy() * np.uint8(255)
+    masks = [warped(mask, out_from_image, size=(width, height)) > 127 for mask in white]
     kept = [row for row, mask in enumerate(masks) if mask.any()]
     stacked = np.array([masks[row] for row in kept], dtype=np.uint8).reshape(-1, height, width)
     boxes = np.array([_box(mask) for mask in stacked], dtype=np.float32).reshape(-1, 4)
@@ -194,6 +186,5 @@ def _moved_keypoints(keypoints: Tensor, out_from_image: Affine, *, width: int, h
     xyv = keypoints.numpy().astype(float)
     xy = moved(out_from_image, xyv[..., :2])
     inside = ((xy >= -0.5) & (xy < np.array([width, height]) - 0.5)).all(axis=-1) & (xyv[..., 2] > 0)
-    return torch.from_numpy(
-        np.where(inside[..., None], np.concatenate([xy, xyv[..., 2:]], -1), 0.0).astype(np.float32)
-    )
+    xyv = np.where(inside[..., None], np.concatenate([xy, xyv[..., 2:]], axis=-1), 0.0)
+    return torch.from_numpy(xyv.astype(np.float32))

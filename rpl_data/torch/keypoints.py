@@ -130,7 +130,7 @@ class KeypointDataset(Dataset[KeypointSample]):
         if len(self._rows.files) == 0:
             raise DataError(f"{coco_json} has no instance of {self.model.name}; train on another split")
         self._points_object = torch.from_numpy(self.model.points_object.copy())
-        self._cache = RegionCache(self._rows.files, self._regions(), cache) if cache else None
+        self._cache = RegionCache(self._rows.files.tolist(), self._regions(), cache) if cache else None
 
     def __len__(self) -> int:
         """How many instances."""
@@ -175,7 +175,7 @@ class KeypointDataset(Dataset[KeypointSample]):
         keypoints_px = np.where(visibility[:, None] > 0, rows.keypoints[row, :, :2], np.nan)
         on_crop = moved(crop_from_image, keypoints_px)
         # Edges of the crop; False for NaN.
-        inside = ((on_crop >= -0.5) & (on_crop < self.input_px - 0.5)).all(axis=1)
+        inside = np.all((on_crop >= -0.5) & (on_crop < self.input_px - 0.5), axis=1)
         on_heatmap = np.where(inside[:, None], moved(self._heatmap_from_crop, on_crop), np.nan)
         return {
             "image": to_unit_range(crop),

@@ -1,4 +1,4 @@
-"""Decoded pixels around boxes, kept in memory or in a file, since decoding is most of the cost of a sample."""
+"""Decoded pixels around boxes, kept in memory or in a file, since decoding costs most of a sample."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Region:
     bottom: int
 
     @property
-    def bytes(self) -> int:
+    def size_bytes(self) -> int:
         """Of its pixels, three channels."""
         return (self.right - self.left) * (self.bottom - self.top) * 3
 
@@ -64,7 +64,7 @@ class RegionCache:
             DataError: an image cannot be read, or the folder cannot be written.
         """
         self._regions = regions
-        self._offsets = np.concatenate([[0], np.cumsum([region.bytes for region in regions])])
+        self._offsets = np.concatenate([[0], np.cumsum([region.size_bytes for region in regions])])
         self._pixels: UInt8[np.ndarray, " n"]
         if isinstance(place, Path):
             self._pixels = self._on_disk(files, place)
@@ -79,12 +79,8 @@ class RegionCache:
         return flat.reshape(region.bottom - region.top, -1, 3), region
 
     def _fill(self, files: Sequence[str], pixels: UInt8[np.ndarray, " n"]) -> None:
-        image, last = None, ""
         for row, (file, region) in enumerate(zip(files, self._regions, strict=True)):
-            if file != last:
-                image, last = read_image(file), file
-            assert image is not None
-            cut = image[region.top : region.bottom, region.left : region.right]
+            cut = read_image(file)[region.top : region.bottom, region.left : region.right]
             pixels[self._offsets[row] : self._offsets[row + 1]] = cut.reshape(-1)
 
     def _on_disk(self, files: Sequence[str], folder: Path) -> UInt8[np.ndarray, " n"]:

@@ -15,6 +15,7 @@ from jaxtyping import Float64, UInt8
 
 Affine = Float64[np.ndarray, "2 3"]
 Image = UInt8[np.ndarray, "height width 3"]
+Pixels = UInt8[np.ndarray, "height width *channels"]
 
 
 @dataclass(frozen=True)
@@ -76,11 +77,9 @@ def chained(a_from_b: Affine, b_from_c: Affine) -> Affine:
     )
 
 
-def warped(
-    image: UInt8[np.ndarray, "..."], out_from_image: Affine, *, size: tuple[int, int]
-) -> UInt8[np.ndarray, "..."]:
+def warped(image: Pixels, out_from_image: Affine, *, size: tuple[int, int]) -> Pixels:
     """The image seen through the map, (width, height) = `size`, black beyond the image's edge."""
-    result: UInt8[np.ndarray, "..."] = cv2.warpAffine(image, out_from_image, size, flags=cv2.INTER_LINEAR)
+    result: Pixels = cv2.warpAffine(image, out_from_image, size, flags=cv2.INTER_LINEAR)
     return result
 
 

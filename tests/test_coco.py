@@ -1,0 +1,204 @@
+"""Our dialect of COCO: every field, the round trip, what is refused, and pycocotools as outside judge."""
+
+import json
+from copy import deepcopy
+from pathlib import Path
+
+import numpy as np
+import pytest
+from labelled_scenes import BOX, CAMERA, CAN, instance, rle
+from pycocotools.coco import COCO
+from pycocotools.cocoeval import COCOeval
+
+from rpl_data.formats.coco import (
+    CocoObject,
+    header,
+    image_to_coco,
+    instance_to_coco,
+    intrinsics_from_coco,
+    labels_from_coco,
+    objects_from_coco,
+    read_coco,
+    validate_coco,
+    write_coco,
+    writing_coco,
+)
+from rpl_data.geometry import from_rotvec
+from rpl_data.types import DataError, Frame, FrameLabel, InstanceLabel
+
+OBJECTS = (CocoObject(BOX, "meshes/box.ply"), CocoObject(CAN))
+LABELS = (
+    FrameLabel("desk", 3, 0.1, (instance(BOX, -0.2), instance(CAN, 0.2))),
+    FrameLabel("desk", 5, 0.2, ()),
+    FrameLabel("shelf", 3, 0.3, (instance(CAN, 0.1),)),
+)
+
+
+def entries(label, image_id, first_id=1):
+    frame = Frame(label.frame, label.timestamp_s, Path("c.png"), Path("d.png"))
+    image = image_to_coco(
+        image_id,
+        frame,
+        scene=label.scene,
+        intrinsics=CAMERA,
+        scene_from_camera=from_rotvec(np.array([0, 0.1, 0]), np.array([0.1, 0.2, 0.3])),
+        file_name=f"images/{label.scene}/{label.frame:06d}.png",
+        depth_file_name=None,
+    )
+    numbers = {"box": 1, "can": 2}
+    annotations = [
+        instance_to_coco(first_id + row, image_id, numbers[item.object], item)
+        for row, item in enumerate(label.instances)
+    ]
+    return image, annotations
+
+
+@pytest.fixture
+def data():
+    content = header(OBJECTS) | {"images": [], "annotations": []}
+    for number, label in enumerate(LABELS, start=1):
+        image, annotations = entries(label, number, 1 + len(content["annotations"]))
+        content["images"].append(image)
+        content["annotations"] += annotations
+    return content
+
+
+def test_every_field_of_the_design_is_there(data):
+    image, annotation = data["images"][0], data["annotations"][0]
+    assert image["scene"] == "desk" and image["frame"] == 3 and image["timestamp_s"] == 0.1
+    assert image["cam_K"] == [150.0, 0.0, 79.5, 0.0, 151.0, 59.5, 0.0, 0.0, 1.0]
+    assert image["distortion"] == [0.01, -0.02, 0.0, 0.0]
+    assert len(image["scene_from_camera"]) == 16 and image["scene_from_camera"][3] == 0.1
+    assert image["depth_file_name"] is None and image["width"] == 160 and image["height"] == 120
+    label = LABELS[0].instances[0]
+    assert annotation["camera_from_object"] == label.camera_from_object.ravel().tolist()
+    assert annotation["keypoints"][9:] == [0, 0, 0] and annotation["keypoints"][2::3] == [1, 2, 2, 0]
+    np.testing.assert_allclose(annotation["keypoints"][:2], label.keypoints_px[0], atol=1e-4)
+    assert annotation["num_keypoints"] == 3 and annotation["iscrowd"] == 0
+    assert annotation["sigma_px"] == [0.5, 0.5, 0.5, None]
+    x0, y0, x1, y1 = label.box
+    assert annotation["bbox"] == [x0, y0, x1 - x0, y1 - y0]
+    assert annotation["area"] == (x1 - x0) * (y1 - y0)
+    x0, y0, x1, y1 = label.box_full
+    assert annotation["bbox_full"] == [x0, y0, x1 - x0, y1 - y0]
+    assert annotation["segmentation_full"] == label.mask_full and annotation["segmentation"] == label.mask
+    assert annotation["visib_fract"] == label.visib_fract and annotation["truncated"] is False
+    assert annotation["quality"] == 0.75
+    box = label.square_box
+    assert annotation["square_box"] == [box.cx_px, box.cy_px, box.side_px]
+    assert [c["id"] for c in data["categories"]] == [1, 2]
+    assert data["categories"][0]["keypoints"] == ["a", "b", "c", "d"]
+    assert data["categories"][0]["skeleton"] == [[1, 2], [2, 3]]
+    first = data["rpl"]["objects"][0]
+    assert first["name"] == "box" and first["category_id"] == 1 and first["mesh"] == "meshes/box.ply"
+    assert first["points_object"][1] == [0.1, -0.1, 0.0] and first["points_object"][3] is None
+    assert first["symmetries"] == [] and data["rpl"]["version"]
+
+
+def test_one_visible_pixel_has_a_box_of_one(data):
+    mask = np.zeros((120, 160), dtype=bool)
+    mask[7, 5] = True
+    label = instance(BOX, 0.0)
+    one = InstanceLabel(**{**label.__dict__, "mask": rle(mask), "box": (5.0, 7.0, 6.0, 8.0)})
+    entry = instance_to_coco(1, 1, 1, one)
+    assert entry["bbox"] == [5, 7, 1, 1] and entry["area"] == 1
+
+
+def test_invisible_instance_is_no_annotation():
+    assert instance_to_coco(1, 1, 1, instance(BOX, 0.0, visible=False)) is None
+
+
+def test_labels_come_back(data):
+    for label, back in zip(LABELS, labels_from_coco(json.loads(json.dumps(data))), strict=True):
+        assert (back.scene, back.frame, back.timestamp_s) == (label.scene, label.frame, label.timestamp_s)
+        for a, b in zip(label.instances, back.instances, strict=True):
+            labelled = a.visibility > 0
+            np.testing.assert_allclose(b.keypoints_px[labelled], a.keypoints_px[labelled], atol=1e-4)
+            assert np.isnan(b.keypoints_px[~labelled]).all()
+            np.testing.assert_array_equal(b.camera_from_object, a.camera_from_object)
+            np.testing.assert_array_equal(b.visibility, a.visibility)
+            for name in ("object", "box", "box_full", "mask", "mask_full", "visib_fract", "square_box"):
+                assert getattr(a, name) == getattr(b, name), name
+    models = [item.model for item in objects_from_coco(data)]
+    np.testing.assert_array_equal(models[0].points_object, BOX.points_object)
+    assert models[0].skeleton == BOX.skeleton and models[0].keypoints == BOX.keypoints
+    assert intrinsics_from_coco(data["images"][0]) == CAMERA
+
+
+def test_streamed_file_equals_the_one_from_memory(data, tmp_path):
+    with writing_coco(tmp_path / "streamed.json", OBJECTS) as writer:
+        first = 1
+        for number, label in enumerate(LABELS, start=1):
+            image, annotations = entries(label, number, first)
+            writer.add(image, annotations)
+            first += len(annotations)
+        assert list(tmp_path.iterdir()) == []  # nothing half-written to be seen
+    write_coco(tmp_path / "memory.json", data)
+    assert read_coco(tmp_path / "streamed.json") == read_coco(tmp_path / "memory.json") == data
+
+
+def test_file_without_images_is_valid(tmp_path):
+    with writing_coco(tmp_path / "empty.json", OBJECTS):
+        pass
+    assert read_coco(tmp_path / "empty.json")["images"] == []
+
+
+def wrong(data, change):
+    """The message about `data` after `change`."""
+    broken = deepcopy(data)
+    change(broken)
+    with pytest.raises(DataError) as error:
+        validate_coco(broken, source="train.json")
+    assert "train.json" in str(error.value)
+    return str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda d: d.pop("rpl"), "rpl missing"),
+        (lambda d: d["annotations"][0].pop("square_box"), "square_box missing"),
+        (lambda d: d["annotations"][0].update(image_id=99), "image 99"),
+        (lambda d: d["annotations"][1].update(id=1), "of its own as id"),
+        (lambda d: d["annotations"][0].update(area=3), "area"),
+        (lambda d: d["annotations"][0].update(bbox=[0, 0, 3, 3]), "bbox"),
+        (lambda d: d["annotations"][0]["keypoints"].pop(), "12 numbers"),
+        (lambda d: d["annotations"][0].update(num_keypoints=4), "num_keypoints"),
+        (lambda d: d["annotations"][0]["keypoints"].__setitem__(9, 4.0), "v = 0"),
+        (lambda d: d["annotations"][0].update(visib_fract=1.5), "0 to 1"),
+        (lambda d: d["annotations"][0]["camera_from_object"].__setitem__(0, 3.0), "rigid"),
+        (lambda d: d["annotations"][0]["keypoints"].__setitem__(0, float("nan")), "finite"),
+        (lambda d: d["annotations"][0]["segmentation"].update(size=[5, 5]), r"size [120, 160]"),
+        (lambda d: d["categories"][0].update(id=0), "ids from 1"),
+        (lambda d: d["categories"][0].update(skeleton=[[0, 1]]), "skeleton"),
+        (lambda d: d["rpl"]["objects"][0]["points_object"].pop(), "one a keypoint"),
+        (lambda d: d["images"][0].update(cam_K=[1.0]), "9 numbers"),
+        (lambda d: d.update(images={}), "a list"),
+    ],
+)
+def test_what_is_refused(data, change, message):
+    assert message in wrong(data, change)
+
+
+def test_broken_file_is_named(tmp_path):
+    (tmp_path / "train.json").write_text("{")
+    with pytest.raises(DataError, match=r"train\.json"):
+        read_coco(tmp_path / "train.json")
+    with pytest.raises(DataError, match="does not exist"):
+        read_coco(tmp_path / "val.json")
+
+
+@pytest.mark.parametrize("kind", ["bbox", "segm", "keypoints"])
+def test_scores_one_against_itself(data, tmp_path, kind, capsys):
+    write_coco(tmp_path / "train.json", data)
+    truth = COCO(str(tmp_path / "train.json"))
+    keys = ("image_id", "category_id", "bbox", "segmentation", "keypoints")
+    found = truth.loadRes([{key: a[key] for key in keys} | {"score": 0.9} for a in data["annotations"]])
+    for category in data["categories"]:
+        evaluation = COCOeval(truth, found, kind)
+        evaluation.params.catIds = [category["id"]]
+        evaluation.params.kpt_oks_sigmas = np.full(len(category["keypoints"]), 0.05)
+        evaluation.evaluate()
+        evaluation.accumulate()
+        evaluation.summarize()
+        assert evaluation.stats[0] == pytest.approx(1.0, abs=1e-9)
