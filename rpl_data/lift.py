@@ -8,6 +8,7 @@ the solve decides between them.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float64
@@ -15,8 +16,12 @@ from jaxtyping import Float64
 from rpl_data.geometry import depth_sigma_m, rays
 from rpl_data.types import Click, DataError, DepthImage, Frame, Intrinsics, Observation, Scene, Trajectory
 
-RADIUS_PX = 9.0
-"""A D435 loses about 5 px at depth edges, and a hand is off by 2-3 px."""
+RADIUS_PX = 14.0
+"""A D435 loses 5-10 px at depth edges, and a hand is off by 2-3 px."""
+NEAR_PX = 5.0
+"""Pixels at this distance count half as much as those at the click."""
+LIFT_SIGMA_M = 0.002
+"""A depth next to a corner is not the depth of the corner."""
 
 
 def lift_clicks(
@@ -58,53 +63,79 @@ def lift(
     """
     if not (0 <= click.u_px + 0.5 < intrinsics.width and 0 <= click.v_px + 0.5 < intrinsics.height):
         raise DataError(
-            f"click on keypoint {click.keypoint} of {click.object}, scene {click.scene}, frame {click.frame}: "
-            f"({click.u_px:.1f}, {click.v_px:.1f}) px lies outside the image of {intrinsics.width} x "
-            f"{intrinsics.height} px; delete it or give the pixels of the full-size image"
+            f"click on keypoint {click.keypoint} of {click.object}, scene {click.scene}, frame "
+            f"{click.frame}: ({click.u_px:.1f}, {click.v_px:.1f}) px lies outside the image of "
+            f"{intrinsics.width} x {intrinsics.height} px; delete it or give the pixels of the full-size image"
         )
     uv = np.array([[click.u_px, click.v_px]])
+    pixel_rad = 2 / (intrinsics.fx + intrinsics.fy)
+    depths_m, sigmas_m = candidate_depths_m(depth_m, click.u_px, click.v_px, pixel_rad=pixel_rad)
     return Observation(
         click=click,
         ray_camera=rays(intrinsics, uv)[0],
         scene_from_camera=scene_from_camera,
-        depths_m=candidate_depths_m(depth_m, click.u_px, click.v_px),
-        pixel_rad=2 / (intrinsics.fx + intrinsics.fy),
+        depths_m=depths_m,
+        depth_sigmas_m=sigmas_m,
+        pixel_rad=pixel_rad,
     )
 
 
-def candidate_depths_m(depth_m: DepthImage, u_px: float, v_px: float) -> Float64[np.ndarray, " candidates"]:
-    """Depths of the surfaces within `RADIUS_PX` of a position, nearest surface first.
+class _Piece(NamedTuple):
+    """Measured pixels of one surface: depth, and where they are relative to the click."""
+
+    depth_m: np.ndarray
+    du_px: np.ndarray
+    dv_px: np.ndarray
+
+
+def candidate_depths_m(
+    depth_m: DepthImage, u_px: float, v_px: float, *, pixel_rad: float
+) -> tuple[Float64[np.ndarray, " candidates"], Float64[np.ndarray, " candidates"]]:
+    """Depths of the surfaces within `RADIUS_PX` of a position, nearest first, and their deviations.
 
     The depths of the neighbourhood are sorted and cut where they jump by more than a sensor's noise;
-    of each piece, the depth nearest to the click counts most (weighted median).
+    each piece is continued to the click as a plane.
     """
-    depths, distances_px = _neighbourhood(depth_m, u_px, v_px)
-    order = np.argsort(depths)
-    depths, distances_px = depths[order], distances_px[order]
-    jumps = np.diff(depths) > np.maximum(0.008, 4 * np.asarray(depth_sigma_m(depths[1:])))
-    pieces = np.split(np.arange(len(depths)), np.flatnonzero(jumps) + 1)
-    return np.array(
-        [
-            _weighted_median(depths[p], np.exp(-0.5 * (distances_px[p] / 3) ** 2))
-            for p in pieces
-            if len(p) >= 4
-        ]
-    )
+    pieces = _surfaces(depth_m, u_px, v_px)
+    depths = np.array([_continued_depth_m(piece) for piece in pieces], dtype=float)
+    nearest_px = np.array([np.hypot(piece.du_px, piece.dv_px).min() for piece in pieces], dtype=float)
+    # Between the click and the nearest measured pixel the surface may slope by 45 degrees.
+    gap_m = np.maximum(nearest_px - 1, 0) * pixel_rad * depths
+    sensor_m = np.asarray(depth_sigma_m(depths))
+    sigmas = np.sqrt(sensor_m**2 + LIFT_SIGMA_M**2 + gap_m**2)
+    order = np.argsort(depths, kind="stable")
+    return depths[order], sigmas[order]
 
 
-def _neighbourhood(depth_m: DepthImage, u_px: float, v_px: float) -> tuple[np.ndarray, np.ndarray]:
-    """Measured depths within the radius, and how far away each is in pixels."""
+def _surfaces(depth_m: DepthImage, u_px: float, v_px: float) -> list[_Piece]:
+    """Measured pixels within the radius, cut into surfaces where the depth jumps."""
     height, width = depth_m.shape
     left, right = max(0, int(np.ceil(u_px - RADIUS_PX))), min(width, int(u_px + RADIUS_PX) + 1)
     top, bottom = max(0, int(np.ceil(v_px - RADIUS_PX))), min(height, int(v_px + RADIUS_PX) + 1)
     v, u = np.mgrid[top:bottom, left:right]
-    distance_px = np.hypot(u - u_px, v - v_px)
+    du, dv = u - u_px, v - v_px
     window = depth_m[top:bottom, left:right].astype(float)
-    measured = (window > 0) & (distance_px <= RADIUS_PX)
-    return window[measured], distance_px[measured]
+    measured = (window > 0) & (np.hypot(du, dv) <= RADIUS_PX)
+    order = np.argsort(window[measured])
+    depths, du, dv = window[measured][order], du[measured][order], dv[measured][order]
+    jumps = np.diff(depths) > np.maximum(0.008, 4 * np.asarray(depth_sigma_m(depths[1:])))
+    cuts = np.split(np.arange(len(depths)), np.flatnonzero(jumps) + 1)
+    return [_Piece(depths[cut], du[cut], dv[cut]) for cut in cuts if len(cut) >= 4]
 
 
-def _weighted_median(values: np.ndarray, weights: np.ndarray) -> float:
-    """Of sorted values."""
-    cumulative = np.cumsum(weights)
-    return float(values[np.searchsorted(cumulative, cumulative[-1] / 2)])
+def _continued_depth_m(piece: _Piece) -> float:
+    """Depth of the piece's plane at the click, by a robust fit that prefers near pixels.
+
+    The inverse depth of a plane is linear in the pixel. The small ridge on the slope keeps a thin
+    piece from being continued wildly.
+    """
+    columns = np.column_stack([np.ones_like(piece.du_px), piece.du_px, piece.dv_px])
+    near = np.exp2(-((piece.du_px**2 + piece.dv_px**2) / NEAR_PX**2))
+    weights, inverse = near, np.zeros(3)
+    for _ in range(4):
+        ridge = np.diag([0.0, 1.0, 1.0]) * weights.sum()
+        normal = (columns * weights[:, None]).T @ columns + ridge
+        inverse = np.linalg.solve(normal, (columns * weights[:, None]).T @ (1 / piece.depth_m))
+        errors_m = np.abs(columns @ inverse - 1 / piece.depth_m) * piece.depth_m**2
+        weights = near / (1 + (errors_m / 0.006) ** 2)
+    return float(np.clip(1 / inverse[0], 0.9 * piece.depth_m[0], 1.1 * piece.depth_m[-1]))

@@ -33,7 +33,7 @@ from rpl_data.adjustment.procrustes import Adjusted, Fragments, Loss, adjust_poi
 from rpl_data.adjustment.rigidity import describe_loose, generic_points, loose_scenes
 from rpl_data.adjustment.slsqp import adjust_points_slsqp
 from rpl_data.adjustment.start import Hypotheses, Start, join_scenes, match
-from rpl_data.geometry import depth_sigma_m, invert, rigid, spread_m, transform
+from rpl_data.geometry import invert, rigid, spread_m, transform
 from rpl_data.types import ClickResidual, DataError, DepthState, KeypointModel, Observation, Solution
 
 Method = Literal["robust", "slsqp"]
@@ -128,8 +128,8 @@ def register(
         )
     if spread_m(model.points_object[clicked])[1] < 0.004:
         raise DataError(
-            f"object {name}, scene {scene}: keypoints {', '.join(model.keypoints[k] for k in clicked)} lie on "
-            "a line, about which the object could turn; click one more keypoint off that line"
+            f"object {name}, scene {scene}: keypoints {', '.join(model.keypoints[k] for k in clicked)} lie "
+            "on a line, about which the object could turn; click one more keypoint off that line"
         )
     known = {int(k): model.points_object[k][None] for k in np.flatnonzero(model.known)}
     scene_from_object = match(known, places, samples=600, random=np.random.default_rng(0))
@@ -290,7 +290,7 @@ def _residual(
     keypoints: Sequence[str],
 ) -> ClickResidual:
     error_px, depth_m = float(bundle.error_px[n]), float(bundle.depth_m[n])
-    state = _depth_state(observation, depth_m, float(bundle.depth_error_m[n]))
+    state = _depth_state(observation, depth_m, float(bundle.depth_error_m[n] / bundle.depth_sigma_m[n]))
     used = state in ("agrees", "other surface")
     lateral_m = error_px * observation.pixel_rad * (depth_m if used else 0)
     outlier = error_px > max(4 * bundle.sigma_px, 8.0)
@@ -305,10 +305,10 @@ def _residual(
     )
 
 
-def _depth_state(observation: Observation, depth_m: float, error_m: float) -> DepthState:
+def _depth_state(observation: Observation, depth_m: float, error_in_sigmas: float) -> DepthState:
     if len(observation.depths_m) == 0:
         return "none"
-    if abs(error_m) > 2 * LET_GO * float(np.hypot(depth_sigma_m(depth_m), 0.003)):
+    if abs(error_in_sigmas) > 2 * LET_GO:
         return "rejected"
     return "agrees" if depth_m == observation.depths_m[0] else "other surface"
 

@@ -161,6 +161,7 @@ class Observation:
             depth d is ``d * ray_camera`` in the camera frame.
         scene_from_camera: pose of the clicked frame.
         depths_m: candidate depths of the neighbourhood, nearest surface first; may be empty.
+        depth_sigmas_m: standard deviation of each candidate as the depth of the clicked point.
         pixel_rad: angle of one pixel there, 1 / focal length.
     """
 
@@ -168,6 +169,7 @@ class Observation:
     ray_camera: Float64[np.ndarray, "3"]
     scene_from_camera: Float64[np.ndarray, "4 4"]
     depths_m: Float64[np.ndarray, " candidates"]
+    depth_sigmas_m: Float64[np.ndarray, " candidates"]
     pixel_rad: float
 
 

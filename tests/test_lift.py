@@ -17,26 +17,30 @@ def edge_image(left_m: float, right_m: float) -> np.ndarray:
     return image
 
 
+def depths_at(image, u_px, v_px):
+    return candidate_depths_m(image, u_px, v_px, pixel_rad=1 / 600)[0]
+
+
 def test_both_surfaces_of_an_edge_are_kept_nearest_first():
     image = edge_image(0.9, 0.7)
     for u in (98.0, 101.0):
-        assert np.allclose(candidate_depths_m(image, u, 50.0), [0.7, 0.9])
+        assert np.allclose(depths_at(image, u, 50.0), [0.7, 0.9])
 
 
 def test_holes_are_no_candidates():
     image = edge_image(0.0, 0.7)
-    assert np.allclose(candidate_depths_m(image, 98.0, 50.0), [0.7])
-    assert len(candidate_depths_m(np.zeros((480, 640), dtype=np.float32), 98.0, 50.0)) == 0
+    assert np.allclose(depths_at(image, 98.0, 50.0), [0.7])
+    assert len(depths_at(np.zeros((480, 640), dtype=np.float32), 98.0, 50.0)) == 0
 
 
 def test_a_slanted_surface_is_one_candidate_at_the_click():
     rows, columns = np.mgrid[0:480, 0:640]
     image = (0.7 + 0.0005 * (columns - 200)).astype(np.float32)
-    assert np.allclose(candidate_depths_m(image, 200.0, 50.0), [0.7], atol=1e-3)
+    assert np.allclose(depths_at(image, 200.0, 50.0), [0.7], atol=1e-3)
 
 
 def test_at_the_border_of_the_image():
-    assert np.allclose(candidate_depths_m(edge_image(0.9, 0.7), 639.4, -0.4), [0.7])
+    assert np.allclose(depths_at(edge_image(0.9, 0.7), 639.4, -0.4), [0.7])
 
 
 def test_the_ray_goes_through_the_click_with_distortion():
@@ -82,3 +86,13 @@ def test_bad_clicks_are_named(tmp_path, click, message):
     scenes, trajectories, read, _ = scene_and_reader(tmp_path)
     with pytest.raises(DataError, match=message):
         lift_clicks([click], scenes, trajectories, read)
+
+
+def test_a_far_surface_is_less_sure_and_continued_as_a_plane():
+    """The right half slopes; a click 6 px left of its edge takes the slope along."""
+    columns = np.mgrid[0:480, 0:640][1]
+    inverse = 1 / 0.7 + 0.0005 * (columns - 200)
+    image = np.where(columns >= 206, 1 / inverse, 0).astype(np.float32)
+    depths, sigmas = candidate_depths_m(image, 200.0, 50.0, pixel_rad=1 / 600)
+    assert depths == pytest.approx([0.7], abs=1e-3)
+    assert sigmas[0] == pytest.approx(np.sqrt(0.0015**2 + 0.002**2 + (5 * 0.7 / 600) ** 2), rel=0.01)

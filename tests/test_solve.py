@@ -34,7 +34,14 @@ def click_scene(name, points, scene_from_object, cameras, random, noise_px=0.0, 
             candidates = np.array([z] if depths is None else depths(k, frame, z), dtype=float)
             click = Click("cube", int(k), name, frame, float(uv[k, 0]), float(uv[k, 1]))
             observations.append(
-                Observation(click, rays(CAMERA, uv[k : k + 1])[0], scene_from_camera, candidates, 1 / 600)
+                Observation(
+                    click,
+                    rays(CAMERA, uv[k : k + 1])[0],
+                    scene_from_camera,
+                    candidates,
+                    0.0025 + 0 * candidates,
+                    1 / 600,
+                )
             )
     return observations
 
@@ -84,7 +91,9 @@ def test_moving_all_scenes_rigidly_changes_nothing_but_the_scenes():
     _, observations = two_scenes(noise_px=1.0)
     moved_by = pose(np.random.default_rng(9))
     moved = [
-        Observation(o.click, o.ray_camera, moved_by @ o.scene_from_camera, o.depths_m, o.pixel_rad)
+        Observation(
+            o.click, o.ray_camera, moved_by @ o.scene_from_camera, o.depths_m, o.depth_sigmas_m, o.pixel_rad
+        )
         for o in observations
     ]
     a, b = solve("cube", NAMES, observations), solve("cube", NAMES, moved)
@@ -155,7 +164,9 @@ def test_a_swapped_pair_is_named():
     def renamed(o, keypoint):
         c = o.click
         click = Click(c.object, keypoint, c.scene, c.frame, c.u_px, c.v_px)
-        return Observation(click, o.ray_camera, o.scene_from_camera, o.depths_m, o.pixel_rad)
+        return Observation(
+            click, o.ray_camera, o.scene_from_camera, o.depths_m, o.depth_sigmas_m, o.pixel_rad
+        )
 
     observations[a], observations[b] = renamed(observations[a], 6), renamed(observations[b], 1)
     solution = solve("cube", NAMES, observations)
@@ -208,7 +219,9 @@ def test_scenes_tied_only_as_a_whole_are_solved():
 def test_non_finite_numbers_are_refused():
     _, observations = two_scenes()
     o = observations[3]
-    broken = Observation(o.click, np.array([np.nan, 0, 1]), o.scene_from_camera, o.depths_m, o.pixel_rad)
+    broken = Observation(
+        o.click, np.array([np.nan, 0, 1]), o.scene_from_camera, o.depths_m, o.depth_sigmas_m, o.pixel_rad
+    )
     with pytest.raises(DataError, match="not a finite number"):
         solve("cube", NAMES, [*observations, broken])
 

@@ -132,7 +132,7 @@ def test_clicked_points_by_hand() -> None:
     """Two clicks average, an outlier and a click without depth count for nothing."""
     clicks = [Click("cube", k, "00", f, 0.0, 0.0) for k, f in ((0, 0), (0, 1), (1, 0), (2, 0))]
     moved = from_rotvec(np.zeros(3), np.array([1.0, 0, 0]))
-    observations = [Observation(c, np.array([0, 0, 1.0]), moved, np.array([0.5]), 0.002) for c in clicks]
+    observations = [Observation(c, np.array([0, 0, 1.0]), moved, np.array([0.5]), np.array([0.002]), 0.002) for c in clicks]
     residuals = (
         ClickResidual(clicks[0], 0.0, 0.0, 0.5, "agrees"),
         ClickResidual(clicks[1], 0.0, 0.0, 0.7, "agrees"),

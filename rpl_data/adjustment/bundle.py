@@ -17,13 +17,11 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 from scipy.spatial.transform import Rotation
 
-from rpl_data.geometry import depth_sigma_m, invert
+from rpl_data.geometry import invert
 from rpl_data.types import Observation
 
 CLICK_SIGMA_PX = 2.5
 """Hand, eye and a little of the trajectory; raised to what the clicks themselves show."""
-LIFT_SIGMA_M = 0.002
-"""A depth next to a corner is not the depth of the corner."""
 LET_GO = 3.0
 """Geman-McClure's scale in standard deviations."""
 BEHIND = 3.0
@@ -32,7 +30,7 @@ a person clicks what can be seen, so background is taken only when the other cli
 
 
 class Rays(NamedTuple):
-    """Observations as arrays; M clicks. `depths_m` is padded with NaN."""
+    """Observations as arrays; M clicks. The candidate depths are padded with NaN."""
 
     scene: Int64[np.ndarray, " m"]
     keypoint: Int64[np.ndarray, " m"]
@@ -40,6 +38,7 @@ class Rays(NamedTuple):
     xy: Float64[np.ndarray, "m 2"]
     pixel_rad: Float64[np.ndarray, " m"]
     depths_m: Float64[np.ndarray, "m c"]
+    depth_sigmas_m: Float64[np.ndarray, "m c"]
 
 
 class Bundle(NamedTuple):
@@ -49,7 +48,7 @@ class Bundle(NamedTuple):
         normal: the normal matrix of the last step; the inverse is the covariance of the unknowns
             (6 a scene: rotation, translation; then 3 a keypoint), up to the frame they are in.
         depth_m: the candidate taken; NaN where there was none.
-        depth_error_m: z - d; NaN likewise.
+        depth_error_m: z - d; NaN likewise. depth_sigma_m: of d.
     """
 
     scene_from_model: Float64[np.ndarray, "s 4 4"]
@@ -58,6 +57,7 @@ class Bundle(NamedTuple):
     error_px: Float64[np.ndarray, " m"]
     depth_m: Float64[np.ndarray, " m"]
     depth_error_m: Float64[np.ndarray, " m"]
+    depth_sigma_m: Float64[np.ndarray, " m"]
     sigma_px: float
 
 
@@ -65,9 +65,10 @@ def rays_of(observations: Sequence[Observation], scenes: Sequence[str]) -> Rays:
     """Observations as arrays."""
     number = {name: s for s, name in enumerate(scenes)}
     most = max((len(o.depths_m) for o in observations), default=0)
-    depths = np.full((len(observations), max(most, 1)), np.nan)
-    for row, o in zip(depths, observations, strict=True):
-        row[: len(o.depths_m)] = o.depths_m
+    depths, sigmas = np.full((2, len(observations), max(most, 1)), np.nan)
+    for m, o in enumerate(observations):
+        depths[m, : len(o.depths_m)] = o.depths_m
+        sigmas[m, : len(o.depths_m)] = o.depth_sigmas_m
     return Rays(
         scene=np.array([number[o.click.scene] for o in observations], dtype=np.int64),
         keypoint=np.array([o.click.keypoint for o in observations], dtype=np.int64),
@@ -75,6 +76,7 @@ def rays_of(observations: Sequence[Observation], scenes: Sequence[str]) -> Rays:
         xy=np.stack([o.ray_camera[:2] for o in observations]),
         pixel_rad=np.array([o.pixel_rad for o in observations]),
         depths_m=depths,
+        depth_sigmas_m=sigmas,
     )
 
 
@@ -102,37 +104,32 @@ def adjust_rays(
 
 def _shown_sigma_px(rays: Rays, scene_from_model: np.ndarray, points_model: np.ndarray) -> float:
     """The click noise the residuals show (median of a Rayleigh distribution), never below a hand's."""
-    _, lateral_px, _ = _residuals(rays, scene_from_model, points_model)
+    _, lateral_px, _, _ = _residuals(rays, scene_from_model, points_model)
     shown = float(np.median(np.linalg.norm(lateral_px, axis=1)) / 1.1774)
     return min(max(shown, CLICK_SIGMA_PX), 4 * CLICK_SIGMA_PX)
 
 
 def _residuals(
     rays: Rays, scene_from_model: np.ndarray, points_model: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Keypoints in their cameras (M, 3), pixel errors (M, 2), the nearest candidate depth (M,)."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Keypoints in their cameras (M, 3), pixel errors (M, 2), the depth taken and its sigma (M,)."""
     transforms = rays.camera_from_scene @ scene_from_model[rays.scene]
     points = points_model[rays.keypoint]
     in_camera = np.einsum("mij,mj->mi", transforms[:, :3, :3], points) + transforms[:, :3, 3]
     z = np.maximum(in_camera[:, 2:], 0.05)
     lateral_px = (in_camera[:, :2] / z - rays.xy) / rays.pixel_rad[:, None]
-    cost = _candidate_costs(rays, in_camera[:, 2])
-    depth = rays.depths_m[np.arange(len(cost)), cost.argmin(axis=1)]
-    return in_camera, lateral_px, depth
+    choice = _candidate_costs(rays, in_camera[:, 2]).argmin(axis=1)[:, None]
+    depth = np.take_along_axis(rays.depths_m, choice, axis=1)[:, 0]
+    sigma = np.take_along_axis(rays.depth_sigmas_m, choice, axis=1)[:, 0]
+    return in_camera, lateral_px, depth, sigma
 
 
 def _candidate_costs(rays: Rays, z_m: np.ndarray) -> np.ndarray:
     """What each candidate depth would cost, (M, c); infinite where there is none."""
     measured = np.isfinite(rays.depths_m)
-    sigma = _depth_sigma_m(np.where(measured, rays.depths_m, 1.0))
-    squared = ((rays.depths_m - z_m[:, None]) / sigma) ** 2
+    squared = ((rays.depths_m - z_m[:, None]) / rays.depth_sigmas_m) ** 2
     let_go = squared / (1 + squared / LET_GO**2)
     return np.where(measured, let_go + BEHIND * (np.arange(measured.shape[1]) > 0), np.inf)
-
-
-def _depth_sigma_m(depth_m: np.ndarray) -> np.ndarray:
-    sigma_m: np.ndarray = np.hypot(np.asarray(depth_sigma_m(depth_m)), LIFT_SIGMA_M)
-    return sigma_m
 
 
 def choose_places(
@@ -160,7 +157,7 @@ def choose_places(
 def _clicks_cost(rays: Rays, scene_from_model: np.ndarray, place: np.ndarray) -> float:
     """Robust cost of one keypoint's clicks if it were there."""
     rays = rays._replace(keypoint=np.zeros_like(rays.keypoint))
-    in_camera, lateral_px, _ = _residuals(rays, scene_from_model, place[None])
+    in_camera, lateral_px, _, _ = _residuals(rays, scene_from_model, place[None])
     squared = ((lateral_px / (2 * CLICK_SIGMA_PX)) ** 2).sum(axis=1)
     depth = np.minimum(_candidate_costs(rays, in_camera[:, 2]).min(axis=1), LET_GO**2 + BEHIND)
     return float((squared / (1 + squared / (2 * LET_GO) ** 2) + depth).sum())
@@ -170,9 +167,8 @@ def _weighted_system(
     rays: Rays, scene_from_model: np.ndarray, points_model: np.ndarray, *, sigma_px: float, let_go: float
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """Re-weighted Jacobian (3M, unknowns) and residuals (3M), and the robust cost."""
-    in_camera, lateral_px, depth = _residuals(rays, scene_from_model, points_model)
+    in_camera, lateral_px, depth, sigma_d = _residuals(rays, scene_from_model, points_model)
     measured = np.isfinite(depth)
-    sigma_d = _depth_sigma_m(np.where(measured, depth, 1.0))
     normed = np.column_stack(
         [lateral_px / sigma_px, np.where(measured, (in_camera[:, 2] - depth) / sigma_d, 0)]
     )
@@ -271,7 +267,7 @@ def _describe(
     rays: Rays, scene_from_model: np.ndarray, points_model: np.ndarray, *, sigma_px: float
 ) -> Bundle:
     jacobian, _, _ = _weighted_system(rays, scene_from_model, points_model, sigma_px=sigma_px, let_go=LET_GO)
-    in_camera, lateral_px, depth = _residuals(rays, scene_from_model, points_model)
+    in_camera, lateral_px, depth, depth_sigma = _residuals(rays, scene_from_model, points_model)
     return Bundle(
         scene_from_model=scene_from_model,
         points_model=points_model,
@@ -279,6 +275,7 @@ def _describe(
         error_px=np.linalg.norm(lateral_px, axis=1),
         depth_m=depth,
         depth_error_m=in_camera[:, 2] - depth,
+        depth_sigma_m=depth_sigma,
         sigma_px=sigma_px,
     )
 
