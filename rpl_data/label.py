@@ -14,16 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from rpl_data.geometry import (
-    Pixels,
-    Points,
-    Transform,
-    inside_image,
-    invert,
-    project,
-    square_box,
-    transform,
-)
+from rpl_data.geometry import Pixels, Points, Transform, inside_image, invert, square_box, transform
 from rpl_data.masks import MaskPatch, Window, box_of, cleaned, encode, overlap, reaches_border
 from rpl_data.occlusion import FAR_M, DepthPatch, Tolerances, depth_agreement, hidden_pixels, keypoints_seen
 from rpl_data.raycast import PixelTable, RayScene, depth_along_m
@@ -174,7 +165,7 @@ class _View:
 
 def _look(camera: PixelTable, body: _Body, camera_from_object: Transform) -> _View | None:
     """The object alone; None when it does not cover a pixel."""
-    keypoints_px = _project_keypoints(camera, transform(camera_from_object, body.item.model.points_object))
+    keypoints_px = camera.project(transform(camera_from_object, body.item.model.points_object))
     window = _window(camera, transform(camera_from_object, body.hull), keypoints_px)
     if window is None:
         return None
@@ -185,19 +176,6 @@ def _look(camera: PixelTable, body: _Body, camera_from_object: Transform) -> _Vi
     if not mask.any():
         return None
     return _View(body, camera_from_object, keypoints_px, window, depth_m, mask)
-
-
-def _project_keypoints(camera: PixelTable, points_camera: Points) -> Pixels:
-    """Pixels; NaN behind the camera, and where a lens polynomial folds a far point into the image."""
-    uv = project(camera.intrinsics, points_camera)
-    if camera.intrinsics.distortion:
-        inside = np.flatnonzero(inside_image(camera.intrinsics, uv))
-        column, row = np.rint(uv[inside]).astype(int).T
-        xy = points_camera[inside, :2] / points_camera[inside, 2:]
-        pixel = 1 / min(camera.intrinsics.fx, camera.intrinsics.fy)
-        folded = np.abs(camera.directions[row, column, :2] - xy).max(axis=1, initial=0) > 5 * pixel
-        uv[inside[folded]] = np.nan
-    return uv
 
 
 def _window(

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, Int64
 
-from rpl_data.geometry import NEAREST_M, Points, Transform, invert, rays
+from rpl_data.geometry import NEAREST_M, Pixels, Points, Transform, inside_image, invert, project, rays
 from rpl_data.types import DataError, Intrinsics, Mesh
 
 
@@ -187,3 +187,15 @@ class PixelTable:
         if not len(columns) or not len(rows):
             return None
         return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
+
+    def project(self, points_camera: Points) -> Pixels:
+        """Pixels; NaN behind the camera, and where a lens polynomial folds a far point into the image."""
+        uv = project(self.intrinsics, points_camera)
+        if self.intrinsics.distortion:
+            inside = np.flatnonzero(inside_image(self.intrinsics, uv))
+            column, row = np.rint(uv[inside]).astype(int).T
+            xy = points_camera[inside, :2] / points_camera[inside, 2:]
+            five_pixels = 5 / min(self.intrinsics.fx, self.intrinsics.fy)
+            apart = np.abs(self.directions[row, column, :2] - xy).max(axis=1, initial=0)
+            uv[inside[apart > five_pixels]] = np.nan
+        return uv
