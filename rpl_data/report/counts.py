@@ -1,0 +1,66 @@
+"""What the report counts about a scene, in one pass over its labels."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from rpl_data.types import FrameLabel, Recording
+from rpl_data.workspace import Workspace
+
+
+@dataclass(frozen=True)
+class FrameSummary:
+    """What the choice of pictures needs to know about a frame.
+
+    Attributes:
+        quality: the worst of its instances; None without any.
+    """
+
+    frame: int
+    quality: float | None
+
+
+@dataclass
+class Tally:
+    """Counts of one object in one scene, added up frame by frame."""
+
+    instances: int = 0
+    seen: int = 0
+    hidden: int = 0
+    unlabelled: int = 0
+    truncated: int = 0
+    visib_fract: float = 0.0
+    quality: float = 0.0
+
+
+@dataclass(frozen=True)
+class SceneReport:
+    """What the report tells about one scene; `tallies` by object name."""
+
+    recording: Recording
+    frames: tuple[FrameSummary, ...]
+    tallies: Mapping[str, Tally]
+
+
+def summarise_scene(workspace: Workspace, name: str) -> SceneReport:
+    """Counts of a scene in one pass over its labels; none when it is not labelled yet."""
+    labels = workspace.load_labels(name) if workspace.labels_file(name).exists() else iter(())
+    frames: list[FrameSummary] = []
+    tallies: dict[str, Tally] = {}
+    for label in labels:
+        frames.append(FrameSummary(label.frame, min((i.quality for i in label.instances), default=None)))
+        _add(tallies, label)
+    return SceneReport(workspace.load_recording(name), tuple(frames), tallies)
+
+
+def _add(tallies: dict[str, Tally], label: FrameLabel) -> None:
+    for instance in label.instances:
+        tally = tallies.setdefault(instance.object, Tally())
+        tally.instances += 1
+        tally.seen += int((instance.visibility == 2).sum())
+        tally.hidden += int((instance.visibility == 1).sum())
+        tally.unlabelled += int((instance.visibility == 0).sum())
+        tally.truncated += instance.truncated
+        tally.visib_fract += instance.visib_fract
+        tally.quality += instance.quality

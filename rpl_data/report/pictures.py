@@ -1,0 +1,115 @@
+"""The contact sheet: a few frames of a scene with their labels, as pictures inside the page."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping, Sequence
+
+import cv2
+import numpy as np
+
+from rpl_data.overlay import draw_overlay, keypoint_color
+from rpl_data.report.counts import FrameSummary
+from rpl_data.report.html import chip, folded, number, text
+from rpl_data.types import Box, ColorImage, FrameLabel, Intrinsics, KeypointModel, Scene
+from rpl_data.workspace import Workspace, read_color
+
+THUMBNAIL_WIDTH_PX = 480
+JPEG_QUALITY = 82
+SMALLEST_VIEW_PX = 160.0
+"""A view is not magnified beyond this width: pixels would turn into tiles."""
+
+
+def frames_a_scene(scenes: int) -> int:
+    """Fewer pictures a scene when there are many, so that the page stays light enough to open."""
+    return 8 if scenes <= 12 else 6 if scenes <= 30 else 3
+
+
+def choose_frames(frames: Sequence[FrameSummary], *, count: int, worst: int) -> tuple[list[int], set[int]]:
+    """Frames to show, in order, and those among them that are shown for being the worst by quality.
+
+    `count` in all: the worst, and the others evenly from the first to the last that has an object.
+    """
+    with_object = [frame for frame in frames if frame.quality is not None] or list(frames)
+    by_quality = sorted(with_object, key=lambda frame: 1.0 if frame.quality is None else frame.quality)
+    lowest = {frame.frame for frame in by_quality[:worst] if frame.quality is not None}
+    others = [frame.frame for frame in with_object if frame.frame not in lowest]
+    rows = np.linspace(0, len(others) - 1, min(count - len(lowest), len(others))).round().astype(int)
+    return sorted({others[row] for row in rows} | lowest), lowest
+
+
+def view_of(label: FrameLabel, intrinsics: Intrinsics) -> Box:
+    """The 4:3 part of the image around all objects; the whole image when there is none or it is needed."""
+    width, height = float(intrinsics.width), float(intrinsics.height)
+    whole = (0.0, 0.0, width, height)
+    if not label.instances:
+        return whole
+    edges = np.array([instance.box_full for instance in label.instances])
+    for instance in label.instances:
+        box = instance.square_box
+        half = box.side_px / 2 + 4
+        edges = np.vstack([edges, [box.cx_px - half, box.cy_px - half, box.cx_px + half, box.cy_px + half]])
+    x0, y0 = np.clip(edges[:, :2].min(axis=0), 0, [width, height])
+    x1, y1 = np.clip(edges[:, 2:].max(axis=0), 0, [width, height])
+    wanted = max(x1 - x0, (y1 - y0) * 4 / 3, SMALLEST_VIEW_PX)
+    if wanted >= width or wanted * 3 / 4 >= height:
+        return whole
+    left = float(np.clip((x0 + x1 - wanted) / 2, 0, width - wanted))
+    top = float(np.clip((y0 + y1 - wanted * 3 / 4) / 2, 0, height - wanted * 3 / 4))
+    return left, top, left + wanted, top + wanted * 3 / 4
+
+
+def jpeg_uri(picture: ColorImage) -> str:
+    """The picture as a data URI."""
+    settings = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
+    _, encoded = cv2.imencode(".jpg", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR), settings)
+    return "data:image/jpeg;base64," + base64.b64encode(encoded.tobytes()).decode("ascii")
+
+
+def contact_sheet(
+    workspace: Workspace,
+    scene: Scene,
+    frames: Sequence[FrameSummary],
+    models: Mapping[str, KeypointModel],
+    *,
+    count: int,
+    worst: int = 2,
+) -> str:
+    """The pictures of one scene; labels are read again, one at a time, for the frames chosen."""
+    chosen, lowest = choose_frames(frames, count=count, worst=worst)
+    figures = []
+    for label in workspace.load_labels(scene.name):
+        if label.frame in chosen:
+            color = read_color(scene.frame(label.frame))
+            view = view_of(label, scene.intrinsics)
+            picture = draw_overlay(color, label, models, view=view, width_px=THUMBNAIL_WIDTH_PX)
+            figures.append(_figure(label, jpeg_uri(picture), worst=label.frame in lowest))
+    return f'<div class="sheet">{"".join(figures)}</div>'
+
+
+def _figure(label: FrameLabel, uri: str, *, worst: bool) -> str:
+    visible = [f"{instance.object} {100 * instance.visib_fract:.0f} %" for instance in label.instances]
+    words = ", ".join(visible) or "no object"
+    cut = " · cut off" if any(instance.truncated for instance in label.instances) else ""
+    quality = min((instance.quality for instance in label.instances), default=None)
+    caption = f"<span>frame {label.frame} · {text(words)}{cut}</span><b>{number(quality)}</b>"
+    badge = "<em>lowest quality</em>" if worst else ""
+    image = f'<img src="{uri}" alt="{text(f"scene {label.scene}, frame {label.frame}: {words}")}">'
+    kind = ' class="worst"' if worst else ""
+    return f"<figure{kind}>{image}{badge}<figcaption>{caption}</figcaption></figure>"
+
+
+def legend(model: KeypointModel) -> str:
+    """Colour, number and name of every keypoint; those without a position struck out."""
+    count = len(model.keypoints)
+    chips = [
+        chip(keypoint_color(k, count), str(k) if name == str(k) else f"{k} {name}", faded=not model.known[k])
+        for k, name in enumerate(model.keypoints)
+    ]
+    return f'<div class="chips"><b>{text(model.name)}</b>{"".join(chips)}</div>'
+
+
+def legends(models: Mapping[str, KeypointModel]) -> str:
+    """The legends of all objects, folded when there are so many that they would push the pictures away."""
+    lines = "".join(legend(model) for model in models.values())
+    return lines if len(models) <= 3 else folded("keypoint names and colours", lines)

@@ -1,0 +1,120 @@
+"""The object in 3D: dense mesh and named keypoints, to be turned with the mouse."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from rpl_data.overlay import keypoint_color
+from rpl_data.types import KeypointModel, Mesh
+
+MOST_TRIANGLES = 20_000
+"""Enough to see the shape; more only makes the page heavy."""
+INK = "#8a949c"
+"""Readable on a light and on a dark page."""
+
+
+def solid(model: KeypointModel, mesh: Mesh | None, *, with_library: bool) -> str:
+    """A div with the figure; `with_library` puts plotly.js itself into the page, once."""
+    import plotly.graph_objects as go
+
+    traces: list[Any] = [] if mesh is None else [_surface(thinned(mesh))]
+    traces += [*_skeleton(model), _keypoints(model)]
+    axis = {
+        "title": "",
+        "color": INK,
+        "gridcolor": "rgba(138,148,156,.25)",
+        "showbackground": False,
+        "zeroline": False,
+    }
+    figure = go.Figure(traces)
+    figure.update_layout(
+        height=430,
+        margin={"l": 0, "r": 0, "t": 0, "b": 0},
+        paper_bgcolor="rgba(0,0,0,0)",
+        font={"color": INK, "size": 11},
+        showlegend=False,
+        scene={
+            "aspectmode": "data",
+            **{f"{name}axis": axis | {"ticksuffix": " mm", "nticks": 4} for name in "xyz"},
+        },
+    )
+    page: str = figure.to_html(
+        full_html=False,
+        include_plotlyjs=with_library,
+        config={"displaylogo": False, "responsive": True, "displayModeBar": False},
+    )
+    return f'<div class="solid">{page}</div>'
+
+
+def thinned(mesh: Mesh, *, most_triangles: int = MOST_TRIANGLES) -> Mesh:
+    """The mesh with no more triangles than that, its shape kept by quadric error."""
+    if len(mesh.triangles) <= most_triangles:
+        return mesh
+    import open3d as o3d
+
+    legacy = o3d.geometry.TriangleMesh(
+        o3d.utility.Vector3dVector(mesh.vertices), o3d.utility.Vector3iVector(mesh.triangles.astype(np.int32))
+    )
+    if mesh.colors is not None:
+        legacy.vertex_colors = o3d.utility.Vector3dVector(mesh.colors / 255.0)
+    small = legacy.simplify_quadric_decimation(most_triangles)
+    colors = np.clip(np.asarray(small.vertex_colors) * 255, 0, 255).round().astype(np.uint8)
+    return Mesh(
+        np.asarray(small.vertices).copy(),
+        np.asarray(small.triangles).astype(np.int64),
+        colors if small.has_vertex_colors() else None,
+    )
+
+
+def _surface(mesh: Mesh) -> Any:
+    import plotly.graph_objects as go
+
+    vertices = (1e3 * mesh.vertices).astype(np.float32)
+    a, b, c = (mesh.triangles[:, i].astype(np.int32) for i in range(3))
+    colors = {"color": "#b9bfc3", "flatshading": len(mesh.triangles) < 100}
+    if mesh.colors is not None:
+        colors = {"vertexcolor": [f"rgb({r},{g},{b})" for r, g, b in mesh.colors]}
+    light = {"ambient": 0.6, "diffuse": 0.6, "specular": 0.1, "roughness": 0.8}
+    x, y, z = vertices.T
+    return go.Mesh3d(x=x, y=y, z=z, i=a, j=b, k=c, lighting=light, hoverinfo="skip", **colors)
+
+
+def _skeleton(model: KeypointModel) -> list[Any]:
+    import plotly.graph_objects as go
+
+    known = model.known
+    lines = []
+    for a, b in model.skeleton:
+        if known[a] and known[b]:
+            x, y, z = 1e3 * model.points_object[[a, b]].T
+            lines.append(
+                go.Scatter3d(x=x, y=y, z=z, mode="lines", line={"color": INK, "width": 3}, hoverinfo="skip")
+            )
+    return lines
+
+
+def _keypoints(model: KeypointModel) -> Any:
+    import plotly.graph_objects as go
+
+    numbers = np.flatnonzero(model.known)
+    x, y, z = 1e3 * model.points_object[numbers].T
+    colors = [keypoint_color(int(k), len(model.keypoints)) for k in numbers]
+    return go.Scatter3d(
+        x=x,
+        y=y,
+        z=z,
+        mode="markers+text",
+        text=[_label(int(k), model.keypoints[k]) for k in numbers],
+        textposition="top center",
+        textfont={"color": INK, "size": 12},
+        marker={"size": 6, "color": [f"rgb{rgb}" for rgb in colors], "line": {"color": "#222", "width": 1}},
+        hovertemplate="%{text}<br>%{x:.1f}, %{y:.1f}, %{z:.1f} mm<extra></extra>",
+    )
+
+
+def _label(keypoint: int, name: str) -> str:
+    """Number and name; plotly reads a few tags in texts, so the brackets of a name are escaped."""
+    safe = name.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+    return safe if name == str(keypoint) else f"{keypoint} {safe}"

@@ -1,0 +1,156 @@
+"""The report: what was built, how good it is, and what needs a look."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from rpl_data.files import read_text, write_text
+from rpl_data.report.clicks import click_section
+from rpl_data.report.counts import SceneReport, summarise_scene
+from rpl_data.report.html import Cell, number, page, section, table, text
+from rpl_data.report.pictures import contact_sheet, frames_a_scene, legends
+from rpl_data.report.solid import solid
+from rpl_data.report.tables import labels_section, quality_section, timings_section
+from rpl_data.types import QualityRow, Solution
+from rpl_data.workspace import Workspace, load_mesh
+
+
+def write_report(
+    workspace: Workspace,
+    *,
+    rows: Sequence[QualityRow] | None = None,
+    timings: Mapping[str, Mapping[str, float | int]] | None = None,
+    split: str | None = None,
+    warnings: Sequence[str] = (),
+) -> Path:
+    """Write the page and return its path.
+
+    Args:
+        workspace: may be half built; what is missing is left out or said.
+        rows: quality against truth, where truth is known.
+        timings: by stage, `seconds` and, for stages that work by frame, `frames`.
+        split: the summary of the split, plain text.
+        warnings: lines of the build, shown with those of the solutions and the recordings.
+    """
+    scenes = [summarise_scene(workspace, name) for name in workspace.scene_names()]
+    solutions = [
+        workspace.load_solution(name)
+        for name in workspace.object_names()
+        if workspace.solution_file(name).exists()
+    ]
+    parts = {
+        "quality": quality_section(rows) if rows else "",
+        "scenes": _scenes(workspace, scenes, solutions),
+        "objects": _objects(workspace, solutions),
+        "labels": labels_section(scenes),
+        "split": section("split", "Split", f"<pre>{text(split.rstrip())}</pre>") if split else "",
+        "timings": timings_section(timings) if timings else "",
+    }
+    links = "".join(f'<a href="#{name}">{name.capitalize()}</a>' for name, part in parts.items() if part)
+    title = dataset_name(workspace)
+    place = f'<p class="sub">{text(workspace.root.resolve())}</p>'
+    head = f"<header><h1>{text(title)}</h1>{place}<nav>{links}</nav></header>"
+    body = head + _tiles(scenes, solutions) + _warnings(scenes, solutions, warnings) + "".join(parts.values())
+    write_text(workspace.report, page(f"{title} · rpl report", body))
+    return workspace.report
+
+
+def dataset_name(workspace: Workspace) -> str:
+    """The name in the recipe; the folder's name without one."""
+    if workspace.recipe_file.exists():
+        recipe = yaml.safe_load(read_text(workspace.recipe_file))
+        if isinstance(recipe, dict) and recipe.get("name"):
+            return str(recipe["name"])
+    return workspace.root.resolve().name
+
+
+# Sections -----------------------------------------------------------------------------------------
+
+
+def _tiles(scenes: Sequence[SceneReport], solutions: Sequence[Solution]) -> str:
+    residuals = [residual for solution in solutions for residual in solution.residuals]
+    counts = {
+        "scenes": len(scenes),
+        "objects": len(solutions),
+        "frames": sum(len(scene.recording.scene.frames) for scene in scenes),
+        "frames labelled": sum(len(scene.frames) for scene in scenes),
+        "instances": sum(tally.instances for scene in scenes for tally in scene.tallies.values()),
+        "clicks": len(residuals),
+        "outlier clicks": sum(residual.outlier for residual in residuals),
+    }
+    tiles = "".join(
+        f"<div><b>{number(count, 0)}</b><span>{name}</span></div>" for name, count in counts.items()
+    )
+    return f'<div class="tiles">{tiles}</div>'
+
+
+def _warnings(scenes: Sequence[SceneReport], solutions: Sequence[Solution], others: Sequence[str]) -> str:
+    lines = list(others)
+    for solution in solutions:
+        lines += [f"{solution.model.name}: {line}" for line in solution.warnings]
+    for scene in scenes:
+        recording = scene.recording
+        lines += [f"scene {recording.scene.name}: {line}" for line in (*recording.skipped, *recording.notes)]
+        if not scene.frames:
+            lines.append(f"scene {recording.scene.name} has no labels")
+    if not lines:
+        return ""
+    items = "".join(f"<li>{text(line)}</li>" for line in dict.fromkeys(lines))
+    return f'<section class="warnings" id="warnings"><h2>Worth knowing</h2><ul>{items}</ul></section>'
+
+
+def _scenes(workspace: Workspace, scenes: Sequence[SceneReport], solutions: Sequence[Solution]) -> str:
+    models = {solution.model.name: solution.model for solution in solutions}
+    count = frames_a_scene(len(scenes))
+    parts = [legends(models)]
+    for scene in scenes:
+        recording = scene.recording.scene
+        parts.append(f"<h3>Scene {text(recording.name)}</h3>")
+        words = f"{len(scene.frames)} of {len(recording.frames)} frames labelled · {recording.source}"
+        parts.append(f'<p class="note">{text(words)}</p>')
+        if scene.frames:
+            parts.append(contact_sheet(workspace, recording, scene.frames, models, count=count))
+    note = (
+        "Filled keypoints are seen, rings are hidden. The visible mask is tinted, its box has the same "
+        "colour, the thin grey square is the paper's square box. Red: the frames of lowest quality."
+    )
+    return section("scenes", "Scenes", "".join(parts), note=note)
+
+
+def _objects(workspace: Workspace, solutions: Sequence[Solution]) -> str:
+    parts = []
+    for number_of_object, solution in enumerate(solutions):
+        path = workspace.mesh_file(solution.model.name)
+        mesh = load_mesh(path) if path.exists() else None
+        figure = solid(solution.model, mesh, with_library=number_of_object == 0)
+        parts.append(
+            f"<h3>{text(solution.model.name)}</h3>"
+            f'<div class="pair">{figure}<div>{_keypoint_table(solution)}</div></div>{click_section(solution)}'
+        )
+    return section("objects", "Objects", "".join(parts)) if parts else ""
+
+
+def _keypoint_table(solution: Solution) -> str:
+    """Keypoints with their standard deviation, clicks, and the mean residual of those that fit."""
+    model = solution.model
+    body: list[list[str | Cell]] = []
+    for k, name in enumerate(model.keypoints):
+        own = [residual for residual in solution.residuals if residual.click.keypoint == k]
+        fitting = [residual.error_px for residual in own if not residual.outlier]
+        variance = float(np.trace(solution.covariance[k])) / 3
+        sigma_mm = 1e3 * float(np.sqrt(variance)) if variance > 0 else float("nan")
+        body.append(
+            [
+                name if name == str(k) else f"{k} {name}",
+                number(sigma_mm),
+                str(len(own)),
+                str(len(own) - len(fitting)),
+                number(float(np.mean(fitting)), 1) if fitting else "–",
+            ]
+        )
+    kinds = ["" if known else "quiet" for known in model.known]
+    return table(("keypoint", "σ mm", "clicks", "outliers", "mean px"), body, kinds=kinds)
