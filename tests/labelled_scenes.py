@@ -21,8 +21,9 @@ BOX = KeypointModel(
 CAN = KeypointModel(
     "can", ("top", "left", "right"), np.array([[0, -0.1, 0], [-0.05, 0, 0], [0.05, 0.05, 0.0]])
 )
-    "can", ("top", "left", "right"), np.array([[0, -0.1, 0], [-0.05, 0, 0], [0.05, 0.05, 0.0]])
-)
+
+LAST_FRAME = 5
+"""Of `exported`; it shows both objects."""
 
 
 def rle(mask):

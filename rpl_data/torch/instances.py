@@ -135,7 +135,7 @@ class RandomAffine:
         height, width = image.shape[-2:]
         side = max(height, width)
         centre = np.array([(width - 1) / 2, (height - 1) / 2])
-        out_from_image = random_crop_from_square(centre, side, self._augmentation, rng, input_px=side)
+        out_from_image = random_crop_from_square(centre, float(side), self._augmentation, rng, input_px=side)
         out_from_image[:, 2] += centre - (side - 1) / 2  # from the middle of a square to the image's
         return warp_instances(image, target, out_from_image, augmentation=self._augmentation, rng=rng)
 

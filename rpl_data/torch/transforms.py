@@ -16,6 +16,7 @@ from jaxtyping import Float64, UInt8
 Affine = Float64[np.ndarray, "2 3"]
 Image = UInt8[np.ndarray, "height width 3"]
 Pixels = UInt8[np.ndarray, "height width *channels"]
+Resampled = UInt8[np.ndarray, "out_height out_width *channels"]
 
 
 @dataclass(frozen=True)
@@ -77,9 +78,9 @@ def chained(a_from_b: Affine, b_from_c: Affine) -> Affine:
     )
 
 
-def warped(image: Pixels, out_from_image: Affine, *, size: tuple[int, int]) -> Pixels:
+def warped(image: Pixels, out_from_image: Affine, *, size: tuple[int, int]) -> Resampled:
     """The image seen through the map, (width, height) = `size`, black beyond the image's edge."""
-    result: Pixels = cv2.warpAffine(image, out_from_image, size, flags=cv2.INTER_LINEAR)
+    result: Resampled = cv2.warpAffine(image, out_from_image, size, flags=cv2.INTER_LINEAR)
     return result
 
 
