@@ -140,7 +140,7 @@ def spread_m(points: Points) -> Float64[np.ndarray, "3"]:
 def project(intrinsics: Intrinsics, points_camera: Points) -> Pixels:
     """Pixels of points in the camera frame; NaN for points behind the camera or NaN."""
     uv = np.full((len(points_camera), 2), np.nan)
-    ahead = points_camera[:, 2] > NEAREST_M  # False for NaN
+    ahead = (points_camera[:, 2] > NEAREST_M) & np.isfinite(points_camera).all(axis=1)
     if ahead.any():
         if intrinsics.distortion:
             distorted, _ = cv2.projectPoints(
@@ -235,8 +235,9 @@ def box_around(uv_px: Pixels) -> Box:
 
 def clip_box(box: Box, *, width: int, height: int) -> Box:
     """The part of the box on the image; zero width or height when it lies outside."""
-    x0, y0 = min(max(box[0], 0.0), width), min(max(box[1], 0.0), height)
-    x1, y1 = min(max(box[2], x0), width), min(max(box[3], y0), height)
+    right, bottom = float(width), float(height)
+    x0, y0 = min(max(box[0], 0.0), right), min(max(box[1], 0.0), bottom)
+    x1, y1 = min(max(box[2], x0), right), min(max(box[3], y0), bottom)
     return x0, y0, x1, y1
 
 

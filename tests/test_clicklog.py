@@ -1,0 +1,84 @@
+"""The append-only log of clicks and its CSV."""
+
+from __future__ import annotations
+
+import pytest
+
+from rpl_data.clicklog import click_event, clicks_from_csv, clicks_to_csv, keypoints_event, replay
+from rpl_data.types import Click, DataError
+
+NAMES = ("corner", "edge", "knob")
+A = Click("cube", 0, "00", 3, 10.5, 20.25)
+A_MOVED = Click("cube", 0, "00", 3, 11.0, 21.0)
+B = Click("cube", 2, "01", 7, -0.5, 479.25)
+UNDO, REDO = {"op": "undo"}, {"op": "redo"}
+DELETE_A = {"op": "delete", "keypoint": 0, "scene": "00", "frame": 3}
+a, a_moved, b = map(click_event, (A, A_MOVED, B))
+
+
+@pytest.mark.parametrize(
+    ("events", "clicks"),
+    [
+        ([], ()),
+        ([a, b], (A, B)),
+        ([a, b, a_moved], (A_MOVED, B)),
+        ([a, a_moved | {"op": "move"}], (A_MOVED,)),
+        ([a, b, DELETE_A], (B,)),
+        ([DELETE_A, b], (B,)),
+        ([a, b, UNDO], (A,)),
+        ([a, a_moved, UNDO], (A,)),
+        ([a, b, DELETE_A, UNDO], (A, B)),
+        ([a, b, UNDO, UNDO, REDO], (A,)),
+        ([a, b, UNDO, UNDO, REDO, REDO], (A, B)),
+        ([a, UNDO, b, REDO], (B,)),  # a new click ends what can be redone
+        ([UNDO, REDO, a, UNDO, UNDO, REDO], (A,)),
+    ],
+)
+def test_replay(events: list[dict[str, object]], clicks: tuple[Click, ...]) -> None:
+    assert replay("cube", events).clicks == clicks
+
+
+def test_keypoints_are_named_by_an_event() -> None:
+    assert replay("cube", [keypoints_event(NAMES), a]).keypoints == NAMES
+    assert replay("cube", [keypoints_event(["x"]), keypoints_event(NAMES), UNDO]).keypoints == ("x",)
+
+
+def test_an_unknown_event_is_named() -> None:
+    with pytest.raises(DataError, match=r"clicks of cube, event 1: unknown op 'klick'"):
+        replay("cube", [a, {"op": "klick"}])
+
+
+def test_csv_round_trip() -> None:
+    text = clicks_to_csv([A, B], NAMES)
+    assert text.splitlines()[1] == "cube,corner,00,3,10.5000,20.2500"
+    assert clicks_from_csv(text, source="c.csv", object_name="cube", keypoints=NAMES) == [A, B]
+
+
+def test_csv_takes_numbers_and_only_its_object() -> None:
+    text = "object,keypoint,scene,frame,u_px,v_px\ncup,0,00,1,1,1\ncube,2,01,7,-0.5,479.25\n"
+    assert clicks_from_csv(text, source="c.csv", object_name="cube", keypoints=NAMES) == [B]
+
+
+HEADER = "object,keypoint,scene,frame,u_px,v_px\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "c.csv: column object, keypoint, scene, frame, u_px, v_px is missing"),
+        (
+            "object,keypoint,scene,frame,u_px\n",
+            "c.csv: column v_px is missing; the first line must be object,",
+        ),
+        (HEADER, "c.csv has no click for object 'cube'; it has clicks for nothing"),
+        (HEADER + "cup,0,00,1,1,1\n", r"it has clicks for \['cup'\]"),
+        (HEADER + "cube,3,00,1,1,1\n", "c.csv line 2: cube has no keypoint '3'; it has corner, edge, knob"),
+        (HEADER + "cube,0,00,1.5,1,1\n", "c.csv line 2: frame must be a whole number"),
+        (HEADER + "cube,0,00,1,x,1\n", "c.csv line 2: frame must be a whole number and u_px, v_px numbers"),
+        (HEADER + "cube,0,00,1,1\n", "c.csv line 2: frame must be a whole number and u_px, v_px numbers"),
+        (HEADER + "cube,0,00,1,nan,1\n", "c.csv line 2: u_px and v_px must be finite, got nan"),
+    ],
+)
+def test_a_broken_csv_is_refused(text: str, message: str) -> None:
+    with pytest.raises(DataError, match=message):
+        clicks_from_csv(text, source="c.csv", object_name="cube", keypoints=NAMES)
