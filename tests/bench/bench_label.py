@@ -3,9 +3,10 @@
     python tests/bench/bench_label.py [FRAMES]
 
 640x480, 20,480 triangles, a mask of about 16,000 px, an occluder, sensor noise and missing depth.
-Times are of the processor, so that a busy machine does not distort them. The baseline is the original tool's mask algorithm, re-implemented: every point of a 5 mm voxel cloud
-drawn as a disc of radius 2 px, a 5x5 closing, the first contour filled; no depth, no occlusion.
-Peak memory is read after 100 frames and after FRAMES (default 10,000), labels written to disk.
+Times are the processor's, so that a busy machine does not distort them. The baseline is the
+original tool's mask algorithm, re-implemented: every point of a 5 mm voxel cloud drawn as a disc of
+radius 2 px, a 5x5 closing, the first contour filled; no depth, no occlusion. Peak memory is read
+after 100 frames and after FRAMES (default 10,000), labels written to disk.
 """
 
 from __future__ import annotations
