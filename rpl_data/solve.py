@@ -32,7 +32,7 @@ from rpl_data.adjustment.hypotheses import hypotheses_of_scene
 from rpl_data.adjustment.procrustes import Adjusted, Fragments, Loss, adjust_points, eq2_cost
 from rpl_data.adjustment.rigidity import describe_loose, generic_points, loose_scenes
 from rpl_data.adjustment.slsqp import adjust_points_slsqp
-from rpl_data.adjustment.start import Hypotheses, Start, join_scenes, match
+from rpl_data.adjustment.start import Hypotheses, Start, join_clean, join_scenes, match
 from rpl_data.geometry import invert, rigid, spread_m, transform
 from rpl_data.types import ClickResidual, DataError, DepthState, KeypointModel, Observation, Solution
 
@@ -92,17 +92,18 @@ def solve_points(fragments: Fragments, *, method: Method = "robust", loss: Loss 
     Raises:
         DataError: the points do not tie the scenes together.
     """
+    if method == "slsqp":
+        return adjust_points_slsqp(fragments)
     groups = [
         {int(k): points[k][None] for k in np.flatnonzero(clicked)}
         for points, clicked in zip(fragments.points_scene, fragments.clicked, strict=True)
     ]
     keypoints = fragments.clicked.shape[1]
-    names = [str(s) for s in range(len(groups))]
-    refuse_untied("object", groups, names, [str(k) for k in range(keypoints)])
-    if method == "slsqp":
-        return adjust_points_slsqp(fragments)
-    start = join_scenes(groups, keypoints, samples=1 if loss == "l2" else 400)
-    return _in_first_scene(adjust_points(fragments, _complete(start, groups), loss=loss))
+    start = Start(join_clean(fragments), fragments) if loss == "l2" else join_scenes(groups, keypoints)
+    if any(joined is None for joined in start.scene_from_model):  # scenes joined one by one are tied
+        names = [str(s) for s in range(len(groups))]
+        refuse_untied("object", groups, names, [str(k) for k in range(keypoints)])
+    return _in_first_scene(adjust_points(fragments, _complete(start), loss=loss))
 
 
 def register(
@@ -199,7 +200,7 @@ def first_fragments(groups: Sequence[Hypotheses], keypoints: int) -> Fragments:
 
 def _start(groups: Sequence[Hypotheses], keypoints: int) -> tuple[Adjusted, Fragments]:
     start = join_scenes(groups, keypoints)
-    adjusted = adjust_points(start.fragments, _complete(start, groups))
+    adjusted = adjust_points(start.fragments, _complete(start))
     return adjusted, start.fragments
 
 
@@ -214,7 +215,7 @@ def _places_in_model(
     return [np.array(p).reshape(-1, 3) for p in places]
 
 
-def _complete(start: Start, groups: Sequence[Hypotheses]) -> Float64[np.ndarray, "s 4 4"]:
+def _complete(start: Start) -> Float64[np.ndarray, "s 4 4"]:
     """Transforms of all scenes; those that could not be joined one by one start from many turns.
 
     Such scenes are tied only by the graph as a whole. Eq. 2 has a wide basin (the original code

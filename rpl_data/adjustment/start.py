@@ -56,6 +56,28 @@ def join_scenes(scenes: Sequence[Hypotheses], keypoints: int, *, samples: int = 
     return Start(transforms, choose_fragments(scenes, transforms, model, keypoints))
 
 
+def join_clean(fragments: Fragments) -> list[Float64[np.ndarray, "4 4"] | None]:
+    """Transforms when every point can be believed: each scene fitted to all it shares (no RANSAC)."""
+    points, clicked = fragments
+    seen = clicked > 0
+    shared = seen.astype(int) @ seen.T.astype(int)
+    first = int(shared.sum(axis=1).argmax())
+    transforms: list[Float64[np.ndarray, "4 4"] | None] = [None] * len(points)
+    transforms[first], model, known = np.eye(4), points[first].copy(), seen[first].copy()
+    waiting = set(range(len(points))) - {first}
+    while waiting:
+        scene = max(waiting, key=lambda s: int((seen[s] & known).sum()))
+        waiting.remove(scene)
+        both = seen[scene] & known
+        if both.sum() < 3 or spread_m(points[scene][both])[1] < LINE_M:
+            continue
+        joined = fit_rigid(points[scene][both], model[both])
+        transforms[scene] = joined
+        new = seen[scene] & ~known
+        model[new], known = transform(invert(joined), points[scene][new]), known | seen[scene]
+    return transforms
+
+
 def _connectedness(scenes: Sequence[Hypotheses], s: int) -> tuple[int, int]:
     shared = [len(scenes[s].keys() & other.keys()) for i, other in enumerate(scenes) if i != s]
     return sum(n >= 3 for n in shared) * 100 + sum(shared), -s
