@@ -73,7 +73,7 @@ def _draw_masks(
         _mask_in_view(rle, picture, view_from_pixel) for rle in (instance.mask, instance.mask_full)
     )
     inside = visible > 0
-    picture[inside] = (0.68 * picture[inside] + 0.32 * np.array(tint)).astype(np.uint8)
+    picture[inside] = (0.76 * picture[inside] + 0.24 * np.array(tint)).astype(np.uint8)
     for mask, rgb in ((full, (235, 235, 235)), (visible, tint)):
         outlines, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
         cv2.drawContours(picture, outlines, -1, rgb, 1, cv2.LINE_AA)
@@ -120,25 +120,25 @@ def _draw_keypoints(
             cv2.line(
                 picture, _fixed(pixels[a]), _fixed(pixels[b]), (250, 250, 250), 1, cv2.LINE_AA, SHIFT_BITS
             )
-    radius = 4 * 2**SHIFT_BITS
+    radius = 5 * 2**SHIFT_BITS
     for k in np.flatnonzero(drawn):
         rgb, centre = keypoint_color(int(k), len(pixels)), _fixed(pixels[k])
         if instance.visibility[k] == 2:
             cv2.circle(picture, centre, radius, rgb, cv2.FILLED, cv2.LINE_AA, SHIFT_BITS)
             cv2.circle(picture, centre, radius, (20, 20, 20), 1, cv2.LINE_AA, SHIFT_BITS)
         else:
-            cv2.circle(picture, centre, radius, (20, 20, 20), 3, cv2.LINE_AA, SHIFT_BITS)
-            cv2.circle(picture, centre, radius, rgb, 1, cv2.LINE_AA, SHIFT_BITS)
+            cv2.circle(picture, centre, radius, (20, 20, 20), 4, cv2.LINE_AA, SHIFT_BITS)
+            cv2.circle(picture, centre, radius, rgb, 2, cv2.LINE_AA, SHIFT_BITS)
     for k in np.flatnonzero(drawn):
-        _write_number(picture, int(k), pixels[k], keypoint_color(int(k), len(pixels)))
+        _write_number(picture, int(k), pixels[k])
 
 
-def _write_number(picture: ColorImage, keypoint: int, at: Float64[np.ndarray, "2"], rgb: Rgb) -> None:
-    """The number beside its keypoint, on a dark rim so that it reads on any background."""
-    corner = (round(float(at[0])) + 6, round(float(at[1])) - 5)
-    for color, thickness in (((15, 15, 15), 3), (rgb, 1)):
+def _write_number(picture: ColorImage, keypoint: int, at: Float64[np.ndarray, "2"]) -> None:
+    """The number beside its keypoint, white on a dark rim so that it reads on any background."""
+    corner = (round(float(at[0])) + 7, round(float(at[1])) - 6)
+    for color, thickness in (((15, 15, 15), 3), ((255, 255, 255), 1)):
         cv2.putText(
-            picture, str(keypoint), corner, cv2.FONT_HERSHEY_SIMPLEX, 0.42, color, thickness, cv2.LINE_AA
+            picture, str(keypoint), corner, cv2.FONT_HERSHEY_SIMPLEX, 0.5, color, thickness, cv2.LINE_AA
         )
 
 

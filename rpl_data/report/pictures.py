@@ -14,7 +14,7 @@ from rpl_data.report.html import chip, folded, number, text
 from rpl_data.types import Box, ColorImage, FrameLabel, Intrinsics, KeypointModel, Scene
 from rpl_data.workspace import Workspace, read_color
 
-THUMBNAIL_WIDTH_PX = 480
+THUMBNAIL_WIDTH_PX = 420
 JPEG_QUALITY = 82
 SMALLEST_VIEW_PX = 160.0
 """A view is not magnified beyond this width: pixels would turn into tiles."""
@@ -47,7 +47,7 @@ def view_of(label: FrameLabel, intrinsics: Intrinsics) -> Box:
     edges = np.array([instance.box_full for instance in label.instances])
     for instance in label.instances:
         box = instance.square_box
-        half = box.side_px / 2 + 4
+        half = 0.53 * box.side_px + 2
         edges = np.vstack([edges, [box.cx_px - half, box.cy_px - half, box.cx_px + half, box.cy_px + half]])
     x0, y0 = np.clip(edges[:, :2].min(axis=0), 0, [width, height])
     x1, y1 = np.clip(edges[:, 2:].max(axis=0), 0, [width, height])

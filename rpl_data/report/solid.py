@@ -11,8 +11,10 @@ from rpl_data.types import KeypointModel, Mesh
 
 MOST_TRIANGLES = 20_000
 """Enough to see the shape; more only makes the page heavy."""
-INK = "#8a949c"
-"""Readable on a light and on a dark page."""
+BACKGROUND = "#20262b"
+"""Dark on a light page too: names must read both beside the object and in front of it."""
+INK = "#f4f6f7"
+LINES = "#87919a"
 
 
 def solid(model: KeypointModel, mesh: Mesh | None, *, with_library: bool) -> str:
@@ -32,7 +34,7 @@ def solid(model: KeypointModel, mesh: Mesh | None, *, with_library: bool) -> str
     figure.update_layout(
         height=430,
         margin={"l": 0, "r": 0, "t": 0, "b": 0},
-        paper_bgcolor="rgba(0,0,0,0)",
+        paper_bgcolor=BACKGROUND,
         font={"color": INK, "size": 11},
         showlegend=False,
         scene={
@@ -73,7 +75,7 @@ def _surface(mesh: Mesh) -> Any:
 
     vertices = (1e3 * mesh.vertices).astype(np.float32)
     a, b, c = (mesh.triangles[:, i].astype(np.int32) for i in range(3))
-    colors = {"color": "#b9bfc3", "flatshading": len(mesh.triangles) < 100}
+    colors = {"color": "#8d979d", "flatshading": len(mesh.triangles) < 100}
     if mesh.colors is not None:
         colors = {"vertexcolor": [f"rgb({r},{g},{b})" for r, g, b in mesh.colors]}
     light = {"ambient": 0.6, "diffuse": 0.6, "specular": 0.1, "roughness": 0.8}
@@ -90,7 +92,7 @@ def _skeleton(model: KeypointModel) -> list[Any]:
         if known[a] and known[b]:
             x, y, z = 1e3 * model.points_object[[a, b]].T
             lines.append(
-                go.Scatter3d(x=x, y=y, z=z, mode="lines", line={"color": INK, "width": 3}, hoverinfo="skip")
+                go.Scatter3d(x=x, y=y, z=z, mode="lines", line={"color": LINES, "width": 3}, hoverinfo="skip")
             )
     return lines
 
@@ -108,7 +110,7 @@ def _keypoints(model: KeypointModel) -> Any:
         mode="markers+text",
         text=[_label(int(k), model.keypoints[k]) for k in numbers],
         textposition="top center",
-        textfont={"color": INK, "size": 12},
+        textfont={"color": INK, "size": 13},
         marker={"size": 6, "color": [f"rgb{rgb}" for rgb in colors], "line": {"color": "#222", "width": 1}},
         hovertemplate="%{text}<br>%{x:.1f}, %{y:.1f}, %{z:.1f} mm<extra></extra>",
     )
