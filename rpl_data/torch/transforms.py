@@ -118,6 +118,8 @@ def reach(augmentation: Augmentation | None) -> float:
 
 def jittered(image: Image, augmentation: Augmentation, rng: np.random.Generator) -> Image:
     """The image with another gain in each channel and another brightness; a look-up, so it costs little."""
+    if augmentation.gain == 0 and augmentation.offset == 0:
+        return image
     gains = rng.uniform(1 - augmentation.gain, 1 + augmentation.gain, 3)
     offset = 255 * rng.uniform(-augmentation.offset, augmentation.offset)
     table = np.clip(np.arange(256)[:, None] * gains + offset, 0, 255).astype(np.uint8)
