@@ -8,15 +8,15 @@ import shutil
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 
 from rpl_data import records
 from rpl_data.clicklog import Annotation, Event, replay
-from rpl_data.files import read_json, read_text, write_json, write_text, writing
+from rpl_data.files import read_json, read_text, write_bytes, write_json, write_text, writing
 from rpl_data.geometry import from_quaternion_xyzw, to_quaternion_xyzw
+from rpl_data.ply import cloud_to_ply, mesh_to_ply
 from rpl_data.types import (
     ColorImage,
     DataError,
@@ -176,18 +176,15 @@ class Workspace:
     # Objects --------------------------------------------------------------------------------------
 
     def append_events(self, object_name: str, events: Iterable[Event]) -> None:
-        """Add events to the log of clicks; they are on the disk when this returns."""
+        """Add events to the log of clicks, all or none; they are on the disk when this returns."""
         path = self.clicks_file(object_name)
+        lines = "".join(json.dumps(event) + "\n" for event in events)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            with path.open("a", encoding="utf-8") as file:
-                file.write("".join(json.dumps(event) + "\n" for event in events))
-                file.flush()
-                os.fsync(file.fileno())  # an acknowledged click survives a power cut
+            _append(path, lines.encode())
         except OSError as error:
-            raise DataError(
-                f"cannot write {path}: {error.strerror}; the last action was not saved"
-            ) from error
+            why = f"{error.strerror}; the last action was not saved"
+            raise DataError(f"cannot write {path}: {why}") from error
 
     def load_events(self, object_name: str) -> list[Event]:
         """The log; a last line cut off by a crash is left out."""
@@ -242,6 +239,20 @@ class Workspace:
                 yield records.frame_label_from_json(json.loads(line))
 
 
+def _append(path: Path, content: bytes) -> None:
+    """Add whole lines to a log, on the disk when this returns; on an error the log stays as it was."""
+    with path.open("ab", buffering=0) as file:  # a buffer would be written after the truncation
+        end = path.read_bytes().rfind(b"\n") + 1  # behind it: half a line, left by a crash
+        file.truncate(end)
+        try:
+            while content:
+                content = content[file.write(content) :]
+            os.fsync(file.fileno())  # an acknowledged click survives a power cut
+        except OSError:
+            file.truncate(end)
+            raise
+
+
 # Pixels -------------------------------------------------------------------------------------------
 
 
@@ -277,14 +288,7 @@ def read_depth_m(scene: Scene, frame: Frame) -> DepthImage:
 
 def save_mesh(path: Path, mesh: Mesh) -> None:
     """Write triangles as binary PLY, whole or not at all."""
-    import open3d as o3d
-
-    legacy = o3d.geometry.TriangleMesh(
-        o3d.utility.Vector3dVector(mesh.vertices), o3d.utility.Vector3iVector(mesh.triangles.astype(np.int32))
-    )
-    if mesh.colors is not None:
-        legacy.vertex_colors = o3d.utility.Vector3dVector(mesh.colors / 255.0)
-    _write_ply(path, lambda temporary: o3d.io.write_triangle_mesh(temporary, legacy))
+    write_bytes(path, mesh_to_ply(mesh))
 
 
 def load_mesh(path: Path) -> Mesh:
@@ -306,13 +310,7 @@ def load_mesh(path: Path) -> Mesh:
 
 def save_cloud(path: Path, cloud: PointCloud) -> None:
     """Write points with normals as binary PLY, whole or not at all."""
-    import open3d as o3d
-
-    legacy = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(cloud.points))
-    legacy.normals = o3d.utility.Vector3dVector(cloud.normals)
-    if cloud.colors is not None:
-        legacy.colors = o3d.utility.Vector3dVector(cloud.colors / 255.0)
-    _write_ply(path, lambda temporary: o3d.io.write_point_cloud(temporary, legacy))
+    write_bytes(path, cloud_to_ply(cloud))
 
 
 def load_cloud(path: Path) -> PointCloud:
@@ -326,22 +324,6 @@ def load_cloud(path: Path) -> PointCloud:
         raise DataError(f"{path} should hold points with normals")
     colors = (np.asarray(legacy.colors) * 255).round().astype(np.uint8) if legacy.has_colors() else None
     return PointCloud(np.asarray(legacy.points).copy(), np.asarray(legacy.normals).copy(), colors)
-
-
-def _write_ply(path: Path, write: Any) -> None:
-    """Let Open3D write beside `path`, then rename."""
-    temporary = path.with_name(f".{path.stem}.partial.ply")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        if not write(str(temporary)):
-            raise DataError(
-                f"cannot write {path}: the disk is full or the folder read-only; nothing was changed"
-            )
-        temporary.replace(path)
-    except OSError as error:
-        raise DataError(f"cannot write {path}: {error.strerror}; nothing was changed") from error
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def remove(path: Path) -> None:

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import os
+import resource
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
 import pytest
@@ -21,3 +25,22 @@ def pytest_collection_modifyitems(items: list[pytest.Item], config: pytest.Confi
 def real_data() -> Path:
     """The folder with the real recordings: desk/, kitchen/, ycb/."""
     return Path(os.environ["RPL_REAL_DATA"])
+
+
+@contextmanager
+def _full_disk(free_bytes: int) -> Iterator[None]:
+    """The kernel refuses to let a file grow beyond this many bytes, as on a full disk."""
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    previous = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)  # else the kernel ends the process
+    resource.setrlimit(resource.RLIMIT_FSIZE, (free_bytes, limits[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        signal.signal(signal.SIGXFSZ, previous)
+
+
+@pytest.fixture
+def full_disk() -> Callable[[int], AbstractContextManager[None]]:
+    """`with full_disk(free_bytes):` no file grows beyond that."""
+    return _full_disk

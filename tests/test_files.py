@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import resource
-import signal
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import pytest
@@ -13,18 +11,7 @@ import pytest
 from rpl_data.files import read_json, read_text, write_bytes, write_json, write_text, writing
 from rpl_data.types import DataError
 
-
-@contextmanager
-def full_disk(free_bytes: int) -> Iterator[None]:
-    """The kernel refuses to let a file grow beyond this many bytes, as on a full disk."""
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    previous = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)  # else the kernel ends the process
-    resource.setrlimit(resource.RLIMIT_FSIZE, (free_bytes, limits[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-        signal.signal(signal.SIGXFSZ, previous)
+FullDisk = Callable[[int], AbstractContextManager[None]]
 
 
 def test_what_is_written_is_read_and_folders_are_made(tmp_path: Path) -> None:
@@ -36,7 +23,7 @@ def test_what_is_written_is_read_and_folders_are_made(tmp_path: Path) -> None:
     assert [p.name for p in path.parent.iterdir()] == ["file.json"]
 
 
-def test_full_disk_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:
+def test_full_disk_leaves_the_old_file_and_nothing_else(tmp_path: Path, full_disk: FullDisk) -> None:
     path = tmp_path / "labels.jsonl"
     write_text(path, "old\n")
     with (

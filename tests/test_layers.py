@@ -15,16 +15,16 @@ STAGES = {
 }  # fmt: skip
 LAYERS = [
     {"types"},
-    {"clicklog", "files", "geometry", "records"},
+    {"clicklog", "files", "geometry", "ply", "records"},
     {"masks", "regions", "split"},
     {
-        "adjustment", "completion", "formats", "lift", "marks", "occlusion", "overlay", "pool", "pose",
+        "adjustment", "completion", "formats", "lift", "occlusion", "overlay", "pool", "pose",
         "raycast", "steps", "views", "workspace",
     },
     STAGES,
     {"recipe", "torch"},
-    {"products"},
     {"stages"},
+    {"products"},
     {"build"},
     {"cli"},
 ]  # fmt: skip

@@ -41,7 +41,8 @@ def test_what_other_tools_write(tmp_path: Path) -> None:
     """Integers, any order of attributes and points, an earlier model, a grasp point."""
     old = '<SparseObjectPoints>\n\t<point x="9" y="9" z="9" name="7"/>\n</SparseObjectPoints>\n'
     new = (
-        '<SparseObjectPoints>\n\t<point name="1" z="-3" y="2E-3" x="+1"/>\n\t<point x="4" y="5" z="6" name="0" />\n'
+        '<SparseObjectPoints>\n\t<point name="1" z="-3" y="2E-3" x="+1"/>\n'
+        '\t<point x="4" y="5" z="6" name="0" />\n'
         "</SparseObjectPoints>\n<GraspPoint>\n\t[1.0, 0.0, 0.0, 0.5]\n\t[0.0, 1.0, 0.0, 0.5]\n</GraspPoint>\n"
     )
     (tmp_path / "m.txt").write_text(old + new)
@@ -107,20 +108,21 @@ def test_meta_data_of_the_original_by_hand(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_meta_data(before).scene_from_world, meta.scene_from_world)
 
 
+def arrays(scenes: int, ref: tuple[int, ...], sm: tuple[int, ...]) -> dict[str, np.ndarray]:
+    return {"model": np.ones((2, 3)), "scenes": np.zeros(scenes), "ref": np.ones(ref), "sm": np.ones(sm)}
+
+
 @pytest.mark.parametrize(
-    ("arrays", "message"),
+    ("content", "message"),
     [
         ({"res": np.zeros(5)}, r"lacks model, scenes, ref, sm \(it has res\)"),
-        ({"model": np.ones((2, 3)), "scenes": np.zeros(14), "ref": np.ones((2, 2, 3)), "sm": np.ones((3, 12))},
-         "do not fit"),
-        ({"model": np.ones((2, 3)), "scenes": np.zeros(14), "ref": np.ones((2, 3, 2)), "sm": np.ones((3, 9))},
-         r"sm has shape \(3, 9\)"),
-        ({"model": np.ones((2, 3)), "scenes": np.zeros(13), "ref": np.ones((2, 3, 2)), "sm": np.ones((3, 12))},
-         "scenes has 13 numbers; expected 14"),
+        (arrays(14, (2, 2, 3), (3, 12)), "do not fit"),
+        (arrays(14, (2, 3, 2), (3, 9)), r"sm has shape \(3, 9\)"),
+        (arrays(13, (2, 3, 2), (3, 12)), "scenes has 13 numbers; expected 14"),
     ],
-)  # fmt: skip
-def test_broken_meta_data_is_refused(tmp_path: Path, arrays: dict[str, np.ndarray], message: str) -> None:
-    np.savez(tmp_path / "m.npz", **arrays)
+)
+def test_broken_meta_data_is_refused(tmp_path: Path, content: dict[str, np.ndarray], message: str) -> None:
+    np.savez(tmp_path / "m.npz", **content)
     with pytest.raises(DataError, match=message):
         read_meta_data(tmp_path / "m.npz")
     (tmp_path / "text.npz").write_text("text")
@@ -132,7 +134,10 @@ def test_clicked_points_by_hand() -> None:
     """Two clicks average, an outlier and a click without depth count for nothing."""
     clicks = [Click("cube", k, "00", f, 0.0, 0.0) for k, f in ((0, 0), (0, 1), (1, 0), (2, 0))]
     moved = from_rotvec(np.zeros(3), np.array([1.0, 0, 0]))
-    observations = [Observation(c, np.array([0, 0, 1.0]), moved, np.array([0.5]), np.array([0.002]), 0.002) for c in clicks]
+    observations = [
+        Observation(c, np.array([0, 0, 1.0]), moved, np.array([0.5]), np.array([0.002]), 0.002)
+        for c in clicks
+    ]
     residuals = (
         ClickResidual(clicks[0], 0.0, 0.0, 0.5, "agrees"),
         ClickResidual(clicks[1], 0.0, 0.0, 0.7, "agrees"),

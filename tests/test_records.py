@@ -1,0 +1,103 @@
+"""Records as JSON and back."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rpl_data import records
+from rpl_data.geometry import from_rotvec
+from rpl_data.types import (
+    Click,
+    ClickResidual,
+    Frame,
+    FrameLabel,
+    InstanceLabel,
+    Intrinsics,
+    KeypointModel,
+    Recording,
+    Scene,
+    Solution,
+    SquareBox,
+)
+
+
+def through_json(data: dict[str, Any]) -> dict[str, Any]:
+    """What JSON makes of it; NaN is refused as it is when written."""
+    content: dict[str, Any] = json.loads(json.dumps(data, allow_nan=False))
+    return content
+
+
+def test_recording_round_trip() -> None:
+    scene = Scene(
+        "00",
+        Intrinsics(600.5, 601.0, 320.25, 240.0, 640, 480, (0.1, -0.2, 0.0, 0.0)),
+        0.00025,
+        (
+            Frame(2, 10.1, Path("/a/rgb/2.jpg"), Path("/a/depth/2.png")),
+            Frame(3, 10.2, Path("/a/3.jpg"), None),
+        ),
+        registered=False,
+        no_depth_units=(65535,),
+        source="rpl: /a",
+    )
+    recording = Recording(scene, None, ("1 frame left out: 0",), ("assumed",))
+    assert records.recording_from_json(through_json(records.recording_to_json(recording))) == recording
+
+
+def test_solution_round_trip() -> None:
+    model = KeypointModel("cube", ("a", "b"), np.array([[0.1, -1e-9, 0.3], [np.nan] * 3]), ((0, 1),))
+    covariance = np.array([np.diag([1e-6, 2e-6, 3e-6]), np.full((3, 3), np.nan)])
+    transforms = {"00": np.eye(4), "01": from_rotvec(np.array([0.1, 2, 3]), np.array([0.0, 1, 2]))}
+    click = Click("cube", 0, "00", 3, 1.5, 2.5)
+    residuals = (
+        ClickResidual(click, 1.25, 0.002, 0.7, "agrees"),
+        ClickResidual(click, 9.0, None, None, "none", outlier=True, reason="far off"),
+    )
+    solution = Solution(model, covariance, transforms, residuals, ("keypoint b was never clicked",))
+    back = records.solution_from_json(through_json(records.solution_to_json(solution)))
+    np.testing.assert_array_equal(back.model.points_object, model.points_object)
+    np.testing.assert_array_equal(back.covariance, covariance)
+    assert (back.model.keypoints, back.model.skeleton) == (model.keypoints, model.skeleton)
+    assert (back.residuals, back.warnings) == (residuals, solution.warnings)
+    assert list(back.scene_from_object) == ["00", "01"]
+    for name, matrix in transforms.items():
+        np.testing.assert_array_equal(back.scene_from_object[name], matrix)
+
+
+def test_frame_label_round_trip() -> None:
+    instance = InstanceLabel(
+        object="cube",
+        camera_from_object=from_rotvec(np.array([0.1, 0.2, 0.3]), np.array([0.0, 0.1, 0.7])),
+        keypoints_px=np.array([[10.123, -4.5], [np.nan, np.nan]]),
+        visibility=np.array([2, 0]),
+        sigma_px=np.array([0.25, np.nan]),
+        square_box=SquareBox(10.0, 20.0, 30.5),
+        box=None,
+        box_full=(1.0, 2.0, 3.0, 4.5),
+        mask={"size": [480, 640], "counts": "abc"},
+        mask_full={"size": [480, 640], "counts": "abd"},
+        visib_fract=0.0,
+        truncated=True,
+        quality=0.5,
+    )
+    data = through_json(records.frame_label_to_json(FrameLabel("00", 3, 10.5, (instance,))))
+    assert data["instances"][0]["keypoints_px"] == [[10.123, -4.5], None]
+    back = records.frame_label_from_json(data)
+    assert (back.scene, back.frame, back.timestamp_s) == ("00", 3, 10.5)
+    (got,) = back.instances
+    np.testing.assert_allclose(got.camera_from_object, instance.camera_from_object, atol=1e-9)
+    for name in ("keypoints_px", "visibility", "sigma_px"):
+        np.testing.assert_array_equal(getattr(got, name), getattr(instance, name))
+    for name in ("square_box", "box", "box_full", "mask", "mask_full", "visib_fract", "truncated", "quality"):
+        assert getattr(got, name) == getattr(instance, name)
+
+
+def test_a_row_with_one_nan_is_null() -> None:
+    rows = np.array([[1.0, 2.0], [np.nan, 3.0]])
+    assert records.rows_to_json(rows) == [[1.0, 2.0], None]
+    assert np.isnan(records.rows_from_json([[1.0, 2.0], None], 2)[1]).all()
+    assert records.rows_from_json([], 3).shape == (0, 3)
