@@ -16,7 +16,7 @@ from rpl_data.files import write_text
 from rpl_data.pool import Pool
 from rpl_data.recipe import Recipe, load_recipe, recipe_to_yaml
 from rpl_data.stages import Context
-from rpl_data.steps import Ledger, Outcome, Step
+from rpl_data.steps import Entry, Ledger, Outcome, Step
 from rpl_data.types import DataError
 from rpl_data.workspace import Workspace
 
@@ -30,6 +30,7 @@ STAGES: dict[str, Callable[[Context], list[Step]]] = {
     "label": stages.label_steps,
     "export": products.export_steps,
     "quality": products.quality_steps,
+    "report": products.report_steps,
 }
 """In order. Each plans its steps when those of the stages before it hold."""
 
@@ -117,6 +118,17 @@ def stale_steps(recipe: Recipe, workspace: Workspace) -> dict[str, list[tuple[st
             if not all(holds for _, holds in found[stage]):
                 break
     return found
+
+
+def run_step(recipe: Recipe, workspace: Workspace, make: Callable[[Context], Step]) -> Entry:
+    """Bring recordings and clicks up to date, then run one step whatever the ledger says."""
+    ledger = build(recipe, workspace, until="clicks")
+    return ledger.run(make(Context(recipe, workspace, Pool(1))), lambda done, total: None)
+
+
+def context_of(workspace: Workspace) -> Context:
+    """What a stage is given, for work on a workspace that is there already."""
+    return Context(recipe_of(workspace), workspace, Pool(1))
 
 
 def save_recipe(recipe: Recipe, workspace: Workspace) -> None:

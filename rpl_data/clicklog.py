@@ -113,6 +113,11 @@ def clicks_to_csv(clicks: Iterable[Click], keypoints: Sequence[str]) -> str:
     return text.getvalue()
 
 
+def objects_in_csv(text: str) -> list[str]:
+    """Names of the objects that CSV text has clicks for, sorted."""
+    return sorted({row["object"] for row in csv.DictReader(io.StringIO(text)) if row.get("object")})
+
+
 def clicks_from_csv(text: str, *, source: str, object_name: str, keypoints: Sequence[str]) -> list[Click]:
     """Clicks of one object from CSV text; a keypoint is given by name, or by number from 0.
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from typing import Any
 
 from rpl_data.export import ExportScene, export_coco
-from rpl_data.stages import Context, step
+from rpl_data.stages import VERSIONS, Context, step
 from rpl_data.steps import Advance, Json, Ledger, Outcome, Step, stamps
 from rpl_data.types import DataError, FrameLabel, QualityRow
 from rpl_data.workspace import Workspace
@@ -56,8 +56,8 @@ def refuse_unseen(context: Context) -> None:
     unseen = [name for name in context.object_names if not counts[name]]
     if unseen:
         raise DataError(
-            f"object {', '.join(unseen)} is in none of the {frames} labelled frames; expected it in at least one. "
-            "Check its clicks and the poses of its scenes, or raise `label.rate`"
+            f"object {', '.join(unseen)} is in none of the {frames} labelled frames; expected it in at least "
+            "one. Check its clicks and the poses of its scenes, or raise `label.rate`"
         )
 
 
@@ -110,7 +110,7 @@ def truth_workspace(context: Context) -> Workspace | None:
     if context.recipe.truth is not None and context.recipe.truth.is_dir():
         return Workspace(context.recipe.truth)
     known = context.recipe.truth is not None or context.recipe.twin is not None
-    return context.workspace.truth if known else None
+    return Workspace(context.workspace.truth) if known else None
 
 
 def quality_steps(context: Context) -> list[Step]:
@@ -139,7 +139,7 @@ def quality_steps(context: Context) -> list[Step]:
 def quality_rows(ledger: Ledger) -> list[QualityRow]:
     """The comparison that the quality stage made last; empty when there was none."""
     entry = ledger.entries.get("quality")
-    rows = [] if entry is None else entry.outcome.details["rows"]
+    rows: Any = [] if entry is None else entry.outcome.details["rows"]
     return [QualityRow(**{k: math.nan if v is None else v for k, v in row.items()}) for row in rows]
 
 
@@ -155,11 +155,57 @@ def finite_or_none(value: Any) -> Any:
 # Report -------------------------------------------------------------------------------------------
 
 
-def timings(ledger: Ledger, stages: Sequence[str]) -> list[tuple[str, float, int]]:
+def report_steps(context: Context) -> list[Step]:
+    """Everything -> one page a person looks at."""
+    workspace = context.workspace
+
+    def run(advance: Advance) -> Outcome:
+        from rpl_data.report import write_report
+
+        ledger = Ledger(workspace.stages_file)
+        write_report(
+            workspace,
+            rows=quality_rows(ledger),
+            timings=timings(ledger),
+            split=split_summary(ledger),
+            warnings=[
+                line for entry in ledger.of_stage("export").values() for line in entry.outcome.messages
+            ],
+        )
+        return Outcome()
+
+    before = ["quality", *(f"export/{name}" for name in context.recipe.export)]
+    options = {"name": context.recipe.name}
+    return [step("report", "", run, options=options, after=before, outputs=[workspace.report])]
+
+
+def timings(ledger: Ledger) -> dict[str, dict[str, float | int]]:
     """Seconds and frames of every stage that ran, in order."""
-    rows = []
-    for stage in stages:
-        entries = ledger.of_stage(stage).values()
-        if entries:
-            rows.append((stage, sum(e.seconds for e in entries), sum(e.outcome.frames for e in entries)))
-    return rows
+    found: dict[str, dict[str, float | int]] = {}
+    for stage in VERSIONS:
+        outcomes = ledger.of_stage(stage).values()
+        if outcomes:
+            seconds = sum(entry.seconds for entry in outcomes)
+            found[stage] = {"seconds": seconds, "frames": sum(entry.outcome.frames for entry in outcomes)}
+    return found
+
+
+def split_summary(ledger: Ledger) -> str:
+    """Images and scenes of every split, and how near its views are to training's, a line each."""
+    entry = ledger.entries.get("export/coco")
+    if entry is None:
+        return ""
+    lines = []
+    for name, images in entry.outcome.details["images"].items():
+        scenes = ", ".join(entry.outcome.details["scenes"].get(name, []))
+        line = f"{name}: {images} images of {scenes or 'no scene'}"
+        near = entry.outcome.details["views"].get(name)
+        if near is not None and near["angle_median_deg"] is not None:
+            line += (
+                f"; views {near['angle_median_deg']:.1f} deg (median), {near['angle_p90_deg']:.1f} deg (p90) "
+                "from the nearest of training"
+            )
+        if near is not None and near["time_median_s"] is not None:
+            line += f", {near['time_median_s']:.2f} s (median) from it in time"
+        lines.append(line)
+    return "\n".join(lines)

@@ -7,20 +7,20 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from rpl_data import capture
-from rpl_data.clicklog import clicks_from_csv, events_to, keypoints_event
+from rpl_data.clicklog import clicks_from_csv, clicks_to_csv, events_to, keypoints_event, objects_in_csv
 from rpl_data.files import read_text
 from rpl_data.geometry import Transform, transform
 from rpl_data.label import SceneObject, label_frames, sample_frames
 from rpl_data.lift import lift_clicks
 from rpl_data.pool import Pool
 from rpl_data.recipe import ObjectRecipe, Recipe, SceneSource
-from rpl_data.solve import solve
+from rpl_data.solve import register, solve
 from rpl_data.steps import Advance, Json, Outcome, Step, stamps
 from rpl_data.types import (
     DataError,
@@ -62,7 +62,7 @@ class Context:
     @property
     def scene_sources(self) -> tuple[SceneSource, ...]:
         """Where scenes come from; a twin's recording when the recipe names none."""
-        return self.recipe.scenes or (SceneSource(self.workspace.recording),)
+        return self.recipe.scenes or (SceneSource(self.workspace.recording, metres_per_unit=0.001),)
 
     @property
     def objects(self) -> tuple[ObjectRecipe, ...]:
@@ -70,8 +70,9 @@ class Context:
         return self.recipe.objects or tuple(self._twin_objects())
 
     def _twin_objects(self) -> Iterator[ObjectRecipe]:
-        for name in self.workspace.truth.object_names():
-            model = self.workspace.truth.load_solution(name).model
+        truth = Workspace(self.workspace.truth)
+        for name in truth.object_names():
+            model = truth.load_solution(name).model
             clicks = self.workspace.recording / "clicks.csv"
             yield ObjectRecipe(name, model.keypoints, clicks, model.skeleton)
 
@@ -208,6 +209,36 @@ def import_clicks(workspace: Workspace, item: ObjectRecipe, path: Path) -> int:
     return len(events)
 
 
+def add_clicks(context: Context, path: Path) -> dict[str, int]:
+    """Add the clicks of a CSV file to the logs; returns how many events that took, by object."""
+    text = read_text(path)
+    named = set(objects_in_csv(text))
+    chosen = [item for item in context.objects if item.name in named]
+    if not chosen or named - set(context.object_names):
+        raise DataError(
+            f"{path} has clicks for {', '.join(sorted(named)) or 'no object'}; "
+            f"the recipe has the objects {', '.join(context.object_names)}; use the same names"
+        )
+    events = {}
+    for item in chosen:
+        names = item.keypoint_names
+        annotation = context.workspace.load_annotation(item.name)
+        clicks = clicks_from_csv(text, source=str(path), object_name=item.name, keypoints=names)
+        events[item.name] = events_to(annotation, names, [*annotation.clicks, *clicks])
+    for name, found in events.items():  # after all of the file was understood
+        context.workspace.append_events(name, found)
+    return {name: len(found) for name, found in events.items()}
+
+
+def clicks_table(workspace: Workspace) -> str:
+    """The clicks of all objects as CSV, the heading once."""
+    annotations = [workspace.load_annotation(name) for name in workspace.object_names()]
+    tables = [clicks_to_csv(found.clicks, found.keypoints) for found in annotations if found.clicks]
+    if not tables:
+        raise DataError(f"{workspace.root} has no clicks to export")
+    return tables[0] + "".join(table.split("\n", 1)[1] for table in tables[1:])
+
+
 # Sparse model -------------------------------------------------------------------------------------
 
 
@@ -245,6 +276,29 @@ def _solve_step(context: Context, item: ObjectRecipe) -> Step:
     )
 
 
+def register_step(context: Context, object_name: str, scene: str) -> Step:
+    """Place a known object in one more scene from its clicks there; the model stays as it is."""
+    item = next((item for item in context.objects if item.name == object_name), None)
+    if item is None:
+        raise DataError(f"the recipe has no object {object_name!r}; it has {', '.join(context.object_names)}")
+
+    def run(advance: Advance) -> Outcome:
+        solution = context.workspace.load_solution(object_name)
+        observations = observe(context.workspace, object_name, scene=scene)
+        place, residuals = register(solution.model, observations)
+        kept = tuple(r for r in solution.residuals if r.click.scene != scene)
+        places = {**solution.scene_from_object, scene: place}
+        context.workspace.save_solution(
+            replace(solution, scene_from_object=places, residuals=(*kept, *residuals))
+        )
+        mean_px = float(np.mean([residual.error_px for residual in residuals]))
+        text = f"{object_name} stands in scene {scene}; its {len(residuals)} clicks fit to {mean_px:.1f} px"
+        return Outcome(messages=(text,))
+
+    # It takes the place of the solve in the ledger, so that a build goes on from it and does not solve again.
+    return replace(_solve_step(context, item), run=run)
+
+
 def observe(workspace: Workspace, object_name: str, *, scene: str | None = None) -> list[Observation]:
     """The clicks of an object (in one scene, or all), lifted; DataError when there are none."""
     clicks = workspace.load_annotation(object_name).clicks
@@ -252,8 +306,8 @@ def observe(workspace: Workspace, object_name: str, *, scene: str | None = None)
         clicks = tuple(click for click in clicks if click.scene == scene)
     if not clicks:
         raise DataError(
-            f"object {object_name} has no clicks{f' in scene {scene}' if scene else ''}; name a CSV file with "
-            f"`clicks:` in the recipe, or run `rpl clicks import FILE.csv --workspace {workspace.root}`"
+            f"object {object_name} has no clicks{f' in scene {scene}' if scene else ''}; name a CSV file "
+            f"with `clicks:` in the recipe, or run `rpl clicks import FILE.csv --workspace {workspace.root}`"
         )
     scenes = {name: workspace.load_scene(name) for name in workspace.scene_names()}
     trajectories = {

@@ -1,0 +1,272 @@
+"""The command `rpl`: wiring only. What is heavy is imported inside the commands, so help is quick."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from rpl_data.types import DataError
+
+if TYPE_CHECKING:
+    from rpl_data.steps import Ledger
+
+HERE = Path(".")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command; 0 when all is well, 1 with one line on stderr when the user can mend it."""
+    from jsonargparse import auto_cli
+
+    try:
+        auto_cli(COMMANDS, args=None if arguments is None else list(arguments), prog="rpl", description=HELP)
+    except DataError as error:
+        print(f"rpl: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("rpl: interrupted; run the same command again and it goes on from here", file=sys.stderr)
+        return 130
+    return 0
+
+
+def build(
+    recipe: Path,
+    workspace: Path | None = None,
+    root: Path | None = None,
+    workers: int | None = None,
+    again: Literal["all"] | str | None = None,
+) -> None:
+    """Make everything a recipe asks for; only what is out of date is run.
+
+    Stages, in order: twin, import, clicks, solve, surface, segment, label, export, quality, report.
+    Interrupt it whenever you like: run again, it goes on.
+
+    Args:
+        recipe: the YAML file; datasets/recording.yaml explains every field.
+        workspace: folder for everything that is made; workspaces/<name of the file> when left out.
+        root: where the relative paths of the recipe start; the recipe's own folder when left out.
+        workers: processes for labelling and rendering; as many as cores when left out, 1 = no other process.
+        again: a stage to run again although nothing it depends on has changed, or `all`.
+    """
+    from rpl_data.recipe import load_recipe
+
+    _run(load_recipe(recipe, root=root), workspace or Path("workspaces") / recipe.stem, None, again, workers)
+
+
+def import_(recipe: Path, workspace: Path = HERE, root: Path | None = None, again: bool = False) -> None:
+    """Read the recordings of a recipe into a workspace; what is left out is counted and named.
+
+    Args:
+        recipe: the YAML file.
+        workspace: folder for everything that is made.
+        root: where the relative paths of the recipe start; the recipe's own folder when left out.
+        again: even if nothing has changed.
+    """
+    from rpl_data.recipe import load_recipe
+
+    _run(load_recipe(recipe, root=root), workspace, "import", "import" if again else None)
+
+
+def solve(workspace: Path = HERE, again: bool = False) -> None:
+    """Clicks to sparse models: where every keypoint is, and where the objects stand in every scene.
+
+    Args:
+        workspace: a folder made by `rpl build` or `rpl import`.
+        again: even if nothing has changed.
+    """
+    _stage(workspace, "solve", again)
+
+
+def register(object: str, scene: str, workspace: Path = HERE) -> None:
+    """Place a known object in one more scene, from three clicks there or more; its model stays as it is.
+
+    Args:
+        object: its name.
+        scene: its name; the scene must be in the recordings of the recipe, its clicks in the workspace.
+        workspace: a folder made by `rpl build` or `rpl import`.
+    """
+    from rpl_data.build import recipe_of, run_step
+    from rpl_data.stages import register_step
+    from rpl_data.workspace import Workspace
+
+    place = Workspace(workspace)
+    entry = run_step(recipe_of(place), place, lambda context: register_step(context, object, scene))
+    print("\n".join(entry.outcome.messages))
+
+
+def surface(workspace: Path = HERE, again: bool = False) -> None:
+    """Depth images to a surface near the objects, a scene.
+
+    Args:
+        workspace: a folder made by `rpl build` or `rpl import`.
+        again: even if nothing has changed.
+    """
+    _stage(workspace, "surface", again)
+
+
+def segment(workspace: Path = HERE, again: bool = False) -> None:
+    """Surfaces to the dense model of every object.
+
+    Args:
+        workspace: a folder made by `rpl build` or `rpl import`.
+        again: even if nothing has changed.
+    """
+    _stage(workspace, "segment", again)
+
+
+def label(workspace: Path = HERE, again: bool = False, workers: int | None = None) -> None:
+    """Poses, keypoints, boxes and masks of every object in the chosen frames.
+
+    Args:
+        workspace: a folder made by `rpl build` or `rpl import`.
+        again: even if nothing has changed.
+        workers: processes; as many as cores when left out, 1 = no other process.
+    """
+    _stage(workspace, "label", again, workers)
+
+
+def export(workspace: Path = HERE, labels: Literal["own", "truth"] = "own", again: bool = False) -> None:
+    """Labels to the formats of the recipe, in export/ of the workspace.
+
+    Args:
+        workspace: a folder made by `rpl build` or `rpl import`.
+        labels: `own`, or `truth`: export/coco_truth with the same images, from the truth where it is known.
+        again: even if nothing has changed.
+    """
+    _stage(workspace, "export", again)
+    if labels == "truth":
+        from rpl_data.build import context_of
+        from rpl_data.products import export_truth
+        from rpl_data.workspace import Workspace
+
+        summary = export_truth(context_of(Workspace(workspace)))
+        print(f"{Workspace(workspace).export('coco_truth')}: {sum(summary.images.values())} images")
+
+
+def quality(workspace: Path = HERE, again: bool = False) -> None:
+    """Errors against truth, where the recipe has a twin or names the truth: mm, px, IoU.
+
+    Args:
+        workspace: a folder made by `rpl build` or `rpl import`.
+        again: even if nothing has changed.
+    """
+    ledger = _stage(workspace, "quality", again)
+    if "quality" not in ledger.entries:
+        raise DataError(
+            f"the truth of {workspace} is not known; name it with `truth:` in the recipe and build again"
+        )
+
+
+def report(workspace: Path = HERE, again: bool = False) -> None:
+    """The page to look at: pictures, clicks, models, counts, timings.
+
+    Args:
+        workspace: a folder made by `rpl build` or `rpl import`.
+        again: even if nothing has changed.
+    """
+    _stage(workspace, "report", again)
+
+
+def status(workspace: Path = HERE) -> None:
+    """What a workspace holds and what the next build would run.
+
+    Args:
+        workspace: a folder made by `rpl build` or `rpl import`.
+    """
+    from rpl_data.build import STAGES, recipe_of, stale_steps
+    from rpl_data.workspace import Workspace
+
+    place = Workspace(workspace)
+    found = stale_steps(recipe_of(place), place)
+    for stage in STAGES:
+        steps = found.get(stage)
+        if steps is None:
+            print(f"{stage:8s}  waits for the stages before it")
+        elif not steps:
+            print(f"{stage:8s}  not asked for")
+        else:
+            stale = [item or stage for item, holds in steps if not holds]
+            print(f"{stage:8s}  {'to run: ' + ', '.join(stale) if stale else 'up to date'}")
+
+
+def clicks_import(file: Path, workspace: Path = HERE) -> None:
+    """Add the clicks of a CSV file; a click on the same keypoint in the same frame is replaced.
+
+    Args:
+        file: columns object,keypoint,scene,frame,u_px,v_px; a keypoint by name, or by number from 0.
+        workspace: a folder made by `rpl build` or `rpl import`.
+    """
+    from rpl_data.build import context_of
+    from rpl_data.stages import add_clicks
+    from rpl_data.workspace import Workspace
+
+    for name, count in add_clicks(context_of(Workspace(workspace)), file).items():
+        print(f"{name}: {count} clicks added or changed")
+
+
+def clicks_export(file: Path, workspace: Path = HERE) -> None:
+    """Write the clicks of all objects to a CSV file.
+
+    Args:
+        file: is replaced.
+        workspace: a folder made by `rpl build` or `rpl import`.
+    """
+    from rpl_data.files import write_text
+    from rpl_data.stages import clicks_table
+    from rpl_data.workspace import Workspace
+
+    write_text(file, clicks_table(Workspace(workspace)))
+
+
+HELP = "Labelled pose, keypoint and mask datasets from RGB-D videos and a few clicks. Start with `rpl build`."
+COMMANDS: dict[str, Any] = {
+    "build": build,
+    "status": status,
+    "import": import_,
+    "clicks": {
+        "_help": "Clicks in and out as CSV files.",
+        "import": clicks_import,
+        "export": clicks_export,
+    },
+    "solve": solve,
+    "register": register,
+    "surface": surface,
+    "segment": segment,
+    "label": label,
+    "export": export,
+    "quality": quality,
+    "report": report,
+}
+
+
+def _stage(workspace: Path, stage: str, again: bool, workers: int | None = None) -> Ledger:
+    """Run a stage of a workspace, and what is out of date before it."""
+    from rpl_data.build import recipe_of
+    from rpl_data.workspace import Workspace
+
+    return _run(recipe_of(Workspace(workspace)), workspace, stage, stage if again else None, workers)
+
+
+def _run(
+    recipe: Any, workspace: Path, until: str | None, again: str | None, workers: int | None = None
+) -> Ledger:
+    """Build with progress on the terminal, and say what came out."""
+    from rpl_data.build import STAGES, build
+    from rpl_data.screen import Screen, print_results
+    from rpl_data.workspace import Workspace
+
+    if again is not None and again not in (*STAGES, "all"):
+        raise DataError(
+            f"there is no stage {again!r} to run again; expected all or one of {', '.join(STAGES)}"
+        )
+    place = Workspace(workspace)
+    with Screen() as screen:
+        chosen = tuple(STAGES) if again == "all" else (again,) if again else ()
+        ledger = build(recipe, place, until=until, again=chosen, workers=workers, tell=screen.tell)
+    print_results(place, ledger, screen, until)
+    return ledger
+
+
+if __name__ == "__main__":
+    sys.exit(main())

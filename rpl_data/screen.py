@@ -1,0 +1,74 @@
+"""What a build looks like on a terminal."""
+
+from __future__ import annotations
+
+from types import TracebackType
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+
+from rpl_data import build
+from rpl_data.products import quality_rows, split_summary, timings
+from rpl_data.quality import format_table
+from rpl_data.steps import Ledger
+from rpl_data.workspace import Workspace
+
+
+class Screen:
+    """A line a finished step, and a bar for the one that runs (none where there is no terminal)."""
+
+    def __init__(self) -> None:
+        self.console = Console(highlight=False, markup=False, soft_wrap=True)
+        columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
+        quiet = not self.console.is_terminal
+        self._bar = Progress(*columns, console=self.console, transient=True, disable=quiet)
+        self._task: TaskID | None = None
+        self.ran = 0
+
+    def __enter__(self) -> Screen:
+        self._bar.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._bar.stop()
+
+    def tell(self, progress: build.Progress) -> None:
+        """Show the progress of a step."""
+        title = f"{progress.stage:8s} {progress.item}"
+        if progress.state == "runs":
+            if self._task is None:
+                self._task = self._bar.add_task(title, total=progress.total or None)
+            self._bar.update(self._task, completed=progress.done, total=progress.total or None)
+            return
+        if self._task is not None:
+            self._bar.remove_task(self._task)
+            self._task = None
+        if progress.state == "kept":
+            return
+        self.ran += 1
+        frames = progress.outcome.frames
+        work = f"  {frames} frames" if frames else ""
+        self.console.print(f"{title:20s} {progress.seconds:6.1f} s{work}")
+        for line in progress.outcome.messages:
+            self.console.print(f"    {line}")
+
+
+def print_results(workspace: Workspace, ledger: Ledger, screen: Screen, until: str | None) -> None:
+    """After a build: timings, split, errors against truth, and the path of the report."""
+    say = screen.console.print
+    if not screen.ran:
+        say("nothing to do: every stage is up to date; these are its results")
+    if until in (None, "report"):
+        say("\nstage      seconds   frames  frames/s")
+        for stage, row in timings(ledger).items():
+            frames, seconds = row["frames"], row["seconds"]
+            speed = f"{frames:8d}  {frames / max(seconds, 1e-9):8.1f}" if frames else ""
+            say(f"{stage:8s} {seconds:9.1f} {speed}".rstrip())
+        say(f"\n{split_summary(ledger)}")
+    rows = quality_rows(ledger)
+    if rows and until in (None, "quality", "report"):
+        say(f"\nerrors against the truth\n{format_table(rows)}")
+    if until in (None, "report"):
+        say(f"\nreport: {workspace.report.resolve()}")
