@@ -26,6 +26,7 @@ LAYERS = [
     {"stages"},
     {"products"},
     {"build"},
+    {"screen"},
     {"cli"},
 ]  # fmt: skip
 LAYER_OF = {unit: number for number, layer in enumerate(LAYERS) for unit in layer}
