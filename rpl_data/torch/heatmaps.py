@@ -21,10 +21,13 @@ def draw_heatmaps(
     The Gaussian is separable: one row times one column for each keypoint, any number of keypoints at once.
     """
     grid = torch.arange(size_px, dtype=torch.float32, device=positions_px.device)
-    exponent = (grid - positions_px.to(torch.float32).unsqueeze(-1)).square_().mul_(-0.5 / sigma_px**2)
-    # NaN > x is false, so a keypoint without a position gives zeros.
-    profile = torch.where(exponent > SMALLEST_EXPONENT, exponent.exp(), 0.0)  # (*batch, k, uv, size)
-    return profile[..., 1, :].unsqueeze(-1) * profile[..., 0, :].unsqueeze(-2)
+    # Far outside the map stands for nowhere: all of its Gaussian is cut off as tail.
+    positions = positions_px.to(torch.float32).nan_to_num(nan=-1e6).unsqueeze(-1)
+    exponent = (grid - positions).square_().mul_(-0.5 / sigma_px**2)
+    profile = torch.threshold_(exponent, SMALLEST_EXPONENT, -torch.inf).exp_()
+    columns, rows = profile.unbind(-2)  # (*batch, k, size) each
+    maps: Tensor = rows.unsqueeze(-1) * columns.unsqueeze(-2)
+    return maps
 
 
 def decode_heatmaps(

@@ -123,7 +123,7 @@ def main() -> None:
             plain = samples_per_second(KeypointDataset(files[suffix], cache=cache))
             turned = samples_per_second(KeypointDataset(files[suffix], cache=cache, augment=geometric))
             print(
-                f"{name:16s} {plain:6.0f} samples/s, {turned:6.0f} with shift, scale and turn (asked {target})"
+                f"{name:16s} {plain:6.0f} samples/s; {turned:6.0f} with shift, scale, turn (asked {target})"
             )
     positions = np.random.default_rng(0).uniform(0, 63, (8, 2))
     tensor = torch.from_numpy(positions)
