@@ -280,7 +280,12 @@ def _replacing(folder: Path) -> Iterator[Path]:
         old = building.with_name(building.name + "-old")
         if folder.exists():
             folder.rename(old)
-        building.rename(folder)
+        try:
+            building.rename(folder)
+        except OSError:
+            if old.exists():
+                old.rename(folder)
+            raise
         building = None
         shutil.rmtree(old, ignore_errors=True)
     except OSError as error:

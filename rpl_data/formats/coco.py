@@ -4,10 +4,7 @@ One file a split. A category is an object, ids from 1; boxes are ``x y width hei
 RLE; the pixel convention is ours (the centre of the top-left pixel is (0, 0)) for keypoints and square
 boxes. File names are relative to the folder of the JSON file.
 
-The extras. Image: `scene`, `frame`, `timestamp_s`, `cam_K` (9, row-major), `distortion`, `scene_from_camera`
-(16, row-major), `depth_file_name`. Annotation: `camera_from_object` (16, row-major, metres), `visib_fract`,
-`truncated`, `segmentation_full`, `bbox_full`, `square_box` [cx, cy, side], `sigma_px` (one a keypoint, null
-where v = 0), `quality`. Top level: `rpl` with `version` and `objects`.
+The extra keys are listed in `coco_check`; matrices are row-major, `sigma_px` is null where v = 0.
 """
 
 from __future__ import annotations
