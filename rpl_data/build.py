@@ -11,23 +11,23 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from rpl_data import products, stages
 from rpl_data.files import write_text
+from rpl_data.pipeline import dense, inputs, labels, products, sparse
+from rpl_data.pipeline.context import Context
 from rpl_data.pool import Pool
 from rpl_data.recipe import Recipe, load_recipe, recipe_to_yaml
-from rpl_data.stages import Context
 from rpl_data.steps import Entry, Ledger, Outcome, Step
 from rpl_data.types import DataError
 from rpl_data.workspace import Workspace
 
 STAGES: dict[str, Callable[[Context], list[Step]]] = {
-    "twin": stages.twin_steps,
-    "import": stages.import_steps,
-    "clicks": stages.clicks_steps,
-    "solve": stages.solve_steps,
-    "surface": stages.surface_steps,
-    "segment": stages.segment_steps,
-    "label": stages.label_steps,
+    "twin": inputs.twin_steps,
+    "import": inputs.import_steps,
+    "clicks": inputs.clicks_steps,
+    "solve": sparse.solve_steps,
+    "surface": dense.surface_steps,
+    "segment": dense.segment_steps,
+    "label": labels.label_steps,
     "export": products.export_steps,
     "quality": products.quality_steps,
     "report": products.report_steps,

@@ -87,7 +87,7 @@ def register(object: str, scene: str, workspace: Path = HERE) -> None:
         workspace: a folder made by `rpl build` or `rpl import`.
     """
     from rpl_data.build import recipe_of, run_step
-    from rpl_data.stages import register_step
+    from rpl_data.pipeline.sparse import register_step
     from rpl_data.workspace import Workspace
 
     place = Workspace(workspace)
@@ -137,7 +137,7 @@ def export(workspace: Path = HERE, labels: Literal["own", "truth"] = "own", agai
     _stage(workspace, "export", again)
     if labels == "truth":
         from rpl_data.build import context_of
-        from rpl_data.products import export_truth
+        from rpl_data.pipeline.products import export_truth
         from rpl_data.workspace import Workspace
 
         summary = export_truth(context_of(Workspace(workspace)))
@@ -198,7 +198,7 @@ def clicks_import(file: Path, workspace: Path = HERE) -> None:
         workspace: a folder made by `rpl build` or `rpl import`.
     """
     from rpl_data.build import context_of
-    from rpl_data.stages import add_clicks
+    from rpl_data.pipeline.inputs import add_clicks
     from rpl_data.workspace import Workspace
 
     for name, count in add_clicks(context_of(Workspace(workspace)), file).items():
@@ -213,7 +213,7 @@ def clicks_export(file: Path, workspace: Path = HERE) -> None:
         workspace: a folder made by `rpl build` or `rpl import`.
     """
     from rpl_data.files import write_text
-    from rpl_data.stages import clicks_table
+    from rpl_data.pipeline.inputs import clicks_table
     from rpl_data.workspace import Workspace
 
     write_text(file, clicks_table(Workspace(workspace)))

@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
 from rpl_data import build
-from rpl_data.products import quality_rows, split_summary, timings
+from rpl_data.pipeline.products import quality_rows, split_summary, timings
 from rpl_data.quality import format_table
 from rpl_data.steps import Ledger
 from rpl_data.workspace import Workspace

@@ -9,7 +9,7 @@ from dataclasses import asdict
 from typing import Any
 
 from rpl_data.export import ExportScene, export_coco
-from rpl_data.stages import VERSIONS, Context, step
+from rpl_data.pipeline.context import VERSIONS, Context, step
 from rpl_data.steps import Advance, Json, Ledger, Outcome, Step, stamps
 from rpl_data.types import DataError, FrameLabel, QualityRow
 from rpl_data.workspace import Workspace
@@ -140,7 +140,13 @@ def quality_rows(ledger: Ledger) -> list[QualityRow]:
     """The comparison that the quality stage made last; empty when there was none."""
     entry = ledger.entries.get("quality")
     rows: Any = [] if entry is None else entry.outcome.details["rows"]
-    return [QualityRow(**{k: math.nan if v is None else v for k, v in row.items()}) for row in rows]
+    filled: list[dict[str, Any]] = [{k: math.nan if v is None else v for k, v in row.items()} for row in rows]
+    return [QualityRow(**row) for row in filled]
+
+
+def _quality_row(row: Json) -> QualityRow:
+    numbers: Json = {name: math.nan if value is None else value for name, value in row.items()}
+    return QualityRow(**numbers)
 
 
 def finite_or_none(value: Any) -> Any:

@@ -1,0 +1,1 @@
+"""Every stage with its files: what it reads from a workspace and writes back to it."""

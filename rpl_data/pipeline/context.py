@@ -1,0 +1,89 @@
+"""What every stage is given, and what its steps have in common."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from rpl_data.pool import Pool
+from rpl_data.recipe import ObjectRecipe, Recipe, SceneSource
+from rpl_data.steps import Advance, Json, Outcome, Step
+from rpl_data.types import Frame, Scene, Solution, Trajectory
+from rpl_data.workspace import Workspace
+
+VERSIONS = {
+    "twin": 1,
+    "import": 1,
+    "clicks": 1,
+    "solve": 1,
+    "surface": 1,
+    "segment": 1,
+    "label": 1,
+    "export": 1,
+    "quality": 1,
+    "report": 1,
+}
+"""Raised when a stage writes something else for the same input; its steps then run again."""
+
+
+@dataclass(frozen=True)
+class Context:
+    """What every stage is given."""
+
+    recipe: Recipe
+    workspace: Workspace
+    pool: Pool
+
+    @property
+    def scene_sources(self) -> tuple[SceneSource, ...]:
+        """Where scenes come from; a twin's recording when the recipe names none."""
+        return self.recipe.scenes or (SceneSource(self.workspace.recording, metres_per_unit=0.001),)
+
+    @property
+    def objects(self) -> tuple[ObjectRecipe, ...]:
+        """The objects; those a twin wrote when the recipe names none."""
+        return self.recipe.objects or tuple(self._twin_objects())
+
+    def _twin_objects(self) -> Iterator[ObjectRecipe]:
+        truth = Workspace(self.workspace.truth)
+        for name in truth.object_names():
+            model = truth.load_solution(name).model
+            clicks = self.workspace.recording / "clicks.csv"
+            yield ObjectRecipe(name, model.keypoints, clicks, model.skeleton)
+
+    @property
+    def object_names(self) -> list[str]:
+        """Names in the recipe's order, which is that of the categories."""
+        return [item.name for item in self.objects]
+
+    def solutions_in(self, scene: str) -> list[Solution]:
+        """Solutions of the objects that stand in a scene."""
+        solutions = [self.workspace.load_solution(name) for name in self.object_names]
+        return [solution for solution in solutions if scene in solution.scene_from_object]
+
+    def placed_scenes(self) -> list[str]:
+        """Scenes in which at least one object has a place."""
+        solutions = [self.workspace.load_solution(name) for name in self.object_names]
+        placed = {scene for solution in solutions for scene in solution.scene_from_object}
+        return [scene for scene in self.workspace.scene_names() if scene in placed]
+
+
+def step(
+    stage: str,
+    item: str,
+    run: Callable[[Advance], Outcome],
+    *,
+    options: Json | None = None,
+    sources: Json | None = None,
+    after: Sequence[str] = (),
+    outputs: Sequence[Path] = (),
+) -> Step:
+    """A step with the version of its stage."""
+    return Step(stage, item, VERSIONS[stage], options or {}, sources or {}, tuple(after), tuple(outputs), run)
+
+
+def posed_frames(scene: Scene, trajectory: Trajectory) -> list[Frame]:
+    """The frames that have a pose."""
+    posed = set(trajectory.frames.tolist())
+    return [frame for frame in scene.frames if frame.index in posed]

@@ -1,0 +1,147 @@
+"""Depth near the objects -> surfaces of the scenes and dense models of the objects."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from rpl_data.geometry import transform
+from rpl_data.pipeline.context import Context, posed_frames, step
+from rpl_data.recipe import ObjectRecipe
+from rpl_data.steps import Advance, Outcome, Step
+from rpl_data.types import DepthImage, Frame, Mesh, Scene, Solution
+from rpl_data.workspace import load_mesh, read_color, read_depth_m, save_cloud, save_mesh
+
+
+@dataclass(frozen=True)
+class Sphere:
+    """Where a surface is wanted, scene frame."""
+
+    centre_m: np.ndarray
+    radius_m: float
+
+
+def surface_steps(context: Context) -> list[Step]:
+    """Depth near the objects -> a surface, a scene."""
+    return [_surface_step(context, scene) for scene in context.placed_scenes()]
+
+
+def _surface_step(context: Context, name: str) -> Step:
+    workspace, voxel_m = context.workspace, context.recipe.reconstruct.voxel_m
+
+    def run(advance: Advance) -> Outcome:
+        from rpl_data.reconstruct.surface import fuse_surface
+
+        scene = workspace.load_scene(name)
+        trajectory = workspace.load_trajectory(scene)
+        frames = [frame for frame in posed_frames(scene, trajectory) if frame.depth is not None]
+        spheres = joined_spheres([sphere_of(item, name) for item in context.solutions_in(name)])
+        meshes = []
+        for number, sphere in enumerate(spheres):
+            meshes.append(
+                fuse_surface(
+                    scene,
+                    trajectory,
+                    with_depth(scene, frames, advance, number * len(frames), len(spheres) * len(frames)),
+                    centre_scene=sphere.centre_m,
+                    radius_m=sphere.radius_m,
+                    voxel_m=voxel_m,
+                    colors=read_color,
+                )
+            )
+        save_mesh(workspace.surface_file(name), joined_meshes(meshes))
+        return Outcome(len(frames))
+
+    before = [f"solve/{item.model.name}" for item in context.solutions_in(name)]
+    output = workspace.surface_file(name)
+    return step(
+        "surface", name, run, options={"voxel_m": voxel_m}, after=["import", *before], outputs=[output]
+    )
+
+
+def with_depth(
+    scene: Scene, frames: Sequence[Frame], advance: Advance, done: int = 0, total: int | None = None
+) -> Iterator[tuple[Frame, DepthImage]]:
+    """Frames with their depth, one at a time."""
+    for number, frame in enumerate(frames, start=done):
+        advance(number, len(frames) if total is None else total)
+        yield frame, read_depth_m(scene, frame)
+
+
+def sphere_of(solution: Solution, scene: str) -> Sphere:
+    """Around the keypoints of an object, with some of what it stands on."""
+    model = solution.model
+    points = transform(solution.scene_from_object[scene], model.points_object[model.known])
+    centre = points.mean(axis=0)
+    return Sphere(centre, 1.8 * float(np.linalg.norm(points - centre, axis=1).max()) + 0.06)
+
+
+def joined_spheres(spheres: Sequence[Sphere]) -> list[Sphere]:
+    """Spheres that do not overlap and hold the given ones, so that no surface is fused twice."""
+    joined: list[Sphere] = []
+    for sphere in spheres:
+        while touching := [other for other in joined if _overlap(sphere, other)]:
+            joined.remove(touching[0])
+            sphere = _around(sphere, touching[0])
+        joined.append(sphere)
+    return joined
+
+
+def _overlap(a: Sphere, b: Sphere) -> bool:
+    return float(np.linalg.norm(a.centre_m - b.centre_m)) < a.radius_m + b.radius_m
+
+
+def _around(a: Sphere, b: Sphere) -> Sphere:
+    """The smallest sphere that holds both."""
+    distance = float(np.linalg.norm(b.centre_m - a.centre_m))
+    if distance + b.radius_m <= a.radius_m:
+        return a
+    if distance + a.radius_m <= b.radius_m:
+        return b
+    radius = (distance + a.radius_m + b.radius_m) / 2
+    return Sphere(a.centre_m + (b.centre_m - a.centre_m) * (radius - a.radius_m) / distance, radius)
+
+
+def joined_meshes(meshes: Sequence[Mesh]) -> Mesh:
+    """All triangles in one mesh."""
+    offsets = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
+    colors = [mesh.colors for mesh in meshes if mesh.colors is not None]
+    return Mesh(
+        np.concatenate([mesh.vertices for mesh in meshes]),
+        np.concatenate([mesh.triangles + offset for mesh, offset in zip(meshes, offsets, strict=True)]),
+        np.concatenate(colors) if len(colors) == len(meshes) else None,
+    )
+
+
+def segment_steps(context: Context) -> list[Step]:
+    """Surfaces of the scenes -> the dense model, an object."""
+    return [_segment_step(context, item) for item in context.objects]
+
+
+def _segment_step(context: Context, item: ObjectRecipe) -> Step:
+    workspace, voxel_m = context.workspace, context.recipe.reconstruct.voxel_m
+    scenes = [s for s in context.placed_scenes() if s in workspace.load_solution(item.name).scene_from_object]
+
+    def run(advance: Advance) -> Outcome:
+        from rpl_data.segment import segment_object
+
+        surfaces = {name: load_mesh(workspace.surface_file(name)) for name in scenes}
+        crop = None if item.crop is None else (item.crop.low_m, item.crop.high_m)
+        dense = segment_object(surfaces, workspace.load_solution(item.name), voxel_m=voxel_m, crop_m=crop)
+        save_mesh(workspace.mesh_file(item.name), dense.mesh)
+        save_cloud(workspace.cloud_file(item.name), dense.cloud)
+        return Outcome(
+            messages=tuple(f"{item.name}: {line}" for line in dense.warnings),
+            details={"triangles": len(dense.mesh.triangles), "points": len(dense.cloud.points)},
+        )
+
+    return step(
+        "segment",
+        item.name,
+        run,
+        options={"voxel_m": voxel_m, "crop": None if item.crop is None else asdict(item.crop)},
+        after=[f"solve/{item.name}", *(f"surface/{name}" for name in scenes)],
+        outputs=[workspace.mesh_file(item.name), workspace.cloud_file(item.name)],
+    )

@@ -1,0 +1,147 @@
+"""Recordings and clicks -> the workspace."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+from rpl_data import capture
+from rpl_data.clicklog import clicks_from_csv, clicks_to_csv, events_to, keypoints_event, objects_in_csv
+from rpl_data.files import read_text
+from rpl_data.pipeline.context import Context, step
+from rpl_data.recipe import ObjectRecipe, SceneSource
+from rpl_data.steps import Advance, Outcome, Step, stamps
+from rpl_data.types import DataError, Recording
+from rpl_data.workspace import Workspace, remove
+
+# Recordings ---------------------------------------------------------------------------------------
+
+
+def twin_steps(context: Context) -> list[Step]:
+    """A synthetic recording with truth, when the recipe asks for one."""
+    spec, workspace = context.recipe.twin, context.workspace
+    if spec is None:
+        return []
+
+    def run(advance: Advance) -> Outcome:
+        from rpl_data.twin.write import write_twin
+
+        write_twin(workspace.recording, spec, workers=context.pool.workers, progress=advance)
+        return Outcome(spec.scenes * spec.frames)
+
+    outputs = [workspace.recording / "camera.txt", workspace.recording / "clicks.csv"]
+    return [step("twin", "", run, options=asdict(spec), outputs=outputs)]
+
+
+def import_steps(context: Context) -> list[Step]:
+    """Recordings -> scenes of the workspace."""
+    workspace, sources = context.workspace, context.scene_sources
+
+    def run(advance: Advance) -> Outcome:
+        recordings = read_recordings(sources)
+        for gone in set(workspace.scene_names()) - {recording.scene.name for recording in recordings}:
+            remove(workspace.scene_file(gone).parent)
+            remove(workspace.labels_file(gone))
+        for recording in recordings:
+            workspace.save_recording(recording)
+        lines = [
+            f"scene {recording.scene.name}: {line}"
+            for recording in recordings
+            for line in (*recording.skipped, *recording.notes)
+        ]
+        return Outcome(sum(len(recording.scene.frames) for recording in recordings), tuple(lines))
+
+    paths = [source.path for source in sources]
+    seen = stamps(*paths, but_not=workspace.root.resolve() if not context.recipe.twin else workspace.truth)
+    options = {"scenes": [asdict(source) | {"path": str(source.path)} for source in sources]}
+    outputs = [workspace.scene_file(name) for name in workspace.scene_names()]
+    return [step("import", "", run, options=options, sources=seen, after=["twin"], outputs=outputs)]
+
+
+def read_recordings(sources: Sequence[SceneSource]) -> list[Recording]:
+    """All scenes of all sources; DataError when two share a name or one has no poses."""
+    recordings: dict[str, Recording] = {}
+    for source in sources:
+        for recording in capture.open_scenes(
+            source.path, source.format, names=source.names, metres_per_unit=source.metres_per_unit
+        ):
+            name = recording.scene.name
+            if name in recordings:
+                raise DataError(
+                    f"two scenes are called {name}: {recordings[name].scene.source} and "
+                    f"{recording.scene.source}; rename a folder, or choose scenes by `names`"
+                )
+            if recording.trajectory is None:
+                raise DataError(f"scene {name} in {source.path} has no camera poses; record it with poses")
+            recordings[name] = recording
+    return list(recordings.values())
+
+
+# Clicks -------------------------------------------------------------------------------------------
+
+
+def clicks_steps(context: Context) -> list[Step]:
+    """Keypoint names and, where a recipe names a CSV file, its clicks -> the log of each object."""
+    return [_clicks_step(context, item) for item in context.objects]
+
+
+def _clicks_step(context: Context, item: ObjectRecipe) -> Step:
+    def run(advance: Advance) -> Outcome:
+        if item.clicks is None:
+            annotation = context.workspace.load_annotation(item.name)
+            if annotation.keypoints != item.keypoint_names:
+                context.workspace.append_events(item.name, [keypoints_event(item.keypoint_names)])
+            return Outcome()
+        changed = import_clicks(context.workspace, item, item.clicks)
+        return Outcome(
+            messages=(f"{item.name}: {changed} clicks changed from {item.clicks}",) if changed else ()
+        )
+
+    options = {
+        "keypoints": list(item.keypoint_names),
+        "clicks": None if item.clicks is None else str(item.clicks),
+    }
+    sources = stamps(item.clicks) if item.clicks else {}
+    return step("clicks", item.name, run, options=options, sources=sources)
+
+
+def import_clicks(workspace: Workspace, item: ObjectRecipe, path: Path) -> int:
+    """Make the log of an object say what the CSV file says; returns how many events that took."""
+    clicks = clicks_from_csv(
+        read_text(path), source=str(path), object_name=item.name, keypoints=item.keypoint_names
+    )
+    events = events_to(workspace.load_annotation(item.name), item.keypoint_names, clicks)
+    if events:
+        workspace.append_events(item.name, events)
+    return len(events)
+
+
+def add_clicks(context: Context, path: Path) -> dict[str, int]:
+    """Add the clicks of a CSV file to the logs; returns how many events that took, by object."""
+    text = read_text(path)
+    named = set(objects_in_csv(text))
+    chosen = [item for item in context.objects if item.name in named]
+    if not chosen or named - set(context.object_names):
+        raise DataError(
+            f"{path} has clicks for {', '.join(sorted(named)) or 'no object'}; "
+            f"the recipe has the objects {', '.join(context.object_names)}; use the same names"
+        )
+    events = {}
+    for item in chosen:
+        names = item.keypoint_names
+        annotation = context.workspace.load_annotation(item.name)
+        clicks = clicks_from_csv(text, source=str(path), object_name=item.name, keypoints=names)
+        events[item.name] = events_to(annotation, names, [*annotation.clicks, *clicks])
+    for name, found in events.items():  # after all of the file was understood
+        context.workspace.append_events(name, found)
+    return {name: len(found) for name, found in events.items()}
+
+
+def clicks_table(workspace: Workspace) -> str:
+    """The clicks of all objects as CSV, the heading once."""
+    annotations = [workspace.load_annotation(name) for name in workspace.object_names()]
+    tables = [clicks_to_csv(found.clicks, found.keypoints) for found in annotations if found.clicks]
+    if not tables:
+        raise DataError(f"{workspace.root} has no clicks to export")
+    return tables[0] + "".join(table.split("\n", 1)[1] for table in tables[1:])

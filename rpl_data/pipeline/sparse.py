@@ -1,0 +1,89 @@
+"""Clicks -> the sparse model and where the objects stand."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+
+import numpy as np
+
+from rpl_data.lift import lift_clicks
+from rpl_data.pipeline.context import Context, step
+from rpl_data.recipe import ObjectRecipe
+from rpl_data.solve import register, solve
+from rpl_data.steps import Advance, Outcome, Step, stamps
+from rpl_data.types import DataError, Observation
+from rpl_data.workspace import Workspace, read_depth_m
+
+
+def solve_steps(context: Context) -> list[Step]:
+    """Clicks -> sparse model and scene transforms, an object."""
+    return [_solve_step(context, item) for item in context.objects]
+
+
+def _solve_step(context: Context, item: ObjectRecipe) -> Step:
+    workspace, options = context.workspace, asdict(context.recipe.solve)
+
+    def run(advance: Advance) -> Outcome:
+        observations = observe(workspace, item.name)
+        solution = solve(
+            item.name,
+            item.keypoint_names,
+            observations,
+            method=context.recipe.solve.method,
+            skeleton=item.skeleton,
+        )
+        workspace.save_solution(solution)
+        outliers = sum(residual.outlier for residual in solution.residuals)
+        lines = [f"{item.name}: {line}" for line in solution.warnings]
+        return Outcome(messages=tuple(lines), details={"clicks": len(observations), "outliers": outliers})
+
+    return step(
+        "solve",
+        item.name,
+        run,
+        options=options
+        | {"keypoints": list(item.keypoint_names), "skeleton": [list(e) for e in item.skeleton]},
+        sources=stamps(workspace.clicks_file(item.name)),
+        after=["import"],
+        outputs=[workspace.solution_file(item.name)],
+    )
+
+
+def register_step(context: Context, object_name: str, scene: str) -> Step:
+    """Place a known object in one more scene from its clicks there; the model stays as it is."""
+    item = next((item for item in context.objects if item.name == object_name), None)
+    if item is None:
+        raise DataError(f"the recipe has no object {object_name!r}; it has {', '.join(context.object_names)}")
+
+    def run(advance: Advance) -> Outcome:
+        solution = context.workspace.load_solution(object_name)
+        observations = observe(context.workspace, object_name, scene=scene)
+        place, residuals = register(solution.model, observations)
+        kept = tuple(r for r in solution.residuals if r.click.scene != scene)
+        places = {**solution.scene_from_object, scene: place}
+        context.workspace.save_solution(
+            replace(solution, scene_from_object=places, residuals=(*kept, *residuals))
+        )
+        mean_px = float(np.mean([residual.error_px for residual in residuals]))
+        text = f"{object_name} stands in scene {scene}; its {len(residuals)} clicks fit to {mean_px:.1f} px"
+        return Outcome(messages=(text,))
+
+    # It takes the place of the solve in the ledger, so that a build goes on from it and does not solve again.
+    return replace(_solve_step(context, item), run=run)
+
+
+def observe(workspace: Workspace, object_name: str, *, scene: str | None = None) -> list[Observation]:
+    """The clicks of an object (in one scene, or all), lifted; DataError when there are none."""
+    clicks = workspace.load_annotation(object_name).clicks
+    if scene is not None:
+        clicks = tuple(click for click in clicks if click.scene == scene)
+    if not clicks:
+        raise DataError(
+            f"object {object_name} has no clicks{f' in scene {scene}' if scene else ''}; name a CSV file "
+            f"with `clicks:` in the recipe, or run `rpl clicks import FILE.csv --workspace {workspace.root}`"
+        )
+    scenes = {name: workspace.load_scene(name) for name in workspace.scene_names()}
+    trajectories = {
+        name: workspace.load_trajectory(scenes[name]) for name in {c.scene for c in clicks} & scenes.keys()
+    }
+    return lift_clicks(clicks, scenes, trajectories, read_depth_m)
