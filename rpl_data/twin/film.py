@@ -53,11 +53,13 @@ class Film:
     @property
     def scene_from_camera(self) -> Float64[np.ndarray, "n 4 4"]:
         """The trajectory in the frame of the first camera."""
-        return invert(self.table_from_camera[0]) @ self.table_from_camera
+        poses: Float64[np.ndarray, "n 4 4"] = invert(self.table_from_camera[0]) @ self.table_from_camera
+        return poses
 
     def scene_from_object(self, number: int) -> Transform:
         """Where an object stands, in the frame of the first camera."""
-        return invert(self.table_from_camera[0]) @ self.scene.table_from_object[number]
+        pose: Transform = invert(self.table_from_camera[0]) @ self.scene.table_from_object[number]
+        return pose
 
     def shoot(self, frame: int) -> Shot:
         """Render a frame; the same spec, scene and frame give the same pixels."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -35,7 +35,7 @@ def build(name: str) -> TwinObject:
 
 
 def _centred(
-    name: str, surface: Surface, landmarks: dict[str, Sequence[float]], edges: Sequence[tuple[int, int]]
+    name: str, surface: Surface, landmarks: Mapping[str, Sequence[float]], edges: Sequence[tuple[int, int]]
 ) -> TwinObject:
     """The object with its frame moved to the centroid of its landmarks."""
     points = np.array(list(landmarks.values()), dtype=float)
@@ -194,9 +194,9 @@ def kettle() -> TwinObject:
         [_kettle_print(), _brushed(rng), np.full((64, 64, 3), 24, np.uint8)]
     )
     lid = surfaces.lathe_grid(
-        [(0, 0.113), (0.012, 0.1125), (0.022, 0.1105), (0.030, 0.108)], columns=BODY_COLUMNS
+        [(0.0, 0.113), (0.012, 0.1125), (0.022, 0.1105), (0.030, 0.108)], columns=BODY_COLUMNS
     )
-    bottom = surfaces.lathe_grid([(0.054, 0.001), (0.050, 0.0), (0, 0.0)], columns=BODY_COLUMNS)
+    bottom = surfaces.lathe_grid([(0.054, 0.001), (0.050, 0.0), (0.0, 0.0)], columns=BODY_COLUMNS)
     knob = [
         replace(face, vertices=face.vertices + KNOB_CENTRE_M)
         for face in surfaces.box(KNOB_SIZE_M, [dark_rect] * 6, cells=4)
@@ -221,22 +221,22 @@ def kettle() -> TwinObject:
 
 
 def _kettle_landmarks(
-    body: Float64[np.ndarray, "r c 3"], spout: Float64[np.ndarray, "r c 3"]
+    body: Float64[np.ndarray, "_ _ 3"], spout: Float64[np.ndarray, "_ _ 3"]
 ) -> dict[str, Sequence[float]]:
     (top_x, top_z), (low_x, low_z) = HANDLE_OUTER_XZ_M[1], HANDLE_OUTER_XZ_M[2]
     (cx, cy, cz), (kx, ky, kz) = KNOB_CENTRE_M, KNOB_SIZE_M
     tip = spout[0]
     return {
-        "spout_upper_lip": tip[np.argmax(tip[:, 2])],
-        "spout_lower_lip": tip[np.argmin(tip[:, 2])],
+        "spout_upper_lip": tip[np.argmax(tip[:, 2])].tolist(),
+        "spout_lower_lip": tip[np.argmin(tip[:, 2])].tolist(),
         "handle_top_left": (top_x, HANDLE_HALF_M, top_z),
         "handle_top_right": (top_x, -HANDLE_HALF_M, top_z),
         "handle_bottom_left": (low_x, HANDLE_HALF_M, low_z),
         "handle_bottom_right": (low_x, -HANDLE_HALF_M, low_z),
         "knob_left": (cx + kx / 2, cy + ky / 2, cz + kz / 2),
         "knob_right": (cx - kx / 2, cy - ky / 2, cz + kz / 2),
-        "badge_corner": body[BADGE[0], BADGE[1]],
-        "gauge_corner": body[GAUGE[2], GAUGE[3]],
+        "badge_corner": body[BADGE[0], BADGE[1]].tolist(),
+        "gauge_corner": body[GAUGE[2], GAUGE[3]].tolist(),
     }
 
 

@@ -158,7 +158,8 @@ class Renderer:
         to_lamp /= distance[:, None]
         facing = np.einsum("nk,nk->n", normals, to_lamp).clip(0)
         facing[hits.mesh_id < 0] = 0
-        falloff = light.strength * np.square(np.linalg.norm(light.position_m) / distance)
+        reference_m = np.float32(np.linalg.norm(light.position_m))
+        falloff = np.float32(light.strength) * np.square(reference_m / distance)
         shadow = self._shadow(points, hits, facing > 0, rng)
         if image_shape is not None:
             shadow = _smoothed_shadow(
@@ -209,7 +210,7 @@ class Renderer:
 
 
 def _sample(
-    texture: Float32[np.ndarray, "h w 3"], uv: Float64[np.ndarray, "n 2"]
+    texture: Float32[np.ndarray, "h w 3"], uv: Float32[np.ndarray, "n 2"]
 ) -> Float32[np.ndarray, "n 3"]:
     """The texture at positions, bilinear."""
     height, width = texture.shape[:2]

@@ -116,7 +116,7 @@ def _steadiness_rad(base: Float64[np.ndarray, "n 3"], centre: Float64[np.ndarray
 
 
 def _footprint_m(vertices: Float64[np.ndarray, "n 3"]) -> float:
-    """Radius of the upright cylinder a thing needs, whichever way it lies."""
+    """Radius around the mean vertex of the room a thing needs, whichever way it lies."""
     return float(np.linalg.norm(vertices - vertices.mean(axis=0), axis=1).max())
 
 
@@ -124,7 +124,8 @@ def _spots(rng: np.random.Generator, radii_m: Sequence[float]) -> list[Float64[n
     """Places on the table: one in the middle, more side by side on a circle, never touching."""
     if len(radii_m) == 1:
         return [rng.uniform(-0.03, 0.03, 2)]
-    circle_m = max(radii_m) / np.sin(np.pi / len(radii_m)) * 0.9
+    closest_m = sum(sorted(radii_m)[-2:]) + 0.01
+    circle_m = closest_m / (2 * np.sin(np.pi / len(radii_m)))
     angles = rng.uniform(0, 2 * np.pi) + 2 * np.pi * np.arange(len(radii_m)) / len(radii_m)
     return [circle_m * np.array([np.cos(angle), np.sin(angle)]) for angle in angles]
 
@@ -137,7 +138,7 @@ def _placed(
     heading = Rotation.from_euler("z", rng.uniform(0, 360), degrees=True).as_matrix()
     rotation = heading @ choices[number % len(choices)]
     turned = thing.surface.vertices @ rotation.T
-    middle = (turned.min(axis=0) + turned.max(axis=0)) / 2
+    middle = turned.mean(axis=0)
     return rigid(rotation, np.array([spot[0] - middle[0], spot[1] - middle[1], -turned[:, 2].min()]))
 
 
@@ -171,7 +172,7 @@ def _thing(rng: np.random.Generator, size_m: float) -> Surface:
         return replace(part, vertices=part.vertices + [0, 0, height / 2])
     if kind == "tin":
         r, top = size_m * 0.6, rng.uniform(0.06, 0.12)
-        profiles = [[(0, top), (r, top)], [(r, top), (r, 0.0)]]
+        profiles = [[(0.0, top), (r, top)], [(r, top), (r, 0.0)]]
         return surfaces.joined([surfaces.patch(surfaces.lathe_grid(p)) for p in profiles], image, gloss=0.2)
     angle = np.linspace(0, np.pi, 24)
     r = size_m * 0.6

@@ -73,7 +73,14 @@ class ColorSensor:
 
 
 PERFECT_DEPTH = DepthSensor(
-    noise=0, bleed_px=0, dropout=0, baseline_m=0, grazing_deg=0, nearest_m=0, farthest_m=np.inf, quantum_m=0
+    noise=0.0,
+    bleed_px=0.0,
+    dropout=0.0,
+    baseline_m=0.0,
+    grazing_deg=0.0,
+    nearest_m=0.0,
+    farthest_m=float("inf"),
+    quantum_m=0.0,
 )
 """No effect at all; `dataclasses.replace` adds one."""
 
@@ -91,7 +98,7 @@ def measure_depth(
     lost |= _grazing_holes(cos_incidence, sensor.grazing_deg, rng)
     if sensor.baseline_m > 0:
         lost |= half_occluded(depth_m, focal_px=focal_px, baseline_m=sensor.baseline_m)
-    measured = _bled(depth_m, sensor.bleed_px, rng)
+    measured = _bled(depth_m, cos_incidence, sensor.bleed_px, focal_px, rng)
     if sensor.dropout > 0:
         ragged = _grain(rng, depth_m.shape, 1.0)
         near_outline = outlines(measured, step_m=sensor.outline_m)
@@ -126,20 +133,30 @@ def outlines(depth_m: DepthImage, *, step_m: float) -> Bool[np.ndarray, "height 
     return steps
 
 
-def _bled(depth_m: DepthImage, bleed_px: float, rng: np.random.Generator) -> DepthImage:
+def _bled(
+    depth_m: DepthImage,
+    cos_incidence: Float32[np.ndarray, "height width"],
+    bleed_px: float,
+    focal_px: float,
+    rng: np.random.Generator,
+) -> DepthImage:
     """Every pixel takes the depth of a pixel near by; the shift varies slowly, so outlines wander.
 
     Within a surface the shift would add noise of its own, so only pixels that end up on another
-    surface (a jump beyond what a slope explains) take it.
+    surface (a jump beyond what the slope of their own explains) take it.
     """
     if bleed_px <= 0:
         return depth_m
     height, width = depth_m.shape
     v, u = np.mgrid[:height, :width].astype(np.float32)
-    u += np.float32(bleed_px) * _grain(rng, depth_m.shape, 3.0)
-    v += np.float32(bleed_px) * _grain(rng, depth_m.shape, 3.0)
-    other = cv2.remap(depth_m, u, v, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
-    return np.where(np.abs(other - depth_m) > 0.012 * depth_m, other, depth_m)
+    shift_u = np.float32(bleed_px) * _grain(rng, depth_m.shape, 3.0)
+    shift_v = np.float32(bleed_px) * _grain(rng, depth_m.shape, 3.0)
+    nearest = (u + shift_u).round(), (v + shift_v).round()
+    other = cv2.remap(depth_m, *nearest, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
+    tangent = np.sqrt(1 / np.square(cos_incidence.clip(0.2, 1)) - 1)  # a contour has no slope to speak of
+    slope_m = 1.5 * (np.hypot(shift_u, shift_v) + 0.7) * depth_m / focal_px * tangent
+    elsewhere = np.abs(other - depth_m) > 0.01 * depth_m + slope_m
+    return np.where(elsewhere, other, depth_m).astype(np.float32)
 
 
 def _grazing_holes(
@@ -162,11 +179,9 @@ def _grain(
         return white
     reach = int(4 * size_px) + 1
     kernel = cv2.getGaussianKernel(2 * reach + 1, size_px, cv2.CV_32F)
-    kernel /= np.float32(np.sqrt((kernel**2).sum()))  # so that the variance stays 1
-    smooth: Float32[np.ndarray, "height width"] = cv2.sepFilter2D(
-        white, cv2.CV_32F, kernel, kernel, borderType=cv2.BORDER_REFLECT_101
-    )
-    return smooth
+    kernel = kernel / np.sqrt((kernel**2).sum(), dtype=np.float32)  # so that the variance stays 1
+    smooth = cv2.sepFilter2D(white, cv2.CV_32F, kernel, kernel, borderType=cv2.BORDER_REFLECT_101)
+    return np.asarray(smooth, dtype=np.float32)
 
 
 def _normal_quantile(share: float) -> float:
@@ -177,9 +192,9 @@ def _normal_quantile(share: float) -> float:
 
 def measure_color(color: ColorImage, sensor: ColorSensor, *, rng: np.random.Generator) -> ColorImage:
     """The colour image before compression: blur, exposure and noise."""
-    image = color.astype(np.float32)
-    if sensor.blur_px > 0:
-        image = cv2.GaussianBlur(image, (0, 0), sensor.blur_px)
+    sharp = color.astype(np.float32)
+    blurred = cv2.GaussianBlur(sharp, (0, 0), sensor.blur_px) if sensor.blur_px > 0 else sharp
+    image = np.asarray(blurred, dtype=np.float32)
     image *= np.float32(1 + sensor.exposure * rng.standard_normal())
     sigma = np.sqrt(np.float32(sensor.noise**2) + np.float32(sensor.shot_noise**2) / 255 * image.clip(0, 255))
     image += sigma * rng.standard_normal(image.shape, dtype=np.float32)

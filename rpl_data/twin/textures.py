@@ -6,12 +6,14 @@ from collections.abc import Callable, Sequence
 
 import cv2
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float32, UInt8
 
 from rpl_data.twin.surfaces import UvRect
 from rpl_data.types import ColorImage
 
 Rgb = tuple[int, int, int]
+AnyImage = UInt8[np.ndarray, "_ _ 3"]
+"""A `ColorImage` among others of other sizes."""
 
 
 def fractal_noise(
@@ -24,13 +26,17 @@ def fractal_noise(
         grid = rng.random((size, size), dtype=np.float32)
         total += cv2.resize(grid, (width, height), interpolation=cv2.INTER_CUBIC) / np.float32(2**octave)
     low, high = np.percentile(total[::4, ::4], [0.5, 99.5])
-    return np.clip((total - low) / (high - low), 0, 1).astype(np.float32)
+    noise: Float32[np.ndarray, "height width"] = np.clip((total - low) / (high - low), 0, 1).astype(
+        np.float32
+    )
+    return noise
 
 
 def blend(amount: Float32[np.ndarray, "height width"], dark: Rgb, light: Rgb) -> ColorImage:
     """From `dark` where amount = 0 to `light` where it is 1."""
     low, high = np.array(dark, np.float32), np.array(light, np.float32)
-    return (low + amount[..., None] * (high - low)).clip(0, 255).astype(np.uint8)
+    image: ColorImage = (low + amount[..., None] * (high - low)).clip(0, 255).astype(np.uint8)
+    return image
 
 
 def wood(rng: np.random.Generator, size: int = 1024) -> ColorImage:
@@ -131,9 +137,8 @@ def tiles(rng: np.random.Generator, size: int = 1024) -> ColorImage:
 def print_of(rng: np.random.Generator, height: int, width: int) -> ColorImage:
     """A random print for clutter: a ground colour, blocks, stripes and words."""
     first, second = _two_colors(rng)
-    image = blend(
-        fractal_noise(rng, height, width, cells=2, octaves=3), first, tuple(min(c + 35, 255) for c in first)
-    )
+    lighter = (min(first[0] + 35, 255), min(first[1] + 35, 255), min(first[2] + 35, 255))
+    image = blend(fractal_noise(rng, height, width, cells=2, octaves=3), first, lighter)
     for _ in range(3):
         x, y = int(rng.integers(0, width)), int(rng.integers(0, height))
         cv2.rectangle(image, (x, y), (x + width // 3, y + height // 8), second, -1)
@@ -161,7 +166,7 @@ SUPPORTS: dict[str, Callable[[np.random.Generator], ColorImage]] = {
 }
 
 
-def pack(images: Sequence[ColorImage]) -> tuple[ColorImage, list[UvRect]]:
+def pack(images: Sequence[AnyImage]) -> tuple[AnyImage, list[UvRect]]:
     """Images side by side in one texture, and where each ended up (half a pixel inside its edge)."""
     height = max(image.shape[0] for image in images)
     width = sum(image.shape[1] for image in images)

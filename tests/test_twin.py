@@ -1,0 +1,399 @@
+"""The twin against itself, OpenCV and pycocotools: its truth is what everything else is measured by."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from pycocotools import mask as coco_mask
+from scipy.spatial import cKDTree
+
+from rpl_data.formats.rpl import read_rpl
+from rpl_data.geometry import back_project, depth_sigma_m, invert, project, transform
+from rpl_data.twin import TwinSpec, write_twin
+from rpl_data.twin.annotator import click
+from rpl_data.twin.film import Film, film
+from rpl_data.twin.objects import OBJECTS, build
+from rpl_data.twin.scene import compose, resting_rotations
+from rpl_data.twin.sensor import PERFECT_DEPTH, ColorSensor, half_occluded, measure_color, measure_depth
+from rpl_data.twin.trajectory import hand_held
+from rpl_data.types import DataError, FrameLabel
+from rpl_data.workspace import Workspace, load_mesh, read_color, read_depth_m
+
+TINY = TwinSpec(scenes=2, seconds=1.0, rate_hz=4.0, width=160, height=120, clutter=2)
+
+
+@pytest.fixture(scope="module")
+def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A tiny twin on disk, rendered in this process."""
+    folder = tmp_path_factory.mktemp("twin") / "recording"
+    write_twin(folder, TINY, workers=1)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def video() -> Film:
+    """A sharper one, not rendered yet."""
+    return film(replace(TINY, width=320, height=240, seconds=3.0, seed=1), 0)
+
+
+# Objects ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", OBJECTS)
+def test_objects_are_centred_textured_and_asymmetric(name: str) -> None:
+    one = build(name)
+    points = one.model.points_object
+    assert 6 <= len(points) <= 12
+    np.testing.assert_allclose(points.mean(axis=0), 0, atol=1e-12)
+    # Landmarks lie on the surface: each is a vertex of it.
+    assert cKDTree(one.surface.vertices).query(points)[0].max() < 1e-9
+    distances = np.linalg.norm(points[:, None] - points[None], axis=-1)
+    assert distances[~np.eye(len(points), dtype=bool)].min() > 0.008  # distinct, also for a person
+    assert one.surface.texture.std(axis=(0, 1)).max() > 40
+
+
+@pytest.mark.parametrize("name", OBJECTS)
+def test_triangles_and_shading_normals_face_outwards(name: str) -> None:
+    surface = build(name).surface
+    a, b, c = (surface.vertices[surface.triangles[:, i]] for i in range(3))
+    flat = np.cross(b - a, c - a)
+    flat /= np.linalg.norm(flat, axis=1, keepdims=True)
+    assert (np.einsum("mk,mck->mc", flat, surface.corner_normals) > 0.25).all()
+    # The volume by the divergence theorem is positive only for outward triangles.
+    assert np.einsum("mk,mk->", a, np.cross(b, c)) / 6 > 1e-4
+
+
+def test_carton_has_its_size() -> None:
+    np.testing.assert_allclose(np.ptp(build("carton").surface.vertices, axis=0), [0.09, 0.06, 0.14])
+
+
+def test_unknown_object_is_refused() -> None:
+    with pytest.raises(DataError, match="no twin object 'teapot'; expected one of carton, kettle"):
+        build("teapot")
+
+
+# Scene and trajectory -----------------------------------------------------------------------------
+
+
+def test_a_box_rests_on_its_six_faces_the_widest_first() -> None:
+    rotations = resting_rotations(build("carton").surface.vertices)
+    heights = [np.ptp(build("carton").surface.vertices @ r.T, axis=0)[2] for r in rotations]
+    np.testing.assert_allclose(heights, [0.06, 0.06, 0.09, 0.09, 0.14, 0.14], atol=1e-9)
+
+
+def test_objects_stand_on_the_table_apart_and_in_another_pose_each_scene() -> None:
+    objects = [build(name) for name in OBJECTS]
+    ups = []
+    for number in range(4):
+        scene = compose(objects, rng=np.random.default_rng(number), number=number, clutter=4)
+        for surface in scene.surfaces[:2]:
+            assert abs(surface.vertices[:, 2].min()) < 1e-9
+        clouds = [surface.vertices for surface in scene.surfaces[:2]]
+        assert cKDTree(clouds[0]).query(clouds[1])[0].min() > 0.005
+        ups.append(scene.table_from_object[0][2, :3])
+    assert all(a @ b < 0.99 for i, a in enumerate(ups) for b in ups[:i])
+
+
+def test_trajectory_is_smooth_looks_at_the_target_and_keeps_its_distance() -> None:
+    target, times = np.array([0.1, -0.05, 0.06]), np.arange(240) / 30
+    poses = hand_held(
+        np.random.default_rng(0),
+        times_s=times,
+        target_m=target,
+        sweep_deg=150.0,
+        distance_m=(0.6, 0.8),
+        elevation_deg=(30.0, 55.0),
+    )
+    np.testing.assert_allclose(
+        poses[:, :3, :3] @ poses[:, :3, :3].swapaxes(1, 2), np.tile(np.eye(3), (240, 1, 1)), atol=1e-12
+    )
+    seen = transform(invert(poses[100]), target[None])[0]
+    assert seen[2] > 0.5 and np.hypot(*seen[:2]) < 0.1
+    distance = np.linalg.norm(poses[:, :3, 3] - target, axis=1)
+    assert distance.min() > 0.52 and distance.max() < 0.88
+    step = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
+    assert step.max() < 0.04 and step.std() > 1e-4  # never jumps, never even
+    around = np.unwrap(np.arctan2(*(poses[:, :2, 3] - target[:2]).T))
+    assert np.rad2deg(abs(around[-1] - around[0])) == pytest.approx(150, abs=8)
+
+
+# Renderer -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("number", [0, 1])
+def test_full_masks_agree_with_triangles_filled_by_opencv_to_half_a_pixel(video: Film, number: int) -> None:
+    fine, surface = 16, video.scene.surfaces[number]
+    for frame in (0, 6):
+        mask = video.renderer.full_mask(number, video.table_from_camera[frame])
+        uv = project(
+            video.spec.intrinsics, transform(invert(video.table_from_camera[frame]), surface.vertices)
+        )
+        filled = np.zeros((mask.shape[0] * fine, mask.shape[1] * fine), np.uint8)
+        # Pixel (u, v) of the image has its centre at (u + 0.5) * 16 - 0.5 of the fine one.
+        corners = np.round((uv[surface.triangles] + 0.5) * fine - 0.5).astype(np.int32)
+        for triangle in corners:
+            cv2.fillConvexPoly(filled, triangle, 1)
+        to_edge = cv2.distanceTransform(filled, cv2.DIST_L2, 5) + cv2.distanceTransform(
+            1 - filled, cv2.DIST_L2, 5
+        )
+        centre = np.s_[fine // 2 :: fine, fine // 2 :: fine]
+        wrong = mask != filled[centre].astype(bool)
+        assert mask.sum() > 500
+        assert wrong.sum() < 0.02 * mask.sum()
+        assert not wrong.any() or to_edge[centre][wrong].max() <= 0.5 * fine
+
+
+def test_depth_is_exact_and_on_the_surface(video: Film) -> None:
+    rendered = video.shoot(3).perfect
+    v, u = np.nonzero(rendered.thing == 0)
+    points = back_project(
+        video.spec.intrinsics, np.column_stack([u, v]).astype(float), rendered.depth_m[v, u].astype(float)
+    )
+    in_object = transform(invert(video.scene.table_from_object[0]) @ video.table_from_camera[3], points)
+    size = np.array([0.09, 0.06, 0.14]) / 2  # the carton: every point lies on a face of the box
+    assert np.abs((np.abs(in_object) / size).max(axis=1) - 1).max() < 1e-4
+
+
+def test_visible_mask_is_the_full_mask_less_what_stands_before_it(video: Film) -> None:
+    for frame in (0, 4, 9):
+        for instance in video.shoot(frame).label.instances:
+            full, seen = (coco_mask.decode(dict(m)).astype(bool) for m in (instance.mask_full, instance.mask))
+            assert not (seen & ~full).any()
+            assert instance.visib_fract == pytest.approx(seen.sum() / full.sum())
+            x0, y0, w, h = coco_mask.toBbox(dict(instance.mask))
+            assert instance.box == (x0, y0, x0 + w, y0 + h)
+
+
+def test_a_corner_behind_its_own_box_is_hidden_and_the_nearest_is_seen(video: Film) -> None:
+    for frame in range(0, video.spec.frames, 3):
+        instance = video.shoot(frame).label.instances[0]
+        points = transform(instance.camera_from_object, build("carton").model.points_object)
+        nearest, farthest = np.argsort(np.linalg.norm(points, axis=1))[[0, -1]]
+        if instance.visib_fract > 0.99:
+            assert instance.visibility[nearest] == 2
+            assert instance.visibility[farthest] == 1
+        assert (instance.visibility == 1).sum() <= 4 or instance.visib_fract < 0.99
+
+
+# Sensor -------------------------------------------------------------------------------------------
+
+
+def _plane(depth_m: float) -> tuple[np.ndarray, np.ndarray]:
+    return np.full((240, 320), depth_m, np.float32), np.ones((240, 320), np.float32)
+
+
+def test_a_perfect_sensor_changes_nothing() -> None:
+    depth_m = np.random.default_rng(0).uniform(0.5, 2, (24, 32)).astype(np.float32)
+    flat = np.ones_like(depth_m)
+    measured = measure_depth(depth_m, flat, PERFECT_DEPTH, focal_px=600.0, rng=np.random.default_rng(0))
+    np.testing.assert_array_equal(measured, depth_m)
+
+
+@pytest.mark.parametrize("depth_m", [0.5, 0.7, 1.4])
+@pytest.mark.parametrize("grain_px", [0.0, 1.0])
+def test_axial_noise_has_the_sigma_of_the_model(depth_m: float, grain_px: float) -> None:
+    sensor = replace(PERFECT_DEPTH, noise=1.0, grain_px=grain_px)
+    measured = measure_depth(*_plane(depth_m), sensor, focal_px=600.0, rng=np.random.default_rng(0))
+    assert measured.std() == pytest.approx(depth_sigma_m(depth_m), rel=0.04)
+    assert measured.mean() == pytest.approx(depth_m, abs=0.1 * depth_sigma_m(depth_m))
+
+
+def test_quantum_is_a_millimetre() -> None:
+    sensor = replace(PERFECT_DEPTH, quantum_m=0.001)
+    depth_m, flat = _plane(0.7)
+    depth_m += np.linspace(0, 0.02, depth_m.size, dtype=np.float32).reshape(depth_m.shape)
+    error = measure_depth(depth_m, flat, sensor, focal_px=600.0, rng=np.random.default_rng(0)) - depth_m
+    assert error.std() == pytest.approx(0.001 / np.sqrt(12), rel=0.05)
+
+
+def test_near_and_far_are_lost() -> None:
+    sensor = replace(PERFECT_DEPTH, nearest_m=0.2, farthest_m=6.0)
+    depth_m = np.array([[0.1, 0.2, 1.0, 6.0, 7.0]], np.float32)
+    measured = measure_depth(
+        depth_m, np.ones_like(depth_m), sensor, focal_px=600.0, rng=np.random.default_rng(0)
+    )
+    np.testing.assert_array_equal(measured > 0, [[False, True, True, True, False]])
+
+
+def test_grazing_surfaces_lose_depth_in_proportion() -> None:
+    sensor = replace(PERFECT_DEPTH, grazing_deg=12.0)
+    depth_m, cosine = _plane(1.0)
+    for angle_deg, share in (
+        (0.0, 1.0),
+        (6.0, 1 - np.sin(np.deg2rad(6)) / np.sin(np.deg2rad(12))),
+        (13.0, 0.0),
+    ):
+        cosine[:] = np.sin(np.deg2rad(angle_deg))
+        measured = measure_depth(depth_m, cosine, sensor, focal_px=600.0, rng=np.random.default_rng(0))
+        assert (measured == 0).mean() == pytest.approx(share, abs=0.01)
+
+
+def test_half_occlusion_is_a_strip_left_of_the_front_as_wide_as_the_disparity_step() -> None:
+    depth_m = np.full((4, 200), 1.0, np.float32)
+    depth_m[:, 100:150] = 0.5
+    hidden = half_occluded(depth_m, focal_px=600.0, baseline_m=0.05)
+    # disparities 600 * 0.05 / z: 30 px behind, 60 px in front; 71 lands at 41, right of where 100 does
+    np.testing.assert_array_equal(np.flatnonzero(hidden[0]), np.arange(71, 100))
+
+
+def _step() -> tuple[np.ndarray, np.ndarray]:
+    depth_m, flat = _plane(1.0)
+    depth_m[:, 160:] = 0.6
+    return depth_m, flat
+
+
+def test_outlines_wander_by_the_given_width_and_surfaces_stay() -> None:
+    depth_m, flat = _step()
+    sensor = replace(PERFECT_DEPTH, bleed_px=1.5)
+    measured = measure_depth(depth_m, flat, sensor, focal_px=600.0, rng=np.random.default_rng(0))
+    assert set(np.unique(measured)) == {np.float32(0.6), np.float32(1.0)}  # never in between
+    share = (measured[:, 150:170] == np.float32(0.6)).mean(axis=0)  # of the front, by column
+    mean, width = (
+        160.0 - (share[:10].sum() - (1 - share[10:]).sum()),
+        np.sqrt(np.pi / 2) * share[:10].sum() * 2,
+    )
+    assert mean == pytest.approx(160, abs=0.6)
+    assert width == pytest.approx(1.5, rel=0.35)
+
+
+def test_dropouts_are_beside_outlines_only_in_the_given_share() -> None:
+    depth_m, flat = _step()
+    sensor = replace(PERFECT_DEPTH, dropout=0.35, outline_m=0.015)
+    lost = measure_depth(depth_m, flat, sensor, focal_px=600.0, rng=np.random.default_rng(0)) == 0
+    assert not lost[:, :159].any() and not lost[:, 161:].any()
+    assert lost[:, 159:161].mean() == pytest.approx(0.35, abs=0.1)
+
+
+def test_color_noise_grows_with_the_light_and_each_part_switches_off() -> None:
+    none = ColorSensor(blur_px=0.0, noise=0.0, shot_noise=0.0, exposure=0.0)
+    grey = np.full((200, 200, 3), 120, np.uint8)
+    np.testing.assert_array_equal(measure_color(grey, none, rng=np.random.default_rng(0)), grey)
+    noisy = replace(none, noise=3.0, shot_noise=4.0)
+    for level, sigma in (
+        (20, np.hypot(3, 4 * np.sqrt(20 / 255))),
+        (220, np.hypot(3, 4 * np.sqrt(220 / 255))),
+    ):
+        image = measure_color(np.full((200, 200, 3), level, np.uint8), noisy, rng=np.random.default_rng(0))
+        assert image.std() == pytest.approx(sigma, rel=0.03)
+    exposed = [
+        measure_color(grey, replace(none, exposure=0.05), rng=np.random.default_rng(i)).mean()
+        for i in range(60)
+    ]
+    assert np.std(exposed) / 120 == pytest.approx(0.05, rel=0.3)
+
+
+# Annotator ----------------------------------------------------------------------------------------
+
+
+def _static_labels(video: Film, count: int) -> list[FrameLabel]:
+    label = video.shoot(0).label
+    return [replace(label, frame=frame) for frame in range(count)]
+
+
+def test_clicks_are_spread_noisy_and_only_on_what_is_seen(video: Film) -> None:
+    labels = _static_labels(video, 600)
+    clicks = click(
+        labels,
+        "carton",
+        intrinsics=video.spec.intrinsics,
+        clicks_per_keypoint=300,
+        noise_px=2.0,
+        rng=np.random.default_rng(0),
+    )
+    truth = labels[0].instances[0]
+    assert {c.keypoint for c in clicks} <= set(np.flatnonzero(truth.visibility == 2))
+    error = np.array([[c.u_px, c.v_px] - truth.keypoints_px[c.keypoint] for c in clicks])
+    np.testing.assert_allclose(error.std(axis=0), 2.0, rtol=0.1)
+    frames = sorted(c.frame for c in clicks if c.keypoint == clicks[0].keypoint)
+    assert len(frames) == 300 and np.diff(frames).max() <= 3
+
+
+# On disk ------------------------------------------------------------------------------------------
+
+
+def test_the_tree_is_an_ordinary_recording_whose_depth_is_the_truth_plus_noise(tree: Path) -> None:
+    recordings = read_rpl(tree)
+    assert [recording.scene.name for recording in recordings] == ["00", "01"]
+    for number, recording in enumerate(recordings):
+        video, trajectory = film(TINY, number), recording.trajectory
+        assert trajectory is not None and not recording.skipped
+        np.testing.assert_allclose(trajectory.scene_from_camera, video.scene_from_camera, atol=1e-9)
+        np.testing.assert_allclose(trajectory.scene_from_camera[0], np.eye(4), atol=1e-12)
+        frame = recording.scene.frame(2)
+        shot = video.shoot(2)
+        depth_m = read_depth_m(recording.scene, frame)
+        np.testing.assert_allclose(depth_m, shot.depth_m, atol=6e-4)
+        difference = read_color(frame).astype(float) - shot.color
+        assert np.abs(difference).mean() < 6  # JPEG
+        true_m = shot.perfect.depth_m
+        # Away from outlines and holes what remains is the axial noise and the millimetre.
+        calm = cv2.erode((np.abs(depth_m - true_m) < 0.02).astype(np.uint8), np.ones((3, 3))) > 0
+        calm &= (true_m < 1.2) & (shot.perfect.cos_incidence > 0.4)
+        sigma_m = np.hypot(depth_sigma_m(true_m.astype(float)), 0.001 / np.sqrt(12))
+        assert calm.mean() > 0.3
+        assert np.std(((depth_m - true_m) / sigma_m)[calm]) == pytest.approx(1.0, abs=0.1)
+
+
+def test_truth_is_a_workspace_that_agrees_with_itself(tree: Path) -> None:
+    truth = Workspace(tree / "truth")
+    assert truth.object_names() == ["carton", "kettle"]
+    assert truth.labelled_scene_names() == ["00", "01"]
+    recordings = {recording.scene.name: recording for recording in read_rpl(tree)}
+    for name in truth.object_names():
+        solution = truth.load_solution(name)
+        assert len(load_mesh(truth.mesh_file(name)).triangles) > 500
+        for scene, recording in recordings.items():
+            assert recording.trajectory is not None
+            for label in truth.load_labels(scene):
+                for instance in (i for i in label.instances if i.object == name):
+                    pose = recording.trajectory.at(label.frame)
+                    expected = invert(pose) @ solution.scene_from_object[scene]
+                    np.testing.assert_allclose(instance.camera_from_object, expected, atol=1e-8)
+                    points = transform(expected, solution.model.points_object)
+                    np.testing.assert_allclose(
+                        instance.keypoints_px, project(TINY.intrinsics, points), atol=2e-3
+                    )
+
+
+def test_clicks_csv_names_seen_keypoints(tree: Path) -> None:
+    rows = list(csv.DictReader((tree / "clicks.csv").read_text().splitlines()))
+    assert {row["object"] for row in rows} == {"carton", "kettle"}
+    labels = {scene: list(Workspace(tree / "truth").load_labels(scene)) for scene in ("00", "01")}
+    for row in rows:
+        instances = labels[row["scene"]][int(row["frame"])].instances
+        instance = next(i for i in instances if i.object == row["object"])
+        keypoint = build(row["object"]).model.keypoints.index(row["keypoint"])
+        assert instance.visibility[keypoint] == 2
+        assert np.hypot(*(instance.keypoints_px[keypoint] - [float(row["u_px"]), float(row["v_px"])])) < 10
+
+
+def test_same_seed_same_files_another_seed_others(tree: Path, tmp_path: Path) -> None:
+    short = replace(TINY, scenes=1)
+    progress: list[tuple[int, int]] = []
+    write_twin(
+        tmp_path / "again", short, workers=2, progress=lambda done, total: progress.append((done, total))
+    )
+    assert progress == [(done, 4) for done in range(1, 5)]
+    for name in ("rgb/000002.jpg", "depth/000002.png", "camera.poses"):
+        assert (tmp_path / "again/00" / name).read_bytes() == (tree / "00" / name).read_bytes()
+    write_twin(tmp_path / "again", replace(short, seed=7, seconds=0.5), workers=1)  # replaces the folder
+    assert len(list((tmp_path / "again/00/rgb").iterdir())) == 2
+    assert (tmp_path / "again/00/depth/000001.png").read_bytes() != (
+        tree / "00/depth/000001.png"
+    ).read_bytes()
+
+
+def test_a_failure_leaves_nothing_and_says_what_is_wrong(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="at least 2 frames"):
+        write_twin(tmp_path / "none", replace(TINY, seconds=0.1), workers=1)
+    with pytest.raises(DataError, match="no twin object 'jug'"):
+        write_twin(tmp_path / "none", replace(TINY, objects=("jug",)), workers=1)
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(DataError, match="cannot write the twin"):
+        write_twin(tmp_path / "file" / "none", TINY, workers=1)
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
