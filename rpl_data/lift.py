@@ -20,8 +20,8 @@ RADIUS_PX = 14.0
 """A D435 loses 5-10 px at depth edges, and a hand is off by 2-3 px."""
 NEAR_PX = 5.0
 """Pixels at this distance count half as much as those at the click."""
-LIFT_SIGMA_M = 0.002
-"""A depth next to a corner is not the depth of the corner."""
+LIFT_SIGMA_M = 0.006
+"""The depth next to a corner is not the depth of the corner: the faces fall away from it."""
 
 
 def lift_clicks(
@@ -65,7 +65,7 @@ def lift(
         raise DataError(
             f"click on keypoint {click.keypoint} of {click.object}, scene {click.scene}, frame "
             f"{click.frame}: ({click.u_px:.1f}, {click.v_px:.1f}) px lies outside the image of "
-            f"{intrinsics.width} x {intrinsics.height} px; delete it or give the pixels of the full-size image"
+            f"{intrinsics.width} x {intrinsics.height} px; delete it or give the pixels of the full image"
         )
     uv = np.array([[click.u_px, click.v_px]])
     pixel_rad = 2 / (intrinsics.fx + intrinsics.fy)

@@ -95,4 +95,4 @@ def test_a_far_surface_is_less_sure_and_continued_as_a_plane():
     image = np.where(columns >= 206, 1 / inverse, 0).astype(np.float32)
     depths, sigmas = candidate_depths_m(image, 200.0, 50.0, pixel_rad=1 / 600)
     assert depths == pytest.approx([0.7], abs=1e-3)
-    assert sigmas[0] == pytest.approx(np.sqrt(0.0015**2 + 0.002**2 + (5 * 0.7 / 600) ** 2), rel=0.01)
+    assert sigmas[0] == pytest.approx(np.sqrt(0.0015**2 + 0.006**2 + (5 * 0.7 / 600) ** 2), rel=0.01)
