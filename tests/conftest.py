@@ -11,6 +11,10 @@ from pathlib import Path
 
 import pytest
 
+from rpl_data.workspace import Workspace
+
+TINY = Path(__file__).parent / "tiny.yaml"
+
 
 def pytest_collection_modifyitems(items: list[pytest.Item], config: pytest.Config) -> None:
     """Tests on real recordings run where RPL_REAL_DATA points at them; elsewhere they are deselected."""
@@ -44,3 +48,14 @@ def _full_disk(free_bytes: int) -> Iterator[None]:
 def full_disk() -> Callable[[int], AbstractContextManager[None]]:
     """`with full_disk(free_bytes):` no file grows beyond that."""
     return _full_disk
+
+
+@pytest.fixture(scope="session")
+def tiny_workspace(tmp_path_factory: pytest.TempPathFactory) -> Workspace:
+    """A small synthetic recording, built to its report once a session; look, but do not change it."""
+    from rpl_data.build import build
+    from rpl_data.recipe import load_recipe
+
+    workspace = Workspace(tmp_path_factory.mktemp("tiny"))
+    build(load_recipe(TINY), workspace, workers=1)
+    return workspace

@@ -1,0 +1,208 @@
+"""A build runs what is stale and nothing else, and goes on where it was cut off."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rpl_data import build as module
+from rpl_data.build import Progress, build, recipe_of, stale_steps
+from rpl_data.pipeline.dense import Sphere, joined_meshes, joined_spheres
+from rpl_data.pipeline.products import quality_rows, timings
+from rpl_data.pool import Pool
+from rpl_data.recipe import LabelRecipe, ObjectRecipe, Recipe, SceneSource
+from rpl_data.steps import Ledger, Outcome, Step, stamps
+from rpl_data.types import DataError, Mesh
+from rpl_data.workspace import Workspace
+
+
+class Watcher:
+    """Remembers the steps that ran."""
+
+    def __init__(self) -> None:
+        self.ran: list[str] = []
+
+    def __call__(self, progress: Progress) -> None:
+        if progress.state == "ran":
+            self.ran.append(f"{progress.stage}/{progress.item}".rstrip("/"))
+
+
+@pytest.fixture
+def recording(tiny_workspace: Workspace, tmp_path: Path) -> Path:
+    """A copy of the tiny recording, to be changed."""
+    return Path(shutil.copytree(tiny_workspace.recording, tmp_path / "recording"))
+
+
+def recipe_for(recording: Path, **changes: object) -> Recipe:
+    """What a person would write for it."""
+    keypoints = Workspace(recording / "truth").load_solution("carton").model.keypoints
+    carton = ObjectRecipe("carton", keypoints, recording / "clicks.csv")
+    base = Recipe(
+        "tiny", (SceneSource(recording, metres_per_unit=0.001),), (carton,), label=LabelRecipe("all")
+    )
+    return Recipe(**{**{name: getattr(base, name) for name in base.__dataclass_fields__}, **changes})
+
+
+@pytest.fixture
+def built(recording: Path, tmp_path: Path) -> tuple[Recipe, Workspace]:
+    """A workspace of its own, built."""
+    recipe, workspace = recipe_for(recording), Workspace(tmp_path / "workspace")
+    build(recipe, workspace, workers=1)
+    return recipe, workspace
+
+
+def test_errors_are_small(tiny_workspace: Workspace) -> None:
+    rows = quality_rows(Ledger(tiny_workspace.stages_file))
+    assert [row.object for row in rows] == ["carton"]
+    assert rows[0].error_3d_mean_mm < 4  # half the resolution and a third of the clicks of the demo
+    assert rows[0].iou_full_mean > 0.85
+    assert rows[0].missed == 0
+
+
+def test_everything_is_there(tiny_workspace: Workspace) -> None:
+    assert tiny_workspace.report.exists()
+    assert {path.name for path in tiny_workspace.export("coco").glob("*.json")} == {
+        "train.json", "val.json", "test.json"
+    }  # fmt: skip
+    assert len(list(tiny_workspace.load_labels("00"))) == 6
+    table = timings(Ledger(tiny_workspace.stages_file))
+    assert list(table) == list(module.STAGES)
+    assert table["label"]["frames"] == 18
+    assert all(row["seconds"] >= 0 for row in table.values())
+
+
+def test_second_build_runs_nothing(tiny_workspace: Workspace) -> None:
+    watcher = Watcher()
+    build(recipe_of(tiny_workspace), tiny_workspace, workers=1, tell=watcher)
+    assert watcher.ran == []
+    found = stale_steps(recipe_of(tiny_workspace), tiny_workspace)
+    assert all(holds for steps in found.values() for _, holds in steps)
+
+
+def test_only_what_depends_on_a_change_runs(built: tuple[Recipe, Workspace], recording: Path) -> None:
+    recipe, workspace = built
+    watcher = Watcher()
+    build(recipe_for(recording, label=LabelRecipe(6.0)), workspace, workers=1, tell=watcher)
+    assert watcher.ran == ["label/00", "label/01", "label/02", "export/coco", "report"]
+    workspace.labels_file("01").unlink()
+    watcher = Watcher()
+    build(recipe_for(recording, label=LabelRecipe(6.0)), workspace, workers=1, tell=watcher)
+    assert watcher.ran == ["label/01"]  # made again as it was: nothing after it changes
+    clicks = recording / "clicks.csv"
+    clicks.write_text("\n".join(clicks.read_text().split("\n")[:-2]) + "\n")
+    found = stale_steps(recipe, workspace)
+    assert found["import"] == [("", False)]  # the file lies in the recording
+    watcher = Watcher()
+    build(recipe, workspace, until="solve", workers=1, tell=watcher)
+    assert watcher.ran == ["import", "clicks/carton", "solve/carton"]
+
+
+def test_interrupted_build_goes_on(recording: Path, tmp_path: Path) -> None:
+    recipe, workspace = recipe_for(recording), Workspace(tmp_path / "workspace")
+
+    def interrupt(progress: Progress) -> None:
+        if progress.stage == "label" and progress.item == "01" and progress.done == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        build(recipe, workspace, workers=1, tell=interrupt)
+    assert [path.name for path in workspace.labels_file("00").parent.iterdir()] == ["00.jsonl"]
+    watcher = Watcher()
+    build(recipe, workspace, until="label", workers=1, tell=watcher)
+    assert watcher.ran == ["label/01", "label/02"]
+
+
+def test_removed_scene_disappears(built: tuple[Recipe, Workspace], recording: Path) -> None:
+    _, workspace = built
+    clicks = recording / "clicks.csv"
+    lines = clicks.read_text().splitlines(keepends=True)
+    clicks.write_text("".join(line for line in lines if ",02," not in line))
+    sources = (SceneSource(recording, names=("00", "01"), metres_per_unit=0.001),)
+    build(recipe_for(recording, scenes=sources), workspace, workers=1)
+    assert workspace.scene_names() == workspace.labelled_scene_names() == ["00", "01"]
+    assert "label/02" not in Ledger(workspace.stages_file).entries
+
+
+def test_two_scenes_of_one_name_are_refused(recording: Path, tmp_path: Path) -> None:
+    sources = (SceneSource(recording), SceneSource(recording))
+    with pytest.raises(DataError, match="two scenes are called 00"):
+        build(recipe_for(recording, scenes=sources), Workspace(tmp_path / "workspace"), workers=1)
+
+
+# Steps and the ledger -----------------------------------------------------------------------------
+
+
+def a_step(path: Path, *, version: int = 1, after: tuple[str, ...] = (), stage: str = "a") -> Step:
+    return Step(stage, "", version, {}, stamps(path), after, (path,), lambda advance: Outcome(3, ("said",)))
+
+
+def test_step_holds_until_something_changes(tmp_path: Path) -> None:
+    source, stored = tmp_path / "source", tmp_path / "stages.json"
+    source.write_text("1")
+    ledger = Ledger(stored)
+    assert not ledger.holds(a_step(source))
+    ledger.run(a_step(source), lambda done, total: None)
+    again = Ledger(stored)
+    assert again.holds(a_step(source))
+    assert again.entries["a"].outcome == Outcome(3, ("said",))
+    assert not again.holds(a_step(source, version=2))
+    os.utime(source, ns=(0, 0))
+    assert not again.holds(a_step(source))
+    source.unlink()
+    assert not again.holds(a_step(source))
+
+
+def test_step_falls_with_the_one_before_it(tmp_path: Path) -> None:
+    source = tmp_path / "source"
+    source.write_text("1")
+    ledger = Ledger(tmp_path / "stages.json")
+    ledger.run(a_step(source), lambda done, total: None)
+    ledger.run(a_step(source, stage="b", after=("a",)), lambda done, total: None)
+    assert ledger.holds(a_step(source, stage="b", after=("a",)))
+    ledger.run(a_step(source, version=2), lambda done, total: None)
+    assert not ledger.holds(a_step(source, stage="b", after=("a",)))
+
+
+def test_images_are_counted_and_files_stamped(tmp_path: Path) -> None:
+    (tmp_path / "rgb").mkdir()
+    for name in ("0.png", "1.jpg"):
+        (tmp_path / "rgb" / name).write_text("")
+    (tmp_path / "poses.txt").write_text("12")
+    (tmp_path / "ws").mkdir()
+    (tmp_path / "ws" / "own.txt").write_text("")
+    found = stamps(tmp_path, but_not=tmp_path / "ws")
+    assert found[str(tmp_path / "rgb")] == 2
+    assert found[str(tmp_path / "poses.txt")][0] == 2
+    assert len(found) == 2
+
+
+# Spheres, meshes, processes -----------------------------------------------------------------------
+
+
+def test_touching_spheres_become_one_that_holds_both() -> None:
+    a, b = Sphere(np.zeros(3), 1.0), Sphere(np.array([1.5, 0, 0]), 1.0)
+    (one,) = joined_spheres([a, b])
+    np.testing.assert_allclose(one.centre_m, [0.75, 0, 0])
+    assert one.radius_m == pytest.approx(1.75)
+    assert len(joined_spheres([a, Sphere(np.array([2.5, 0, 0]), 1.0)])) == 2
+    (outer,) = joined_spheres([Sphere(np.zeros(3), 0.2), a])
+    assert outer.radius_m == 1.0
+
+
+def test_joined_meshes_keep_their_triangles() -> None:
+    mesh = Mesh(np.eye(3), np.array([[0, 1, 2]]))
+    both = joined_meshes([mesh, mesh])
+    np.testing.assert_array_equal(both.triangles, [[0, 1, 2], [3, 4, 5]])
+    np.testing.assert_array_equal(both.vertices[both.triangles[1]], np.eye(3))
+
+
+def test_pool_keeps_the_order_and_equals_one_process() -> None:
+    with Pool(2) as pool:
+        ranges = pool.ranges(1000)
+        assert [b - a for a, b in ranges] == [100] * 10
+        assert list(pool.stream(range, ranges)) == list(range(1000))
+    assert Pool(1).ranges(1000) == [(0, 1000)]
