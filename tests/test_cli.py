@@ -1,0 +1,243 @@
+"""The command `rpl`: every command once, and every mistake one line and status 1."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from rpl_data.cli import COMMANDS, main
+from rpl_data.types import Click
+from rpl_data.workspace import Workspace
+
+RECIPE = """
+name: tiny
+scenes: [{path: recording, metres_per_unit: 0.001}]
+objects: [{name: carton, keypoints: [KEYPOINTS], clicks: recording/clicks.csv}]
+label: {rate: all}
+"""
+
+
+@pytest.fixture
+def recipe(tiny_workspace: Workspace, tmp_path: Path) -> Path:
+    """A recipe, beside a copy of the tiny recording that may be spoilt."""
+    shutil.copytree(tiny_workspace.recording, tmp_path / "recording")
+    names = Workspace(tiny_workspace.truth).load_solution("carton").model.keypoints
+    path = tmp_path / "recipe.yaml"
+    path.write_text(RECIPE.replace("KEYPOINTS", ", ".join(names)))
+    return path
+
+
+@pytest.fixture
+def mistake(recipe: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Callable[..., str]:
+    """Run a command that must fail, and return the one line it says."""
+
+    def run(*arguments: str) -> str:
+        told = arguments or ("build", str(recipe), "--workspace", str(tmp_path / "ws"), "--workers", "1")
+        assert main(told) == 1
+        error = capsys.readouterr().err
+        assert error.startswith("rpl: ") and error.count("\n") == 1, error
+        return error
+
+    return run
+
+
+def spoil(path: Path, change: Callable[[str], str]) -> None:
+    path.write_text(change(path.read_text()))
+
+
+def test_help_is_quick_and_names_every_command() -> None:
+    code = (
+        "import sys; from rpl_data.cli import main\n"
+        "try: main(['--help'])\n"
+        "except SystemExit: pass\n"
+        "print([m for m in ('torch', 'open3d', 'cv2', 'scipy', 'plotly') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"
+    assert all(f"    {name}" in done.stdout for name in COMMANDS)
+
+
+@pytest.mark.parametrize("command", [name for name in COMMANDS if name != "clicks"])
+def test_every_command_explains_its_arguments(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        main([command, "--help"])
+    assert end.value.code == 0
+    lines = capsys.readouterr().out
+    assert "folder" in lines
+
+
+def test_a_command_a_stage(recipe: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    place = tmp_path / "ws"
+    at = ["--workspace", str(place)]
+    assert main(["import", str(recipe), *at]) == 0
+    for command in ("solve", "surface", "segment", "label", "export", "report"):
+        assert main([command, *at]) == 0
+        assert f"\n{command}" in "\n" + capsys.readouterr().out
+    assert main(["status", *at]) == 0
+    out = capsys.readouterr().out
+    assert "to run" not in out and "quality   not asked for" in out
+    assert main(["build", str(recipe), *at]) == 0
+    out = capsys.readouterr().out
+    assert "nothing to do" in out and str(Workspace(place).report) in out
+
+
+def test_status_before_a_build(recipe: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["import", str(recipe), "--workspace", str(tmp_path / "ws")]) == 0
+    assert main(["status", "--workspace", str(tmp_path / "ws")]) == 0
+    out = capsys.readouterr().out
+    assert "clicks    to run: carton" in out
+    assert "label     waits for the stages before it" in out
+
+
+def test_build_prints_errors_speeds_and_the_report(
+    tiny_workspace: Workspace, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["report", "--workspace", str(tiny_workspace.root)]) == 0
+    out = capsys.readouterr().out
+    assert "frames/s" in out and "carton" in out and "3D mm" in out
+    assert f"report: {tiny_workspace.report}" in out
+
+
+def test_truth_is_exported_with_the_same_images(
+    tiny_workspace: Workspace, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["export", "--labels", "truth", "--workspace", str(tiny_workspace.root)]) == 0
+    own, truth = (
+        json.loads((tiny_workspace.export(name) / "train.json").read_text())
+        for name in ("coco", "coco_truth")
+    )
+    ids = [[(image["id"], image["file_name"]) for image in data["images"]] for data in (own, truth)]
+    assert ids[0] == ids[1]
+
+
+def test_clicks_go_out_and_in(recipe: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    place, table = Workspace(tmp_path / "ws"), tmp_path / "clicks.csv"
+    at = ["--workspace", str(place.root)]
+    assert main(["import", str(recipe), *at]) == 0
+    original = tmp_path / "recording" / "clicks.csv"
+    assert main(["clicks", "import", str(original), *at]) == 0
+    assert main(["clicks", "export", str(table), *at]) == 0
+    assert sorted(table.read_text().splitlines()) == sorted(original.read_text().splitlines())
+    before = place.load_annotation("carton").clicks
+    moved = f"carton,{before[0].keypoint},{before[0].scene},{before[0].frame},10,20"
+    table.write_text(f"object,keypoint,scene,frame,u_px,v_px\n{moved}\n")
+    capsys.readouterr()
+    assert main(["clicks", "import", str(table), *at]) == 0
+    assert "carton: 1 clicks added or changed" in capsys.readouterr().out
+    after = place.load_annotation("carton").clicks
+    assert Click("carton", before[0].keypoint, before[0].scene, before[0].frame, 10, 20) in after
+    assert len(after) == len(before)
+
+
+def test_register_places_a_scene_and_keeps_the_model(recipe: Path, tmp_path: Path) -> None:
+    place, clicks = Workspace(tmp_path / "ws"), tmp_path / "recording" / "clicks.csv"
+    whole = clicks.read_text().splitlines(keepends=True)
+    later = tmp_path / "later.csv"
+    later.write_text(whole[0] + "".join(line for line in whole if ",02," in line))
+    clicks.write_text("".join(line for line in whole if ",02," not in line))
+    at = ["--workspace", str(place.root)]
+    assert main(["import", str(recipe), *at]) == 0
+    assert main(["solve", *at]) == 0
+    model = place.load_solution("carton").model
+    assert main(["clicks", "import", str(later), *at]) == 0
+    assert main(["register", "carton", "02", *at]) == 0
+    assert main(["label", *at, "--workers", "1"]) == 0
+    solution = place.load_solution("carton")
+    assert (solution.model.points_object == model.points_object).all()
+    assert set(solution.scene_from_object) == {"00", "01", "02"}
+    assert place.labels_file("02").exists()
+
+
+# Mistakes -----------------------------------------------------------------------------------------
+
+
+def test_unknown_scene_in_a_click(mistake: Callable[..., str], tmp_path: Path) -> None:
+    spoil(tmp_path / "recording/clicks.csv", lambda text: text.replace(",01,", ",7,", 1))
+    assert "scene '7', which is not in the workspace; the scenes are 00, 01, 02" in mistake()
+
+
+def test_unknown_frame_in_a_click(mistake: Callable[..., str], tmp_path: Path) -> None:
+    with (tmp_path / "recording/clicks.csv").open("a") as file:
+        file.write("carton,0,01,600,10,10\n")
+    assert "scene 01 has no frame 600" in mistake()
+
+
+def test_click_outside_the_image(mistake: Callable[..., str], tmp_path: Path) -> None:
+    with (tmp_path / "recording/clicks.csv").open("a") as file:
+        file.write("carton,0,01,3,640,10\n")
+    assert "(640.0, 10.0) px lies outside the image of 320 x 240 px" in mistake()
+
+
+def test_unknown_keypoint_in_a_click(mistake: Callable[..., str], tmp_path: Path) -> None:
+    with (tmp_path / "recording/clicks.csv").open("a") as file:
+        file.write("carton,lid,01,3,64,10\n")
+    assert "carton has no keypoint 'lid'" in mistake()
+
+
+def test_misspelt_recipe_key(mistake: Callable[..., str], recipe: Path) -> None:
+    spoil(recipe, lambda text: text.replace("label:", "lable:"))
+    assert "unknown key 'lable'; did you mean 'label'" in mistake()
+
+
+def test_read_only_output(mistake: Callable[..., str], tmp_path: Path) -> None:
+    (tmp_path / "ws").write_text("a file where the workspace should be: not even root can write into it")
+    assert f"cannot write {tmp_path / 'ws' / 'recipe.yaml'}" in mistake()
+
+
+def test_full_disk(mistake: Callable[..., str], full_disk: Callable[..., object], tmp_path: Path) -> None:
+    with full_disk(2000):  # type: ignore[attr-defined]
+        assert "nothing was changed" in mistake()
+    assert [path.name for path in (tmp_path / "ws").rglob("*") if path.name.startswith(".")] == []
+
+
+def test_object_that_never_enters_the_image(
+    mistake: Callable[..., str], recipe: Path, tmp_path: Path
+) -> None:
+    """Only the first frame of every scene is labelled, and there the camera looks the other way."""
+    recording = tmp_path / "recording"
+    lines = (recording / "clicks.csv").read_text().splitlines(keepends=True)
+    (recording / "clicks.csv").write_text("".join(line for line in lines if line.split(",")[3] != "0"))
+    for poses in recording.glob("*/camera.poses"):
+        spoil(poses, turn_the_first_camera_round)
+    spoil(recipe, lambda text: text.replace("rate: all", "rate: 0.1"))
+    assert "object carton is in none of the 3 labelled frames" in mistake()
+
+
+def turn_the_first_camera_round(text: str) -> str:
+    """Half a turn about the camera's y axis: q * (0, 1, 0, 0)."""
+    lines = text.splitlines()
+    first = next(number for number, line in enumerate(lines) if not line.startswith("#"))
+    *place, x, y, z, w = (float(value) for value in lines[first].split())
+    turned = [*place, -z, w, x, -y]
+    lines[first] = " ".join(repr(value) for value in turned)
+    return "\n".join(lines) + "\n"
+
+
+def test_missing_camera(mistake: Callable[..., str], tmp_path: Path) -> None:
+    (tmp_path / "recording/camera.txt").unlink()
+    assert "camera.txt" in mistake()
+
+
+def test_not_a_workspace(mistake: Callable[..., str], tmp_path: Path) -> None:
+    assert "is not a workspace" in mistake("status", "--workspace", str(tmp_path / "nothing"))
+
+
+def test_quality_without_truth(mistake: Callable[..., str], recipe: Path, tmp_path: Path) -> None:
+    at = ["--workspace", str(tmp_path / "ws")]
+    assert main(["import", str(recipe), *at]) == 0
+    assert "the truth of" in mistake("quality", *at)
+
+
+def test_unknown_stage_to_run_again(mistake: Callable[..., str], recipe: Path) -> None:
+    assert "there is no stage 'labels'" in mistake("build", str(recipe), "--again", "labels")
+
+
+def test_unknown_export(mistake: Callable[..., str], recipe: Path) -> None:
+    spoil(recipe, lambda text: text + "export: [coco, kitti]\n")
+    assert "unknown export 'kitti'" in mistake()
