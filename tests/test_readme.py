@@ -1,0 +1,62 @@
+"""The README's `bash` blocks run, its `console` blocks parse, and what it names is there."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from jsonargparse import auto_cli, capture_parser
+
+from rpl_data.build import STAGES
+from rpl_data.cli import COMMANDS
+
+ROOT = Path(__file__).parent.parent
+README = (ROOT / "README.md").read_text()
+
+
+def commands(language: str) -> list[str]:
+    """The lines of all blocks of that language, without comments."""
+    blocks = re.findall(rf"^ *```{language}\n(.*?)^ *```", README, re.M | re.S)
+    lines = [line.split("#")[0].strip() for block in blocks for line in block.splitlines()]
+    return [line for line in lines if line]
+
+
+@pytest.mark.parametrize("line", commands("bash"))
+def test_bash_blocks_run(line: str) -> None:
+    words = shlex.split(line)
+    if words[0] == "make":  # `make test` would run itself; that the target is there is all that can be said
+        assert re.search(rf"^{words[1]}:", (ROOT / "Makefile").read_text(), re.M)
+        return
+    installed = str(Path(sys.executable).parent / "rpl")
+    line = line.replace(".venv/bin/rpl", shlex.quote(installed))
+    subprocess.run(["bash", "-euo", "pipefail", "-c", line], cwd=ROOT, check=True, capture_output=True)
+
+
+@pytest.mark.parametrize("line", commands("console"))
+def test_console_blocks_parse(line: str) -> None:
+    words = shlex.split(line)
+    assert words[0] == "rpl"
+    from jsonargparse import auto_parser
+
+    parsed = auto_parser(COMMANDS, exit_on_error=False).parse_args(words[1:])
+    assert parsed.subcommand in COMMANDS
+
+
+def test_there_are_blocks_of_both_kinds() -> None:
+    assert {"make demo", "make test"} <= set(commands("bash"))
+    assert len(commands("console")) >= 4
+
+
+def test_links_lead_somewhere() -> None:
+    named = re.findall(r"\]\(([^)#]+)\)", README) + re.findall(r"`((?:datasets|docs)/[^`]+)`", README)
+    assert named
+    assert all((ROOT / name).exists() for name in [*named, "LICENSE", "CHANGELOG.md"])
+
+
+def test_stage_table_is_the_build() -> None:
+    rows = re.findall(r"^\| `(\w+)` \|", README, re.M)
+    assert rows == list(STAGES)
