@@ -9,7 +9,6 @@ import sys
 from pathlib import Path
 
 import pytest
-from jsonargparse import auto_cli, capture_parser
 
 from rpl_data.build import STAGES
 from rpl_data.cli import COMMANDS
