@@ -80,6 +80,7 @@ def build(
     Raises:
         DataError: what the user can mend; steps that were finished stay finished.
     """
+    products.refuse_unknown_exports(recipe.export)
     save_recipe(recipe, workspace)
     ledger = Ledger(workspace.stages_file)
     with Pool(workers) as pool:

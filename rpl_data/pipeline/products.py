@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -26,10 +26,14 @@ def export_steps(context: Context) -> list[Step]:
     return [_export_step(context, name) for name in context.recipe.export]
 
 
-def _export_step(context: Context, name: str) -> Step:
-    if name not in EXPORTS:
-        raise DataError(f"unknown export {name!r} in the recipe; expected one of {', '.join(EXPORTS)}")
+def refuse_unknown_exports(names: Sequence[str]) -> None:
+    """DataError at a name without a writer; asked before a long build, not after."""
+    for name in names:
+        if name not in EXPORTS:
+            raise DataError(f"unknown export {name!r} in the recipe; expected one of {', '.join(EXPORTS)}")
 
+
+def _export_step(context: Context, name: str) -> Step:
     def run(advance: Advance) -> Outcome:
         refuse_unseen(context)
         summary = asdict(EXPORTS[name](context))
