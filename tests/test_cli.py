@@ -131,7 +131,7 @@ def test_clicks_go_out_and_in(recipe: Path, tmp_path: Path, capsys: pytest.Captu
     assert main(["clicks", "import", str(table), *at]) == 0
     assert "carton: 1 clicks added or changed" in capsys.readouterr().out
     after = place.load_annotation("carton").clicks
-    assert Click("carton", before[0].keypoint, before[0].scene, before[0].frame, 10, 20) in after
+    assert Click("carton", before[0].keypoint, before[0].scene, before[0].frame, 10.0, 20.0) in after
     assert len(after) == len(before)
 
 
