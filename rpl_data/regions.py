@@ -196,7 +196,9 @@ def _refined(plane: Plane, points: Points) -> Plane:
     return Plane(normal, float(normal @ centre))
 
 
-def beyond_footprint_m(plane: Plane, shape: Points, points: Points) -> Float64[np.ndarray, " n"]:
+def beyond_footprint_m(
+    plane: Plane, shape: Points, points: Float64[np.ndarray, "m 3"]
+) -> Float64[np.ndarray, " m"]:
     """How far points lie outside the convex footprint of a shape on a plane; negative inside."""
     axes = np.linalg.svd(plane.normal[None])[2][1:]
     corners = shape @ axes.T
