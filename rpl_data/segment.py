@@ -187,7 +187,7 @@ def _around_keypoints(
 
 def _feet(
     cloud: PointCloud, views: Mapping[str, _View], keypoints: Points, *, reach_m: float = 0.012
-) -> Points:
+) -> Float64[np.ndarray, "_ 3"]:
     """Where the object stands: its lowest points moved down to the plane below it."""
     feet = [np.empty((0, 3))]
     for view in views.values():
