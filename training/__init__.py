@@ -1,0 +1,1 @@
+"""Programs run from a checkout: training, evaluation, and the paper's experiments (`training.reproduce`)."""

@@ -1,0 +1,34 @@
+"""Wiring of `python -m training.reproduce`. What is heavy is imported inside the commands."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+from rpl_data.types import DataError
+from training.reproduce.table1 import table1
+
+HELP = "The paper's experiments: numbers beside the paper's, as JSON and as a page."
+COMMANDS: dict[str, Any] = {"table1": table1}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command; 0 when all is well, 1 with one line on stderr when the user can mend it."""
+    from jsonargparse import auto_cli
+
+    try:
+        auto_cli(
+            COMMANDS,
+            args=None if arguments is None else list(arguments),
+            prog="python -m training.reproduce",
+            description=HELP,
+        )
+    except DataError as error:
+        print(f"reproduce: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
