@@ -185,7 +185,10 @@ def _best_plane(
 
 
 def _on_plane(plane: Plane, cloud: PointCloud, tolerance_m: float) -> Bool[np.ndarray, " n"]:
-    return (np.abs(plane.height_m(cloud.points)) < tolerance_m) & (cloud.normals @ plane.normal > 0.8)
+    on: Bool[np.ndarray, " n"] = (np.abs(plane.height_m(cloud.points)) < tolerance_m) & (
+        cloud.normals @ plane.normal > 0.8
+    )
+    return on
 
 
 def _refined(plane: Plane, points: Points) -> Plane:
