@@ -32,16 +32,22 @@ class SceneSource:
     Attributes:
         path: a folder of scenes, or one scene.
         format: how they are stored; `rpl` is a RapidPoseLabels tree (`camera.txt` and, a scene,
-            `rgb/`, `depth/`, `associations.txt`, `camera.poses`).
+            `rgb/`, `depth/`, `associations.txt`, `camera.poses`). The README lists the others.
         names: only these scenes of the folder; all of them when left out.
         metres_per_unit: metres of one unit of the stored depth; what the format says when left out
             (0.001 for `rpl`: millimetres).
+        camera: fx, fy, cx, cy in pixels, then 0, 4, 5 or 8 numbers of OpenCV's lens distortion; what the
+            recording says when left out.
+        registered: whether depth lies on the pixels of the colour image; what the format says when left
+            out.
     """
 
     path: Path
     format: str = "rpl"
     names: tuple[str, ...] | None = None
     metres_per_unit: float | None = None
+    camera: tuple[float, ...] | None = None
+    registered: bool | None = None
 
 
 @dataclass(frozen=True)

@@ -59,7 +59,8 @@ class Frame:
     """One colour image and its depth image, as files.
 
     Attributes:
-        index: position in the recording, from 0; frames that were left out keep their number.
+        index: number in the recording: that of its files where they have one, else the position from 0;
+            frames that were left out keep their number.
         timestamp_s: time of the colour image.
         color: path of the colour image.
         depth: path of the depth image; None where the recording has none for this frame.

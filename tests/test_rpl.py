@@ -183,7 +183,7 @@ def test_no_frame_left(tree: Path) -> None:
     for i in range(1, 6):
         cut(tree / f"00/depth/{i:06d}.png")
     write_poses(tree / "00", TIMES[1:], poses(5))
-    with pytest.raises(DataError, match="no pose in camera.poses"):
+    with pytest.raises(DataError, match="no pose in .*camera.poses"):
         read_rpl(tree)
     cut(tree / "00/depth/000000.png")
     with pytest.raises(DataError, match="none of 6 frames has two readable images"):

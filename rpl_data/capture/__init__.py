@@ -3,17 +3,38 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
+from rpl_data.formats.frame_files import Camera
+from rpl_data.formats.frames import has_frames, read_frames
 from rpl_data.formats.rpl import read_rpl
+from rpl_data.formats.tum import is_sequence, read_tum
 from rpl_data.types import DataError, Recording
 
-READERS: dict[str, Callable[..., list[Recording]]] = {"rpl": read_rpl}
-"""By format name: ``reader(path, *, names, metres_per_unit) -> recordings``."""
+READERS: dict[str, Callable[..., list[Recording]]] = {
+    "rpl": read_rpl,
+    "frames": read_frames,
+    "tum": read_tum,
+}
+"""By format name: ``reader(path, *, names, metres_per_unit, camera) -> recordings``."""
+
+_LOOKS_LIKE: dict[str, Callable[[Path], bool]] = {
+    "rpl": lambda folder: (folder / "camera.txt").exists() and any(folder.glob("*/associations.txt")),
+    "frames": has_frames,
+    "tum": is_sequence,
+}
+"""By format name: whether a path looks like that, for the message about a wrong `format`."""
 
 
 def open_scenes(
-    path: Path, format: str, *, names: Sequence[str] | None = None, metres_per_unit: float | None = None
+    path: Path,
+    format: str,
+    *,
+    names: Sequence[str] | None = None,
+    metres_per_unit: float | None = None,
+    camera: Camera | None = None,
+    registered: bool | None = None,
 ) -> list[Recording]:
     """The recordings found at `path`, read as `format`, a key of `READERS`.
 
@@ -22,10 +43,27 @@ def open_scenes(
         format: name of the format.
         names: which scenes to read; all where None.
         metres_per_unit: of the depth images; the format's own where None.
+        camera: of the colour images; what the recording says where None.
+        registered: whether depth lies on the colour pixels; what the format says where None.
 
     Raises:
-        DataError: the format is unknown, or the reader cannot read what is there.
+        DataError: the format is unknown, or the reader cannot read what is there; the message names the
+            format it looks like instead.
     """
     if format not in READERS:
         raise DataError(f"unknown format {format!r} for {path}; expected one of {', '.join(sorted(READERS))}")
-    return READERS[format](path, names=names, metres_per_unit=metres_per_unit)
+    try:
+        found = READERS[format](path, names=names, metres_per_unit=metres_per_unit, camera=camera)
+    except DataError as error:
+        likely = likely_formats(path)
+        if not likely or format in likely:
+            raise
+        raise DataError(f"{error}. It looks like `format: {likely[0]}`") from error
+    if registered is None:
+        return found
+    return [replace(one, scene=replace(one.scene, registered=registered)) for one in found]
+
+
+def likely_formats(path: Path) -> list[str]:
+    """The formats whose marks are found at a path; none for anything unknown."""
+    return [name for name, looks_like_it in _LOOKS_LIKE.items() if looks_like_it(path)]

@@ -8,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float64, Int64
+from scipy.spatial.transform import Rotation, Slerp
 
 from rpl_data.files import read_text, write_text
-from rpl_data.geometry import from_quaternion_xyzw, to_quaternion_xyzw
+from rpl_data.geometry import Transform, from_quaternion_xyzw, rigid, to_quaternion_xyzw
 from rpl_data.types import DataError
 
 
@@ -78,3 +79,34 @@ def nearest(
     before = (after - 1).clip(0)
     row = np.where(np.abs(times_s[before] - wanted_s) <= np.abs(times_s[after] - wanted_s), before, after)
     return row.astype(np.int64), np.abs(times_s[row] - wanted_s)
+
+
+def interpolated(
+    times_s: Float64[np.ndarray, " n"],
+    poses: Float64[np.ndarray, "n 4 4"],
+    wanted_s: Float64[np.ndarray, " m"],
+    *,
+    max_gap_s: float,
+) -> list[Transform | None]:
+    """The pose at each wanted time: straight in position, slerp in rotation between its two neighbours.
+
+    None before the first pose, behind the last, and between two that are more than `max_gap_s` apart.
+
+    Args:
+        times_s: sorted.
+        poses: a_from_b at each of them.
+        wanted_s: in any order.
+        max_gap_s: a longer gap is not bridged.
+    """
+    kept = np.flatnonzero(np.diff(times_s, prepend=-math.inf) > 0)
+    times_s, poses = times_s[kept], poses[kept]
+    after = np.searchsorted(times_s, wanted_s).clip(0, len(times_s) - 1)
+    before = np.where(times_s[after] > wanted_s, after - 1, after)  # one and the same at a pose's own time
+    inside = (wanted_s >= times_s[0]) & (wanted_s <= times_s[-1])
+    known = inside & (times_s[after] - times_s[before.clip(0)] <= max_gap_s)
+    if len(times_s) == 1:
+        return [poses[0] if found else None for found in known]
+    at_s = wanted_s.clip(times_s[0], times_s[-1])
+    rotations = Slerp(times_s, Rotation.from_matrix(poses[:, :3, :3]))(at_s).as_matrix()
+    positions = np.stack([np.interp(at_s, times_s, poses[:, axis, 3]) for axis in range(3)], axis=1)
+    return [rigid(rotations[i], positions[i]) if known[i] else None for i in range(len(wanted_s))]

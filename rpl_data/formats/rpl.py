@@ -14,7 +14,7 @@ the last) then shifts every pose behind it, so here they are matched by time.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,8 +22,18 @@ import numpy as np
 from jaxtyping import Float64
 
 from rpl_data.files import read_text, write_text
-from rpl_data.formats.image_files import ImageHeader, probe
-from rpl_data.formats.plausibility import SATURATED, median_depth_m, principal_point_notes
+from rpl_data.formats.frame_files import (
+    Camera,
+    Listing,
+    Pair,
+    check_unit,
+    chosen,
+    examine,
+    match_poses,
+    with_poses,
+    without_poses,
+)
+from rpl_data.formats.image_files import probe
 from rpl_data.formats.pose_lines import (
     data_lines,
     finite_numbers,
@@ -31,11 +41,10 @@ from rpl_data.formats.pose_lines import (
     read_pose_lines,
     write_pose_lines,
 )
-from rpl_data.types import DataError, Frame, Intrinsics, Recording, Scene, Trajectory
+from rpl_data.geometry import Transform
+from rpl_data.types import DataError, Intrinsics, Recording
 
 DEFAULT_METRES_PER_UNIT = 0.001
-
-Headers = Mapping[Path, ImageHeader | None]
 
 
 @dataclass(frozen=True)
@@ -47,21 +56,15 @@ class _Row:
     pair: tuple[Path, Path]
 
 
-@dataclass(frozen=True)
-class _Layout:
-    """What all lines of a scene share: which of the two images is depth, and their size."""
-
-    depth: int
-    color: int
-    width: int
-    height: int
-
-
 # Reading ------------------------------------------------------------------------------------------
 
 
 def read_rpl(
-    path: Path, *, names: Sequence[str] | None = None, metres_per_unit: float | None = None
+    path: Path,
+    *,
+    names: Sequence[str] | None = None,
+    metres_per_unit: float | None = None,
+    camera: Camera | None = None,
 ) -> list[Recording]:
     """The scenes of a RapidPoseLabels tree, sorted by name.
 
@@ -73,6 +76,7 @@ def read_rpl(
         path: the folder with camera.txt and the scene folders, or one scene folder below it.
         names: which scenes to read, by folder name; for a single scene folder, what to call it.
         metres_per_unit: of the depth images; 0.001 where not given, said in `Recording.notes`.
+        camera: instead of camera.txt.
 
     Raises:
         DataError: a file is missing or broken, a scene has no usable frame, the images do not fit
@@ -81,15 +85,13 @@ def read_rpl(
     path = path.absolute()
     if not path.is_dir():
         raise DataError(f"{path} is not a folder; expected a folder with camera.txt and scene folders")
-    if metres_per_unit is not None and not 0 < metres_per_unit < math.inf:
-        raise DataError(f"metres_per_unit must be positive, got {metres_per_unit}; 0.001 means millimetres")
+    if metres_per_unit is not None:
+        check_unit(metres_per_unit)
     single = (path / "associations.txt").exists()
     camera_file = (path.parent if single and not (path / "camera.txt").exists() else path) / "camera.txt"
-    camera = _read_camera(camera_file)
+    lens = camera or read_camera(camera_file)
     folders = _single_scene(path, names) if single else _scene_folders(path, names)
-    return [
-        _read_scene(folder, name, camera, camera_file, metres_per_unit) for name, folder in folders.items()
-    ]
+    return [_read_scene(folder, name, lens, camera_file, metres_per_unit) for name, folder in folders.items()]
 
 
 def _single_scene(path: Path, names: Sequence[str] | None) -> dict[str, Path]:
@@ -103,13 +105,11 @@ def _scene_folders(path: Path, names: Sequence[str] | None) -> dict[str, Path]:
     found = {p.name: p for p in sorted(path.iterdir()) if any((p / mark).exists() for mark in marks)}
     if not found:
         raise DataError(f"{path} has no scene: none of its folders holds an associations.txt")
-    unknown = [name for name in names or [] if name not in found]
-    if unknown:
-        raise DataError(f"{path} has no scene {', '.join(map(str, unknown))}; it has {', '.join(found)}")
-    return found if names is None else {name: found[name] for name in sorted(names)}
+    return chosen(found, names, path)
 
 
-def _read_camera(path: Path) -> tuple[float, float, float, float]:
+def read_camera(path: Path) -> Camera:
+    """The first line of camera.txt (ElasticFusion's `-cal` file is the same): fx, fy, cx, cy."""
     what = "one line: fx fy cx cy, in pixels of the colour images"
     if not path.exists():
         raise DataError(f"{path} is missing; write it with {what}")
@@ -124,41 +124,20 @@ def _read_camera(path: Path) -> tuple[float, float, float, float]:
 
 
 def _read_scene(
-    folder: Path,
-    name: str,
-    camera: tuple[float, float, float, float],
-    camera_file: Path,
-    metres_per_unit: float | None,
+    folder: Path, name: str, camera: Camera, camera_file: Path, metres_per_unit: float | None
 ) -> Recording:
     rows = _read_associations(folder)
-    headers = {path: probe(path) for row in rows for path in row.pair}
-    layout = _find_layout(folder, rows, headers)
-    intrinsics = Intrinsics(*camera, layout.width, layout.height)
-    notes = principal_point_notes(camera_file, intrinsics)
-    frames, skipped = _whole_frames(rows, headers, layout)
-    trajectory: Trajectory | None = None
-    if (folder / "camera.poses").exists():
-        trajectory = _match_poses(folder, rows, frames, color=layout.color)
-        posed = set(trajectory.frames.tolist())
-        unposed = [frame.index for frame in frames if frame.index not in posed]
-        frames = [frame for frame in frames if frame.index in posed]
-        skipped += _group(unposed, "without a pose in camera.poses at their time")
-    else:
-        notes.append("no camera.poses: the camera must be tracked")
-    if not frames:
-        raise DataError(
-            f"scene {name} ({folder}): none of {len(rows)} frames is usable: {'; '.join(skipped)}"
-        )
+    depth = _depth_column(folder, rows)
     unit_m = DEFAULT_METRES_PER_UNIT if metres_per_unit is None else metres_per_unit
-    scene = Scene(
-        name, intrinsics, unit_m, tuple(frames), no_depth_units=(SATURATED,), source=f"rpl: {folder}"
+    pairs = [Pair(row.index, row.times_s[1 - depth], row.pair[1 - depth], row.pair[depth]) for row in rows]
+    listing = Listing(
+        name, folder, "rpl", pairs, camera, camera_file, unit_m, assumed_unit=metres_per_unit is None
     )
-    median_m = median_depth_m(scene)
-    if metres_per_unit is None:
-        notes.append(
-            f"metres_per_unit not given, assumed {unit_m:g}: the median depth is then {median_m:.2f} m"
-        )
-    return Recording(scene, trajectory, tuple(skipped), tuple(notes))
+    recording = examine(listing)
+    if not (folder / "camera.poses").exists():
+        return without_poses(recording, "camera.poses")
+    poses = _match_poses(folder, rows, [frame.index for frame in recording.scene.frames])
+    return with_poses(recording, poses, without="without a pose in camera.poses at their time")
 
 
 def _read_associations(folder: Path) -> list[_Row]:
@@ -175,10 +154,10 @@ def _read_associations(folder: Path) -> list[_Row]:
     return rows
 
 
-def _find_layout(folder: Path, rows: Sequence[_Row], headers: Headers) -> _Layout:
-    """The layout that the first line with two whole images shows."""
+def _depth_column(folder: Path, rows: Sequence[_Row]) -> int:
+    """Which of the two images of a line is depth, as the first line with two whole images shows."""
     for row in rows:
-        first, second = (headers[path] for path in row.pair)
+        first, second = (probe(path) for path in row.pair)
         if first is None or second is None:
             continue
         if first.is_depth == second.is_depth:
@@ -186,84 +165,24 @@ def _find_layout(folder: Path, rows: Sequence[_Row], headers: Headers) -> _Layou
                 f"{folder / 'associations.txt'}: of {row.pair[0].name} and {row.pair[1].name} one should be "
                 "depth (16 bit, one channel) and the other colour; correct the names or convert the images"
             )
-        if (first.width, first.height) != (second.width, second.height):
-            raise DataError(
-                f"{folder}: depth and colour images differ in size ({first.width}x{first.height} and "
-                f"{second.width}x{second.height}): depth must be registered to colour when recording"
-            )
-        depth = 0 if first.is_depth else 1
-        return _Layout(depth, 1 - depth, first.width, first.height)
+        return 0 if first.is_depth else 1
     raise DataError(
         f"{folder}: none of {len(rows)} frames has two readable images; the first names {rows[0].pair[0]} "
         f"and {rows[0].pair[1]}; copy the images or correct the paths in associations.txt"
     )
 
 
-def _whole_frames(rows: Sequence[_Row], headers: Headers, layout: _Layout) -> tuple[list[Frame], list[str]]:
-    """Frames with two good images and a time of their own, and a line for each reason to leave some out."""
-    frames: list[Frame] = []
-    left_out: dict[str, list[int]] = {}
-    times: set[float] = set()
-    for row in rows:
-        color, depth, time_s = row.pair[layout.color], row.pair[layout.depth], row.times_s[layout.color]
-        defect = _defect("colour", color, headers[color], layout) or _defect(
-            "depth", depth, headers[depth], layout
-        )
-        if defect is None and time_s in times:
-            defect = "with the timestamp of an earlier frame"
-        if defect is None:
-            times.add(time_s)
-            frames.append(Frame(row.index, time_s, color, depth))
-        else:
-            left_out.setdefault(defect, []).append(row.index)
-    return frames, [line for reason, indices in left_out.items() for line in _group(indices, reason)]
-
-
-def _defect(kind: str, path: Path, header: ImageHeader | None, layout: _Layout) -> str | None:
-    if not path.exists():
-        return f"without {kind} (no such file)"
-    if header is None:
-        return f"with an unreadable or truncated {kind} image"
-    if header.is_depth != (kind == "depth"):
-        return f"with a {kind} image of another type"
-    if (header.width, header.height) != (layout.width, layout.height):
-        return f"with a {kind} image of another size"
-    return None
-
-
-def _group(indices: Sequence[int], reason: str, *, listed: int = 12) -> list[str]:
-    """One line for frames left out for one reason; none for no frames."""
-    if not indices:
-        return []
-    more = ", ..." if len(indices) > listed else ""
-    plural = "frame" if len(indices) == 1 else "frames"
-    return [f"{len(indices)} {plural} {reason}: {', '.join(map(str, indices[:listed]))}{more}"]
-
-
-def _match_poses(
-    folder: Path, rows: Sequence[_Row], frames: Sequence[Frame], *, color: int, max_apart_s: float = 0.02
-) -> Trajectory:
-    """The pose nearest in time of each frame that has one within half a frame interval.
+def _match_poses(folder: Path, rows: Sequence[_Row], indices: Sequence[int]) -> dict[int, Transform]:
+    """The pose nearest in time of each frame, by its row.
 
     Trackers stamp a pose with the colour's or the depth's time; the one that fits better is used.
     """
     times_s, poses = read_pose_lines(folder / "camera.poses")
-    indices = np.array([frame.index for frame in frames], dtype=np.int64)
-    if not frames:
-        return Trajectory(indices, np.empty((0, 4, 4)))
-    stamps_s = np.array([rows[frame.index].times_s for frame in frames])
-    candidates = [nearest(times_s, stamps_s[:, column]) for column in (color, 1 - color)]
-    row, apart_s = min(candidates, key=lambda candidate: float(np.median(candidate[1])))
-    steps_s = np.diff(np.unique([r.times_s[color] for r in rows]))
-    interval_s = float(np.median(steps_s)) if len(steps_s) else math.inf
-    matched = apart_s <= min(max_apart_s, interval_s / 2)
-    if not matched.any():
-        raise DataError(
-            f"{folder}: no pose in camera.poses ({times_s[0]:.6f} to {times_s[-1]:.6f} s) "
-            f"is at the time of a frame ({stamps_s.min():.6f} to {stamps_s.max():.6f} s); both files "
-            "must use the same clock, in seconds"
-        )
-    return Trajectory(indices[matched], poses[row[matched]])
+    stamps_s = np.array([rows[index].times_s for index in indices])
+    apart_s = [float(np.median(nearest(times_s, stamps_s[:, column])[1])) for column in (0, 1)]
+    column = int(np.argmin(apart_s))
+    source = f"{folder / 'camera.poses'}"
+    return match_poses(times_s, poses, indices, stamps_s[:, column], source=source)
 
 
 # Writing ------------------------------------------------------------------------------------------

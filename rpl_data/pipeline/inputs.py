@@ -63,9 +63,7 @@ def read_recordings(sources: Sequence[SceneSource]) -> list[Recording]:
     """All scenes of all sources; DataError when two share a name or one has no poses."""
     recordings: dict[str, Recording] = {}
     for source in sources:
-        for recording in capture.open_scenes(
-            source.path, source.format, names=source.names, metres_per_unit=source.metres_per_unit
-        ):
+        for recording in capture.open_scenes(**vars(source)):
             name = recording.scene.name
             if name in recordings:
                 raise DataError(

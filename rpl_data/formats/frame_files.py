@@ -1,0 +1,251 @@
+"""What every reader does once it knows which files belong together: keep what is whole, name the rest."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+from rpl_data.formats.image_files import ImageHeader, probe
+from rpl_data.formats.plausibility import SATURATED, median_depth_m, principal_point_notes
+from rpl_data.formats.pose_lines import nearest
+from rpl_data.geometry import Transform
+from rpl_data.types import DataError, Frame, Intrinsics, Recording, Scene, Trajectory
+
+Headers = Mapping[Path, ImageHeader | None]
+
+Camera = tuple[float, ...]
+"""fx, fy, cx, cy in pixels, then OpenCV's lens distortion (4, 5 or 8 numbers) where there is any."""
+
+
+@dataclass(frozen=True)
+class Pair:
+    """A colour and a depth image that belong together, before anybody looked at them.
+
+    Attributes:
+        index: `Frame.index`.
+        timestamp_s: of the colour image.
+    """
+
+    index: int
+    timestamp_s: float
+    color: Path
+    depth: Path
+
+
+def grouped(indices: Sequence[int], reason: str, *, listed: int = 12) -> list[str]:
+    """One line for frames left out for one reason; none for no frames."""
+    if not indices:
+        return []
+    more = ", ..." if len(indices) > listed else ""
+    plural = "frame" if len(indices) == 1 else "frames"
+    return [f"{len(indices)} {plural} {reason}: {', '.join(map(str, indices[:listed]))}{more}"]
+
+
+def whole_frames(
+    pairs: Iterable[Pair], headers: Headers, *, width: int, height: int
+) -> tuple[list[Frame], list[str]]:
+    """Frames with two good images and a time of their own, and a line for each reason to leave some out."""
+    frames: list[Frame] = []
+    left_out: dict[str, list[int]] = {}
+    times: set[float] = set()
+    for pair in pairs:
+        defect = _defect("colour", pair.color, headers, (width, height)) or _defect(
+            "depth", pair.depth, headers, (width, height)
+        )
+        if defect is None and pair.timestamp_s in times:
+            defect = "with the timestamp of an earlier frame"
+        if defect is None:
+            times.add(pair.timestamp_s)
+            frames.append(Frame(pair.index, pair.timestamp_s, pair.color, pair.depth))
+        else:
+            left_out.setdefault(defect, []).append(pair.index)
+    return frames, [line for reason, indices in left_out.items() for line in grouped(indices, reason)]
+
+
+def _defect(kind: str, path: Path, headers: Headers, size: tuple[int, int]) -> str | None:
+    if not path.exists():
+        return f"without {kind} (no such file)"
+    header = headers[path]
+    if header is None:
+        return f"with an unreadable or truncated {kind} image"
+    if header.is_depth != (kind == "depth"):
+        return f"with a {kind} image of another type"
+    if (header.width, header.height) != size:
+        return f"with a {kind} image of another size"
+    return None
+
+
+def match_poses(
+    pose_times_s: Float64[np.ndarray, " m"],
+    poses: Float64[np.ndarray, "m 4 4"],
+    indices: Sequence[int],
+    stamps_s: Float64[np.ndarray, " n"],
+    *,
+    max_apart_s: float = 0.02,
+    source: str,
+) -> dict[int, Transform]:
+    """By `Frame.index`, the pose nearest in time of each frame that has one within half a frame interval.
+
+    Args:
+        pose_times_s: sorted.
+        poses: one a time.
+        indices: of the frames.
+        stamps_s: a time a frame, on the clock of the poses.
+        max_apart_s: no pose is taken that is further away than this, however slow the recording.
+        source: of the poses, for the message.
+
+    Raises:
+        DataError: no pose is at the time of a frame.
+    """
+    rows, apart_s = nearest(pose_times_s, stamps_s)
+    steps_s = np.diff(np.unique(stamps_s))
+    interval_s = float(np.median(steps_s)) if len(steps_s) else math.inf
+    matched = np.flatnonzero(apart_s <= min(max_apart_s, interval_s / 2)).tolist()
+    if len(indices) and not matched:
+        raise DataError(
+            f"no pose in {source} ({pose_times_s[0]:.6f} to {pose_times_s[-1]:.6f} s) is at the time of a "
+            f"frame ({stamps_s.min():.6f} to {stamps_s.max():.6f} s); both must use one clock, in seconds"
+        )
+    return {indices[i]: poses[rows[i]] for i in matched}
+
+
+# Scenes -------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Listing:
+    """A scene as a reader found it listed, its images not yet looked at.
+
+    Attributes:
+        name: of the scene.
+        folder: where it is, for messages.
+        format: name of the format, for the report.
+        pairs: the images.
+        camera: of the colour images.
+        camera_source: the file the camera is from, for messages.
+        metres_per_unit: of the depth images.
+        assumed_unit: nobody stated `metres_per_unit`; said in a note.
+        registered: depth pixels lie on the colour pixels.
+        notes: what was assumed so far.
+        skipped: what was left out so far.
+    """
+
+    name: str
+    folder: Path
+    format: str
+    pairs: Sequence[Pair]
+    camera: Camera
+    camera_source: Path
+    metres_per_unit: float
+    assumed_unit: bool = False
+    registered: bool = True
+    notes: tuple[str, ...] = ()
+    skipped: tuple[str, ...] = ()
+
+
+def examine(listing: Listing) -> Recording:
+    """The recording of what is listed, without poses: frames with two whole images, the rest counted.
+
+    Raises:
+        DataError: no pair is whole, depth and colour differ in size, the camera does not fit the images,
+            or depths are outside 0.1-10 m, so the depth unit must be wrong.
+    """
+    check_unit(listing.metres_per_unit)
+    headers = {path: probe(path) for pair in listing.pairs for path in (pair.color, pair.depth)}
+    width, height = _image_size(listing, headers)
+    frames, skipped = whole_frames(listing.pairs, headers, width=width, height=height)
+    intrinsics = intrinsics_of(listing.camera, width, height)
+    notes = [*listing.notes, *principal_point_notes(listing.camera_source, intrinsics)]
+    scene = Scene(
+        listing.name,
+        intrinsics,
+        listing.metres_per_unit,
+        tuple(frames),
+        registered=listing.registered,
+        no_depth_units=(SATURATED,),
+        source=f"{listing.format}: {listing.folder}",
+    )
+    median_m = median_depth_m(scene)
+    if listing.assumed_unit:
+        notes.append(
+            f"metres_per_unit not given, assumed {listing.metres_per_unit:g}: "
+            f"the median depth is then {median_m:.2f} m"
+        )
+    return Recording(scene, None, (*listing.skipped, *skipped), tuple(notes))
+
+
+def with_poses(recording: Recording, poses: Mapping[int, Transform], *, without: str) -> Recording:
+    """The recording with scene_from_camera by `Frame.index`; frames that have none are left out.
+
+    Args:
+        recording: without poses.
+        poses: rigid transforms.
+        without: the reason to give, such as "without a pose in groundtruth.txt at their time".
+    """
+    scene = recording.scene
+    posed = tuple(frame for frame in scene.frames if frame.index in poses)
+    unposed = [frame.index for frame in scene.frames if frame.index not in poses]
+    if not posed:
+        raise DataError(f"scene {scene.name} ({scene.source}): all {len(unposed)} frames are {without}")
+    indices: Int64[np.ndarray, " n"] = np.array([frame.index for frame in posed], dtype=np.int64)
+    return Recording(
+        replace(scene, frames=posed),
+        Trajectory(indices, np.array([poses[frame.index] for frame in posed])),
+        (*recording.skipped, *grouped(unposed, without)),
+        recording.notes,
+    )
+
+
+def without_poses(recording: Recording, missing: str) -> Recording:
+    """The recording as it is, with a note which file of poses is missing."""
+    note = f"no {missing}: the camera must be tracked"
+    return Recording(recording.scene, None, recording.skipped, (note, *recording.notes))
+
+
+def _image_size(listing: Listing, headers: Headers) -> tuple[int, int]:
+    """Width and height of the first pair that is whole."""
+    for pair in listing.pairs:
+        color, depth = headers[pair.color], headers[pair.depth]
+        if color is None or depth is None or color.is_depth or not depth.is_depth:
+            continue
+        if (color.width, color.height) != (depth.width, depth.height):
+            raise DataError(
+                f"{listing.folder}: depth and colour images differ in size ({depth.width}x{depth.height} and "
+                f"{color.width}x{color.height}): depth must be registered to colour when recording"
+            )
+        return color.width, color.height
+    first = listing.pairs[0]
+    raise DataError(
+        f"{listing.folder}: none of {len(listing.pairs)} frames has a readable colour image and a readable "
+        f"16-bit depth image; the first would be {first.color} and {first.depth}; copy the images again"
+    )
+
+
+def check_unit(metres_per_unit: float) -> None:
+    """DataError unless positive and finite."""
+    if not 0 < metres_per_unit < math.inf:
+        raise DataError(f"metres_per_unit must be positive, got {metres_per_unit}; 0.001 means millimetres")
+
+
+def intrinsics_of(camera: Camera, width: int, height: int) -> Intrinsics:
+    """The camera of images of this size; DataError when the numbers are none."""
+    if len(camera) not in (4, 8, 9, 12) or not all(map(math.isfinite, camera)) or min(camera[:2]) <= 0:
+        raise DataError(
+            "a camera is fx fy cx cy in pixels, fx and fy positive, then 0, 4, 5 or 8 numbers of lens "
+            f"distortion; found {' '.join(f'{value:g}' for value in camera)}"
+        )
+    fx, fy, cx, cy, *distortion = camera
+    return Intrinsics(fx, fy, cx, cy, width, height, tuple(distortion))
+
+
+def chosen(found: Mapping[str, Path], names: Sequence[str] | None, where: Path) -> dict[str, Path]:
+    """The scenes to read, by name and sorted; DataError when one of `names` is not there."""
+    unknown = [name for name in names or [] if name not in found]
+    if unknown:
+        raise DataError(f"{where} has no scene {', '.join(map(str, unknown))}; it has {', '.join(found)}")
+    return {name: found[name] for name in sorted(found if names is None else names)}

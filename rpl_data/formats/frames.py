@@ -1,0 +1,170 @@
+"""Numbered frames with a pose each: 7-Scenes, 3DMatch and what tsdf-fusion-python reads.
+
+::
+
+    <scene>/camera-intrinsics.txt       the 3x3 matrix K; may lie in the folder above instead
+            frame-000540.color.jpg      or .png
+            frame-000540.depth.png      16 bit, millimetres; 0 and 65535 = no depth
+            frame-000540.pose.txt       4x4, scene_from_camera, metres; all or none have one
+
+The layout does not say whether depth lies on the colour pixels. In the recordings it comes from (a Kinect's
+two cameras, one K) it does not, so the scene is marked as not registered unless the caller knows better.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float64
+
+from rpl_data.files import read_text, write_text
+from rpl_data.formats.frame_files import (
+    Camera,
+    Listing,
+    Pair,
+    chosen,
+    examine,
+    with_poses,
+    without_poses,
+)
+from rpl_data.formats.pose_lines import finite_numbers
+from rpl_data.geometry import Transform
+from rpl_data.types import DataError, Intrinsics, Recording
+
+RATE_HZ = 30.0
+"""Of the camera; the layout has no timestamps."""
+
+_COLOR = re.compile(r"frame-(\d+)\.color\.(?:jpg|jpeg|png)")
+
+
+def read_frames(
+    path: Path,
+    *,
+    names: Sequence[str] | None = None,
+    metres_per_unit: float | None = None,
+    camera: Camera | None = None,
+) -> list[Recording]:
+    """One scene, or the scenes in the folders of a folder, sorted by name.
+
+    `Frame.index` is the number in the file's name. Frames without depth, with an unreadable image, or
+    without a valid pose where others have one, are left out and named in `Recording.skipped`.
+
+    Args:
+        path: a folder with frame-N files, or with such folders.
+        names: which scenes to read, by folder name.
+        metres_per_unit: of the depth images; 0.001 where not given, said in `Recording.notes`.
+        camera: instead of camera-intrinsics.txt.
+
+    Raises:
+        DataError: there is no frame, no camera, none of the frames is whole, or the depth unit is wrong.
+    """
+    path = path.absolute()
+    found = {folder.name: folder for folder in (path, *_folders(path)) if has_frames(folder)}
+    if not found:
+        raise DataError(f"{path} has no frame-<number>.color.jpg (or .png), nor has a folder in it")
+    return [
+        _read_scene(name, folder, metres_per_unit, camera)
+        for name, folder in chosen(found, names, path).items()
+    ]
+
+
+def _folders(path: Path) -> list[Path]:
+    return sorted(folder for folder in path.iterdir() if folder.is_dir()) if path.is_dir() else []
+
+
+def has_frames(folder: Path) -> bool:
+    """Whether it holds frames of this layout."""
+    return folder.is_dir() and any(_COLOR.fullmatch(found.name) for found in folder.iterdir())
+
+
+def _read_scene(name: str, folder: Path, unit_m: float | None, camera: Camera | None) -> Recording:
+    pairs = [_pair(folder, found) for found in sorted(folder.iterdir()) if _COLOR.fullmatch(found.name)]
+    camera_file = folder / "camera-intrinsics.txt"
+    if not camera_file.exists():
+        camera_file = folder.parent / "camera-intrinsics.txt"
+    listing = Listing(
+        name,
+        folder,
+        "frames",
+        sorted(pairs, key=lambda pair: pair.index),
+        camera or _read_matrix_camera(camera_file),
+        camera_file,
+        0.001 if unit_m is None else unit_m,
+        assumed_unit=unit_m is None,
+        registered=False,
+        notes=(
+            f"no timestamps: {RATE_HZ:g} frames a second assumed",
+            "depth taken as not registered to colour; set `registered: true` if the camera aligned it",
+        ),
+    )
+    recording = examine(listing)
+    files = {frame.index: _pose_file(frame.color) for frame in recording.scene.frames}
+    if not any(file.exists() for file in files.values()):
+        return without_poses(recording, "pose.txt")
+    poses = {index: _read_pose(file) for index, file in files.items() if file.exists()}
+    valid = {index: pose for index, pose in poses.items() if pose is not None}
+    return with_poses(recording, valid, without="without a valid pose.txt (the tracker was lost there)")
+
+
+def _pair(folder: Path, color: Path) -> Pair:
+    stem = color.name.split(".")[0]
+    number = int(stem.removeprefix("frame-"))
+    return Pair(number, number / RATE_HZ, color, folder / f"{stem}.depth.png")
+
+
+def _pose_file(color: Path) -> Path:
+    return color.with_name(f"{color.name.split('.')[0]}.pose.txt")
+
+
+def _read_matrix_camera(path: Path) -> Camera:
+    if not path.exists():
+        raise DataError(
+            f"{path.parent} has no camera-intrinsics.txt with the 3x3 matrix K; "
+            "write it, or give `camera: [fx, fy, cx, cy]`"
+        )
+    matrix = _numbers(path)
+    if matrix.shape != (9,) or not matrix[[0, 4, 8]].all():
+        raise DataError(f"{path}: expected the 9 numbers of the 3x3 matrix K, found {len(matrix)}")
+    fx, _, cx, _, fy, cy = (float(value) for value in matrix[:6])
+    return fx, fy, cx, cy
+
+
+def _read_pose(path: Path) -> Transform | None:
+    """scene_from_camera; None where a lost tracker left no rigid transform."""
+    try:
+        values = np.array([float(token) for token in read_text(path).split()])
+    except ValueError:  # 7-Scenes' tracker writes "-1.#IND"
+        return None
+    if values.shape != (16,) or not np.isfinite(values).all():
+        return None
+    pose = values.reshape(4, 4)
+    rotation = pose[:3, :3]
+    rigid = np.allclose(rotation @ rotation.T, np.eye(3), atol=0.01) and np.linalg.det(rotation) > 0
+    return pose if rigid and np.allclose(pose[3], [0, 0, 0, 1]) else None
+
+
+def _numbers(path: Path) -> Float64[np.ndarray, " n"]:
+    return np.array(finite_numbers(read_text(path).split(), path, 1))
+
+
+# Writing ------------------------------------------------------------------------------------------
+
+
+def write_frame_camera(folder: Path, intrinsics: Intrinsics) -> None:
+    """Write camera-intrinsics.txt; DataError for a lens with distortion, which it cannot hold."""
+    if any(intrinsics.distortion):
+        raise DataError(f"camera-intrinsics.txt in {folder} cannot hold lens distortion; undistort first")
+    _write_matrix(folder / "camera-intrinsics.txt", intrinsics.matrix)
+
+
+def write_frame_pose(folder: Path, index: int, scene_from_camera: Transform) -> None:
+    """Write the pose of a frame."""
+    _write_matrix(folder / f"frame-{index:06d}.pose.txt", scene_from_camera)
+
+
+def _write_matrix(path: Path, matrix: Float64[np.ndarray, "n n"]) -> None:
+    lines = [" ".join(repr(float(value)) for value in row) for row in matrix]
+    write_text(path, "\n".join(lines) + "\n")

@@ -1,0 +1,239 @@
+"""The TUM RGB-D benchmark's layout, and ICL-NUIM's variant of it.
+
+::
+
+    <scene>/rgb.txt          lines "t rgb/<file>", comments with #
+            depth.txt        lines "t depth/<file>"; 16 bit, 1/5000 m, registered to colour
+            groundtruth.txt  lines "t tx ty tz qx qy qz qw", scene_from_camera, by a motion capture system
+            associations.txt instead of the two lists (ICL-NUIM): "t depth/<file> t rgb/<file>", any order
+
+Colour, depth and poses have clocks of their own: images are paired with the nearest within 20 ms, as
+the benchmark's associate.py does, and poses are interpolated at the time of the colour image.
+
+ICL-NUIM counts frames instead of seconds, and its camera looks with y up, which it writes as a negative fy:
+the scene is then mirrored (y -> -y), the one way to a right-handed scene with OpenCV's camera.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float64
+
+from rpl_data.files import write_text
+from rpl_data.formats.frame_files import (
+    Camera,
+    Listing,
+    Pair,
+    chosen,
+    examine,
+    with_poses,
+    without_poses,
+)
+from rpl_data.formats.image_files import probe
+from rpl_data.formats.pose_lines import (
+    data_lines,
+    finite_numbers,
+    interpolated,
+    nearest,
+    read_pose_lines,
+    write_pose_lines,
+)
+from rpl_data.formats.rpl import read_camera
+from rpl_data.geometry import Transform
+from rpl_data.types import DataError, Recording
+
+METRES_PER_UNIT = 1 / 5000
+MAX_APART_S = 0.02
+"""Between the two images of a pair, as in associate.py."""
+
+MAX_POSE_GAP_S = 0.1
+"""Poses further apart are not interpolated: the motion capture had lost the camera."""
+
+FRAME_RATE_HZ = 30.0
+"""Of recordings that count frames instead of seconds."""
+
+CAMERAS: dict[str, Camera] = {
+    "freiburg1": (517.3, 516.5, 318.6, 255.3, 0.2624, -0.9531, -0.0054, 0.0026, 1.1633),
+    "freiburg2": (520.9, 521.0, 325.1, 249.7, 0.2312, -0.7849, -0.0033, -0.0001, 0.9172),
+    "freiburg3": (535.4, 539.2, 320.1, 247.6),
+}
+"""The benchmark's colour cameras, as its page on file formats gives them; the files do not hold them."""
+
+_MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
+
+Stamped = list[tuple[float, Path]]
+
+
+def read_tum(
+    path: Path,
+    *,
+    names: Sequence[str] | None = None,
+    metres_per_unit: float | None = None,
+    camera: Camera | None = None,
+) -> list[Recording]:
+    """One sequence, or the sequences in the folders of a folder, sorted by name.
+
+    `Frame.index` is the row in rgb.txt. Colour images without a depth image within 20 ms, broken ones and
+    those outside the time of the ground truth are left out and named in `Recording.skipped`.
+
+    Args:
+        path: a sequence, or a folder of sequences.
+        names: which sequences to read, by folder name.
+        metres_per_unit: of the depth images; 1/5000 where not given, said in `Recording.notes`.
+        camera: of the colour images; where not given, camera.txt ("fx fy cx cy") of the sequence, or the
+            benchmark's own for a folder called ...freiburg1..., 2 or 3. A negative fy means y up.
+
+    Raises:
+        DataError: there is no sequence, its lists are broken, no camera is known, no frame is whole or
+            none has a pose.
+    """
+    path = path.absolute()
+    folders = sorted(p for p in path.iterdir() if p.is_dir()) if path.is_dir() else []
+    found = {folder.name: folder for folder in (path, *folders) if is_sequence(folder)}
+    if not found:
+        raise DataError(f"{path} has no rgb.txt and depth.txt, nor has a folder in it")
+    return [
+        _read_sequence(name, folder, metres_per_unit, camera)
+        for name, folder in chosen(found, names, path).items()
+    ]
+
+
+def is_sequence(folder: Path) -> bool:
+    """Whether it has the lists of a TUM sequence or of ICL-NUIM's variant."""
+    lists = (folder / "rgb.txt").exists() and (folder / "depth.txt").exists()
+    return lists or ((folder / "associations.txt").exists() and _truth_file(folder) is not None)
+
+
+def _read_sequence(name: str, folder: Path, unit_m: float | None, camera: Camera | None) -> Recording:
+    lens, lens_source = _camera_of(folder, camera)
+    colors, depths = _lists(folder)
+    pairs, skipped = _associate(colors, depths)
+    if not pairs:
+        raise DataError(f"{folder}: no image of rgb.txt is within {MAX_APART_S:g} s of one of depth.txt")
+    counted = _counts_frames([time for time, _ in colors])
+    unit_s = 1 / FRAME_RATE_HZ if counted else 1.0
+    listing = Listing(
+        name,
+        folder,
+        "tum",
+        [Pair(row, time * unit_s, color, depth) for row, time, color, depth in pairs],
+        (lens[0], abs(lens[1]), *lens[2:]),
+        lens_source,
+        METRES_PER_UNIT if unit_m is None else unit_m,
+        assumed_unit=unit_m is None,
+        notes=(f"frames are counted, not timed: {FRAME_RATE_HZ:g} a second assumed",) if counted else (),
+        skipped=skipped,
+    )
+    recording = examine(listing)
+    truth = _truth_file(folder)
+    if truth is None:
+        return without_poses(recording, "groundtruth.txt")
+    times = {row: time for row, time, _, _ in pairs}
+    poses = _poses_at(truth, {frame.index: times[frame.index] for frame in recording.scene.frames})
+    if lens[1] < 0:
+        poses = {index: _MIRROR @ pose @ _MIRROR for index, pose in poses.items()}
+    return with_poses(recording, poses, without=f"outside the time or in a gap of {truth.name}")
+
+
+def _truth_file(folder: Path) -> Path | None:
+    found = [folder / "groundtruth.txt", *sorted(folder.glob("*.freiburg"))]
+    return next((path for path in found if path.exists()), None)
+
+
+def _camera_of(folder: Path, camera: Camera | None) -> tuple[Camera, Path]:
+    if camera is not None:
+        return camera, folder
+    if (folder / "camera.txt").exists():
+        return read_camera(folder / "camera.txt"), folder / "camera.txt"
+    for name, known in CAMERAS.items():
+        if name in folder.name:
+            return known, folder
+    raise DataError(
+        f"{folder}: a TUM sequence does not say its camera; give `camera: [fx, fy, cx, cy]` in pixels, "
+        "or write these four numbers into camera.txt beside rgb.txt"
+    )
+
+
+# Lists --------------------------------------------------------------------------------------------
+
+
+def _lists(folder: Path) -> tuple[Stamped, Stamped]:
+    """Times and files of colour and depth."""
+    if (folder / "rgb.txt").exists():
+        return _read_list(folder / "rgb.txt", 2)[0], _read_list(folder / "depth.txt", 2)[0]
+    first, second = _read_list(folder / "associations.txt", 4)
+    header = next((found for found in (probe(path) for _, path in first) if found is not None), None)
+    return (second, first) if header is None or header.is_depth else (first, second)
+
+
+def _read_list(path: Path, width: int) -> list[Stamped]:
+    """The columns "t file" of a list with `width` words a line, sorted by the time of the first."""
+    rows: list[list[tuple[float, Path]]] = []
+    for number, line in data_lines(path):
+        tokens = line.split()
+        if len(tokens) != width:
+            expected = " ".join(["<t> <file>"] * (width // 2))
+            raise DataError(f"{path} line {number}: expected {expected}, found {line!r}")
+        times = finite_numbers(tokens[::2], path, number)
+        rows.append([(t, path.parent / file) for t, file in zip(times, tokens[1::2], strict=True)])
+    if not rows:
+        raise DataError(f"{path} is empty; expected a line an image")
+    rows.sort(key=lambda row: row[0][0])
+    return [list(column) for column in zip(*rows, strict=True)]
+
+
+def _counts_frames(times: Sequence[float]) -> bool:
+    """Whether the times are frame numbers: whole, and a step of one apart."""
+    return len(times) > 1 and all(t.is_integer() for t in times) and float(np.median(np.diff(times))) == 1
+
+
+def _associate(
+    colors: Stamped, depths: Stamped
+) -> tuple[list[tuple[int, float, Path, Path]], tuple[str, ...]]:
+    """Row, time, colour and depth of the pairs; the nearest pairs first, no image twice."""
+    color_s, depth_s = (np.array([time for time, _ in images]) for images in (colors, depths))
+    rows, apart_s = nearest(depth_s, color_s)
+    taken: dict[int, int] = {}
+    for row in np.argsort(apart_s, kind="stable").tolist():
+        if apart_s[row] <= MAX_APART_S:
+            taken.setdefault(int(rows[row]), row)
+    pairs = sorted((row, colors[row][0], colors[row][1], depths[depth][1]) for depth, row in taken.items())
+    alone = len(colors) - len(pairs)
+    lines = (f"{alone} colour images without a depth image within {MAX_APART_S:g} s of their own",)
+    return pairs, lines if alone else ()
+
+
+def _poses_at(truth: Path, times: dict[int, float]) -> dict[int, Transform]:
+    """The poses of a file at these times, by the same keys; those far from any pose are left out."""
+    pose_times, poses = read_pose_lines(truth)
+    wanted = np.array(list(times.values()))
+    found = interpolated(pose_times, poses, wanted, max_gap_s=MAX_POSE_GAP_S)
+    return {index: pose for index, pose in zip(times, found, strict=True) if pose is not None}
+
+
+# Writing ------------------------------------------------------------------------------------------
+
+
+def write_tum(
+    folder: Path,
+    colors: Iterable[tuple[float, str]],
+    depths: Iterable[tuple[float, str]],
+    poses: tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, "n 4 4"]] | None = None,
+) -> None:
+    """Write the lists of a sequence; files are named relative to its folder.
+
+    Args:
+        folder: of the sequence, with the images in it.
+        colors: time and file of every colour image.
+        depths: of every depth image, in 1/5000 m.
+        poses: times and scene_from_camera.
+    """
+    for name, images in (("rgb.txt", colors), ("depth.txt", depths)):
+        write_text(
+            folder / name, "# timestamp filename\n" + "".join(f"{t:.6f} {file}\n" for t, file in images)
+        )
+    if poses is not None:
+        write_pose_lines(folder / "groundtruth.txt", *poses)
