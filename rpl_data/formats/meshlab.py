@@ -1,0 +1,120 @@
+"""MeshLab's picked points (.pp): keypoints marked on a mesh, in the mesh's own frame and unit.
+
+::
+
+    <!DOCTYPE PickedPoints>
+    <PickedPoints>
+     <DocumentData>...</DocumentData>
+     <point x="0.1" y="0" z="1e-05" active="1" name="0"/>
+    </PickedPoints>
+
+The order of the attributes differs between writers, names may be text, and `active="0"` is a point of a
+template that nobody picked: its coordinates mean nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+from jaxtyping import Float64
+
+from rpl_data.files import read_text, write_text
+from rpl_data.types import DataError
+
+
+@dataclass(frozen=True)
+class PickedPoints:
+    """Keypoints of a mesh.
+
+    Attributes:
+        names: in order.
+        points_mesh: a row a name, metres, frame of the mesh; NaN where not picked.
+    """
+
+    names: tuple[str, ...]
+    points_mesh: Float64[np.ndarray, "k 3"]
+
+
+def read_picked_points(path: Path, *, metres_per_unit: float = 1.0) -> PickedPoints:
+    """The points of a .pp file.
+
+    Where all names are whole numbers, as MeshLab gives them, they are the numbers of the keypoints: the
+    rows are in their order, and a number that is left out is a row of NaN. Other names keep the file's order.
+
+    Args:
+        path: the file.
+        metres_per_unit: of the mesh; the file does not say it. 0.001 for a mesh in millimetres.
+
+    Raises:
+        DataError: no XML, no PickedPoints, no point, a coordinate that is no finite number, or a name
+            used twice.
+    """
+    points = _points(path)
+    names = list(points)
+    if all(name.isascii() and name.isdigit() for name in names):
+        numbered = {int(name): point for name, point in points.items()}
+        if len(numbered) < len(names) or max(numbered) >= 10_000:
+            raise DataError(f"{path}: the numbers of the points are {', '.join(names)}; give each its own")
+        names = [str(number) for number in range(max(numbered) + 1)]
+        points = {name: numbered.get(int(name), np.full(3, np.nan)) for name in names}
+    return PickedPoints(tuple(names), np.array(list(points.values())) * metres_per_unit)
+
+
+def _points(path: Path) -> dict[str, np.ndarray]:
+    """Points by name, as the file lists them."""
+    try:
+        root = ElementTree.fromstring(read_text(path))
+    except ElementTree.ParseError as error:
+        raise DataError(f"{path} is not a PickedPoints file of MeshLab: {error}") from error
+    if root.tag != "PickedPoints":
+        raise DataError(f"{path} holds <{root.tag}>; expected <PickedPoints>, as MeshLab saves picked points")
+    points: dict[str, np.ndarray] = {}
+    for number, element in enumerate(root.iter("point")):
+        name = element.get("name", "").strip()
+        if not name or name in points:
+            raise DataError(f"{path}: point {number} has no name of its own (name={name!r}); rename it")
+        points[name] = _position(path, name, element)
+    if not points:
+        raise DataError(f"{path} has no point; pick the keypoints in MeshLab and save again")
+    return points
+
+
+def _position(path: Path, name: str, element: ElementTree.Element) -> np.ndarray:
+    if element.get("active", "1").strip() in ("0", "false"):
+        return np.full(3, np.nan)
+    try:
+        position = np.array([float(element.attrib[axis]) for axis in "xyz"])
+    except (KeyError, ValueError) as error:
+        raise DataError(f"{path}: point {name!r} needs numbers x, y and z, found {element.attrib}") from error
+    if not np.isfinite(position).all():
+        raise DataError(f"{path}: point {name!r} is not finite: {position}; pick it again")
+    return position
+
+
+def write_picked_points(
+    path: Path, names: Sequence[str], points_mesh: Float64[np.ndarray, "k 3"], *, mesh_file: str = ""
+) -> None:
+    """Write points given in metres for a mesh in metres; a row of NaN is written as not picked.
+
+    Args:
+        path: where to.
+        names: one a row.
+        points_mesh: frame of the mesh.
+        mesh_file: name of the mesh, which MeshLab shows.
+    """
+    lines = [_point_line(name, point) for name, point in zip(names, points_mesh, strict=True)]
+    document = f" <DocumentData>\n  <DataFileName name={quoteattr(mesh_file)}/>\n </DocumentData>\n"
+    write_text(
+        path, "<!DOCTYPE PickedPoints>\n<PickedPoints>\n" + document + "".join(lines) + "</PickedPoints>\n"
+    )
+
+
+def _point_line(name: str, point: np.ndarray) -> str:
+    picked = bool(np.isfinite(point).all())
+    x, y, z = (float(value) if picked else 0.0 for value in point)
+    return f' <point x="{x!r}" y="{y!r}" z="{z!r}" active="{int(picked)}" name={quoteattr(name)}/>\n'
