@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -28,10 +29,12 @@ def twin_steps(context: Context) -> list[Step]:
         from rpl_data.twin.write import write_twin
 
         write_twin(workspace.recording, spec, workers=context.pool.workers, progress=advance)
-        return Outcome(spec.scenes * spec.frames)
+        return Outcome(spec.total_frames)
 
     outputs = [workspace.recording / "camera.txt", workspace.recording / "clicks.csv"]
-    return [step("twin", "", run, options=asdict(spec), outputs=outputs)]
+    options = json.loads(json.dumps(asdict(spec), default=str))  # paths of meshes
+    meshes = stamps(*(thing.mesh for thing in spec.things if thing.mesh is not None))
+    return [step("twin", "", run, options=options, sources=meshes, outputs=outputs)]
 
 
 def import_steps(context: Context) -> list[Step]:

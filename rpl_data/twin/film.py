@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -36,6 +37,7 @@ class Film:
     """A video before it is rendered.
 
     Attributes:
+        objects: those of this scene, in the spec's order.
         table_from_camera: one a frame.
     """
 
@@ -49,6 +51,11 @@ class Film:
     def renderer(self) -> Renderer:
         """The scene prepared for rays, on first use."""
         return Renderer(self.scene, self.spec.intrinsics)
+
+    @cached_property
+    def times_s(self) -> Float64[np.ndarray, " n"]:
+        """When each frame is taken."""
+        return self.spec.times_s(self.number)
 
     @property
     def scene_from_camera(self) -> Float64[np.ndarray, "n 4 4"]:
@@ -78,9 +85,7 @@ class Film:
     def _label(self, frame: int, thing: Int64[np.ndarray, "height width"]) -> FrameLabel:
         found = (self._instance(number, frame, thing) for number in range(len(self.objects)))
         instances = tuple(instance for instance in found if instance is not None)
-        return FrameLabel(
-            self.spec.scene_names[self.number], frame, float(self.spec.times_s[frame]), instances
-        )
+        return FrameLabel(self.spec.scene_names[self.number], frame, float(self.times_s[frame]), instances)
 
     def _instance(
         self, number: int, frame: int, thing: Int64[np.ndarray, "height width"]
@@ -130,12 +135,15 @@ def film(spec: TwinSpec, number: int) -> Film:
     Raises:
         DataError: an object that does not exist.
     """
-    objects = tuple(build(name) for name in spec.objects)
+    cast = spec.casts[number].objects
+    objects = tuple(build(thing) for thing in spec.things if thing.name in cast)
+    before = Counter(name for earlier in spec.casts[:number] for name in earlier.objects)
+    turns = [before[one.model.name] for one in objects]
     rng = np.random.default_rng([spec.seed, number, 0])
-    scene = compose(objects, rng=rng, number=number, clutter=spec.clutter)
+    scene = compose(objects, rng=rng, number=number, turns=turns, clutter=spec.clutter)
     poses = hand_held(
         rng,
-        times_s=spec.times_s,
+        times_s=spec.times_s(number),
         target_m=scene.target_m,
         sweep_deg=spec.sweep_deg,
         distance_m=spec.distance_m,

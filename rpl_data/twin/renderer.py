@@ -139,7 +139,7 @@ class Renderer:
                 albedo[here] = _sample(self._linear_textures[number], uv)
                 smooth = np.einsum("nc,nck->nk", weights, surface.corner_normals[corners])
                 normals[here] = smooth / np.linalg.norm(smooth, axis=1, keepdims=True)
-                gloss[here] = surface.gloss
+                gloss[here] = surface.gloss[corners]
         return albedo, normals, gloss
 
     def _lamp(

@@ -48,15 +48,21 @@ class TwinScene:
 
 
 def compose(
-    objects: Sequence[TwinObject], *, rng: np.random.Generator, number: int, clutter: int
+    objects: Sequence[TwinObject],
+    *,
+    rng: np.random.Generator,
+    number: int,
+    turns: Sequence[int],
+    clutter: int,
 ) -> TwinScene:
-    """Objects at rest on a table: another resting pose and support for every `number`.
+    """Objects at rest on a table: another support for every `number`, another resting pose a turn.
 
     Args:
+        turns: in how many scenes each object stood before.
         clutter: how many other things stand about.
     """
     spots = _spots(rng, [_footprint_m(o.surface.vertices) for o in objects])
-    poses = [_placed(rng, thing, spot, number) for thing, spot in zip(objects, spots, strict=True)]
+    poses = [_placed(rng, *each) for each in zip(objects, spots, turns, strict=True)]
     things = [thing.surface.moved(pose) for thing, pose in zip(objects, poses, strict=True)]
     taken = [(pose[:2, 3], _footprint_m(thing.vertices)) for pose, thing in zip(poses, things, strict=True)]
     for _ in range(clutter):
@@ -73,27 +79,56 @@ def compose(
     return TwinScene((*things, *_furniture(rng, number)), tuple(poses), light, target)
 
 
+GIVE = 0.003
+"""How far from its lowest plane a thing still touches the table, of its size: nothing is quite flat."""
+
 # Resting poses ------------------------------------------------------------------------------------
 
 
 def resting_rotations(
-    vertices: Float64[np.ndarray, "n 3"], *, steady_deg: float = 6.0
+    vertices: Float64[np.ndarray, "n 3"], *, steady_deg: float = 6.0, unlike_deg: float = 25.0
 ) -> list[Float64[np.ndarray, "3 3"]]:
-    """`table_from_object` rotations in which a rigid thing stands by itself, the steadiest first.
+    """`table_from_object` rotations in which a rigid thing stands by itself, unlike one another.
 
     It rests on a face of its convex hull if the centre of mass (here: of the hull) is above that
-    face, and still is when the table tilts by `steady_deg` (Goldberg et al., IJRR 18, 1999).
+    face, and still is when the table tilts by `steady_deg` (Goldberg et al., IJRR 18, 1999). The
+    steadiest comes first, then always the one most unlike those before it.
     """
     hull = ConvexHull(vertices)
-    centre = vertices[hull.vertices].mean(axis=0)
-    found: list[tuple[float, Float64[np.ndarray, "3 3"]]] = []
-    for normal, offset in {tuple(np.round(e[:3], 3)): (e[:3], e[3]) for e in hull.equations}.values():
-        on_plane = vertices[hull.vertices][np.abs(vertices[hull.vertices] @ normal + offset) < 5e-4]
+    corners = vertices[hull.vertices]
+    centre, size_m = _centroid(hull), float(np.linalg.norm(np.ptp(corners, axis=0)))
+    steady, downs = [], []
+    for normal, offset in {tuple(np.round(e[:3], 2)): (e[:3], e[3]) for e in hull.equations}.values():
         rotation = _turning_down(normal)
-        steady = _steadiness_rad(on_plane @ rotation.T, centre @ rotation.T)
-        if steady > np.deg2rad(steady_deg):
-            found.append((steady, rotation))
-    return [rotation for _, rotation in sorted(found, key=lambda pair: -pair[0])]
+        on_plane = corners[np.abs(corners @ normal + offset) < GIVE * size_m]
+        angle = _steadiness_rad(on_plane @ rotation.T, centre @ rotation.T)
+        if angle > np.deg2rad(steady_deg):
+            steady.append(angle)
+            downs.append(normal)
+    order = _most_unlike(np.array(downs).reshape(-1, 3), np.array(steady), np.deg2rad(unlike_deg))
+    return [_turning_down(downs[number]) for number in order]
+
+
+def _centroid(hull: ConvexHull) -> Float64[np.ndarray, "3"]:
+    """The centre of mass of the hull filled evenly: tetrahedra from a point inside to its faces."""
+    inside = hull.points[hull.vertices].mean(axis=0)
+    a, b, c = (hull.points[hull.simplices[:, i]] - inside for i in range(3))
+    volume = np.abs(np.einsum("nk,nk->n", a, np.cross(b, c)))
+    centre: Float64[np.ndarray, "3"] = inside + (volume @ (a + b + c) / 4) / volume.sum()
+    return centre
+
+
+def _most_unlike(
+    downs: Float64[np.ndarray, "n 3"], steady_rad: Float64[np.ndarray, " n"], unlike_rad: float
+) -> list[int]:
+    """Directions at least so far apart: the steadiest, then the farthest from all before, then steadiest."""
+    order: list[int] = [int(np.argmax(steady_rad))] if len(downs) else []
+    while order:
+        apart = np.arccos((downs @ downs[order].T).clip(-1, 1)).min(axis=1).round(2)
+        if apart.max() < unlike_rad:
+            break
+        order.append(int(np.lexsort((steady_rad, apart))[-1]))
+    return order
 
 
 def _turning_down(normal: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "3 3"]:
@@ -131,12 +166,12 @@ def _spots(rng: np.random.Generator, radii_m: Sequence[float]) -> list[Float64[n
 
 
 def _placed(
-    rng: np.random.Generator, thing: TwinObject, spot: Float64[np.ndarray, "2"], number: int
+    rng: np.random.Generator, thing: TwinObject, spot: Float64[np.ndarray, "2"], turn: int
 ) -> Transform:
-    """`table_from_object` with a resting pose that changes with the scene's number, and any heading."""
-    choices = resting_rotations(thing.surface.vertices)[:4]
+    """`table_from_object` with a resting pose that changes from turn to turn, and any heading."""
+    choices = resting_rotations(thing.surface.vertices)[:6]
     heading = Rotation.from_euler("z", rng.uniform(0, 360), degrees=True).as_matrix()
-    rotation = heading @ choices[number % len(choices)]
+    rotation = heading @ choices[turn % len(choices)]
     turned = thing.surface.vertices @ rotation.T
     middle = turned.mean(axis=0)
     return rigid(rotation, np.array([spot[0] - middle[0], spot[1] - middle[1], -turned[:, 2].min()]))
@@ -167,17 +202,17 @@ def _thing(rng: np.random.Generator, size_m: float) -> Surface:
     if kind == "book":
         height = rng.uniform(0.02, 0.05)
         part = surfaces.joined(
-            surfaces.box((size_m * 2, size_m * 1.4, height), [surfaces.WHOLE] * 6, cells=1), image
+            surfaces.box((size_m * 2, size_m * 1.4, height), [surfaces.WHOLE] * 6, cells=1, gloss=0.05), image
         )
         return replace(part, vertices=part.vertices + [0, 0, height / 2])
     if kind == "tin":
         r, top = size_m * 0.6, rng.uniform(0.06, 0.12)
         profiles = [[(0.0, top), (r, top)], [(r, top), (r, 0.0)]]
-        return surfaces.joined([surfaces.patch(surfaces.lathe_grid(p)) for p in profiles], image, gloss=0.2)
+        return surfaces.joined([surfaces.patch(surfaces.lathe_grid(p), gloss=0.2) for p in profiles], image)
     angle = np.linspace(0, np.pi, 24)
     r = size_m * 0.6
     profile = np.stack([r * np.sin(angle), r + r * np.cos(angle)], -1)
-    return surfaces.joined([surfaces.patch(surfaces.lathe_grid(profile.tolist()))], image, gloss=0.1)
+    return surfaces.joined([surfaces.patch(surfaces.lathe_grid(profile.tolist()), gloss=0.1)], image)
 
 
 # Furniture ----------------------------------------------------------------------------------------
@@ -187,8 +222,9 @@ def _furniture(rng: np.random.Generator, number: int) -> list[Surface]:
     """The table, the floor and four walls."""
     names = list(textures.SUPPORTS)
     top = textures.SUPPORTS[names[number % len(names)]](rng)
-    table = surfaces.joined(surfaces.box(TABLE_SIZE_M, [surfaces.WHOLE] * 6, cells=1), top, gloss=0.05)
-    table = replace(table, vertices=table.vertices - [0, 0, TABLE_SIZE_M[2] / 2])
+    below = (0.0, 0.0, -TABLE_SIZE_M[2] / 2)
+    slab = surfaces.box(TABLE_SIZE_M, [surfaces.WHOLE] * 6, centre_m=below, cells=1, gloss=0.05)
+    table = surfaces.joined(slab, top)
     h = ROOM_M / 2
     floor = surfaces.quad([(-h, h, FLOOR_M), (h, h, FLOOR_M), (-h, -h, FLOOR_M), (h, -h, FLOOR_M)], cells=1)
     floor_texture = textures.tiles(rng) if rng.random() < 0.5 else textures.wood(rng)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float64
@@ -12,14 +13,52 @@ from rpl_data.types import DataError, Intrinsics
 
 
 @dataclass(frozen=True)
+class Thing:
+    """An object of a twin; where its name alone says all, the name will do instead.
+
+    Attributes:
+        name: of the object in the dataset; without `mesh` or `shape` also the name of a shape of ours.
+        shape: one of `twin.objects.OBJECTS`, when the object is to have another name.
+        mesh: an OBJ, PLY or GLB file in metres, with a texture or coloured vertices.
+        landmarks: how many; or, for a mesh, their places in its frame. Of a shape of ours the first so
+            many, all when left out; of a mesh that many corners and edges, 9 when left out.
+        gloss: of a mesh, 0 (paper) to 1 (polished metal).
+    """
+
+    name: str
+    shape: str | None = None
+    mesh: Path | None = None
+    landmarks: int | tuple[tuple[float, float, float], ...] | None = None
+    gloss: float = 0.15
+
+
+@dataclass(frozen=True)
+class Cast:
+    """Scenes in which the same objects stand.
+
+    Attributes:
+        objects: their names.
+        count: how many such scenes.
+        seconds: length of each; the twin's when left out.
+    """
+
+    objects: tuple[str, ...]
+    count: int = 1
+    seconds: float | None = None
+
+
+@dataclass(frozen=True)
 class TwinSpec:
     """A synthetic recording.
 
     Attributes:
-        objects: names from `twin.objects.OBJECTS`; all of them stand in every scene.
-        scenes: how many videos; each has other resting poses, another support, light and background.
+        objects: what there is: names of shapes of ours (`twin.objects.OBJECTS`), or `Thing`s.
+        scenes: how many videos, each with all objects; or a list of `Cast`s that says which objects stand
+            in how many. Each scene has other resting poses, another support, light and background.
         seconds: length of a video.
-        rate_hz: frames a second.
+        rate_hz: frames a second that the camera takes.
+        keep_hz: frames a second that are written, of those the camera takes; all when left out. A long
+            orbit is cheap at 3.
         width, height: image size in pixels; the field of view stays that of a D435's colour camera.
         clicks_per_keypoint: in how many well-spread frames of a scene each seen keypoint is clicked.
         click_noise_px: standard deviation of a click, each axis.
@@ -30,10 +69,11 @@ class TwinSpec:
         depth_sensor, color_sensor: errors of the images.
     """
 
-    objects: tuple[str, ...] = ("carton", "kettle")
-    scenes: int = 4
+    objects: tuple[str | Thing, ...] = ("carton", "kettle")
+    scenes: int | tuple[Cast, ...] = 4
     seconds: float = 8.0
     rate_hz: float = 30.0
+    keep_hz: float | None = None
     width: int = 640
     height: int = 480
     clicks_per_keypoint: int = 3
@@ -47,19 +87,37 @@ class TwinSpec:
     color_sensor: ColorSensor = field(default_factory=ColorSensor)
 
     @property
-    def frames(self) -> int:
-        """Frames of a video."""
-        return round(self.seconds * self.rate_hz)
+    def things(self) -> tuple[Thing, ...]:
+        """The objects, those given by a name too."""
+        return tuple(Thing(thing) if isinstance(thing, str) else thing for thing in self.objects)
 
     @property
-    def times_s(self) -> Float64[np.ndarray, " frames"]:
-        """Time of each frame, whole microseconds as associations.txt holds them."""
-        return np.round(np.arange(self.frames) / self.rate_hz, 6)
+    def casts(self) -> tuple[Cast, ...]:
+        """One a scene."""
+        if isinstance(self.scenes, int):
+            return (Cast(tuple(thing.name for thing in self.things)),) * self.scenes
+        return tuple(cast for cast in self.scenes for _ in range(cast.count))
 
     @property
     def scene_names(self) -> tuple[str, ...]:
         """00, 01, ..."""
-        return tuple(f"{number:02d}" for number in range(self.scenes))
+        return tuple(f"{number:02d}" for number in range(len(self.casts)))
+
+    def times_s(self, scene: int) -> Float64[np.ndarray, " frames"]:
+        """Time of each frame of a scene, whole microseconds as associations.txt holds them."""
+        length_s = self.casts[scene].seconds or self.seconds
+        kept_hz = min(self.keep_hz or self.rate_hz, self.rate_hz)
+        ticks = np.round(np.arange(round(length_s * kept_hz)) * self.rate_hz / kept_hz)
+        return np.round(ticks / self.rate_hz, 6)
+
+    def frames(self, scene: int) -> int:
+        """Frames of a scene."""
+        return len(self.times_s(scene))
+
+    @property
+    def total_frames(self) -> int:
+        """Frames of all scenes."""
+        return sum(self.frames(scene) for scene in range(len(self.casts)))
 
     @property
     def intrinsics(self) -> Intrinsics:
@@ -70,16 +128,25 @@ class TwinSpec:
 
     def check(self) -> None:
         """Refuse what makes no recording; DataError names the field."""
+        names = [thing.name for thing in self.things]
+        cast_names = {name for cast in self.casts for name in cast.objects}
         wrong = {
-            "objects (name at least one, each once)": len(set(self.objects)) != len(self.objects)
-            or not self.objects,
-            "scenes (at least 1)": self.scenes < 1,
-            "seconds x rate_hz (at least 2 frames)": self.frames < 2,
+            "objects (name at least one, each once)": len(set(names)) != len(names) or not names,
+            "objects (either `shape` or `mesh`)": any(thing.shape and thing.mesh for thing in self.things),
+            "scenes (at least 1)": not self.casts,
+            f"scenes (every object in at least one, and no other than {', '.join(names)})": bool(self.casts)
+            and cast_names != set(names),
+            "scenes (at least one object in each, each once)": any(
+                not cast.objects or len(set(cast.objects)) != len(cast.objects) for cast in self.casts
+            ),
+            "rate_hz, keep_hz (positive)": min(self.rate_hz, self.keep_hz or self.rate_hz) <= 0,
             "width, height (at least 16)": min(self.width, self.height) < 16,
             "clicks_per_keypoint (at least 1)": self.clicks_per_keypoint < 1,
             "click_noise_px (not negative)": self.click_noise_px < 0,
             "seed (not negative)": self.seed < 0,
         }
         found = [name for name, bad in wrong.items() if bad]
+        if not found and min(self.frames(scene) for scene in range(len(self.casts))) < 2:
+            found = ["seconds x rate_hz or keep_hz (at least 2 frames)"]
         if found:
             raise DataError(f"this twin cannot be made; correct {', '.join(found)}; got {self}")

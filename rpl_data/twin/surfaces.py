@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float32, Float64, Int64
+from scipy.interpolate import PchipInterpolator
 
 from rpl_data.geometry import Transform, transform
 from rpl_data.types import ColorImage, Mesh
 
-Grid = Float64[np.ndarray, "rows columns 3"]
+Grid = Float64[np.ndarray, "_ _ 3"]
 UvRect = tuple[float, float, float, float]
 """u0, v0, u1, v1: a part of a texture, 0 to 1, v down."""
 WHOLE: UvRect = (0.0, 0.0, 1.0, 1.0)
@@ -25,7 +26,7 @@ class Surface:
         corner_uv: position of every triangle corner in the texture, 0 to 1, v down.
         corner_normals: unit shading normal of every triangle corner.
         texture: sRGB.
-        gloss: strength of the highlight, 0 (paper) to 1 (enamel).
+        gloss: strength of the highlight of every triangle, 0 (paper) to 1 (enamel, polished metal).
     """
 
     vertices: Float64[np.ndarray, "n 3"]
@@ -33,7 +34,7 @@ class Surface:
     corner_uv: Float32[np.ndarray, "m 3 2"]
     corner_normals: Float32[np.ndarray, "m 3 3"]
     texture: ColorImage
-    gloss: float = 0.0
+    gloss: Float32[np.ndarray, " m"]
 
     def moved(self, a_from_b: Transform) -> Surface:
         """This surface, given in frame b, in frame a."""
@@ -51,7 +52,7 @@ class Surface:
         return Mesh(self.vertices, self.triangles, self.texture[row, column])
 
 
-def patch(grid: Grid, uv_rect: UvRect = WHOLE) -> Surface:
+def patch(grid: Grid, uv_rect: UvRect = WHOLE, *, gloss: float = 0.0) -> Surface:
     """A grid of points as a smooth surface; seen from outside rows go down and columns to the right.
 
     The texture is still blank: `joined` gives all patches of a thing theirs.
@@ -75,11 +76,14 @@ def patch(grid: Grid, uv_rect: UvRect = WHOLE) -> Surface:
     broken = np.einsum("mkc,mc->mk", normals, flat) < 0.3  # the same poles
     normals[broken] = np.broadcast_to(flat[:, None], normals.shape)[broken]
     blank = np.full((1, 1, 3), 128, np.uint8)
-    return Surface(points, triangles, uv[triangles].astype(np.float32), normals.astype(np.float32), blank)
+    shine = np.full(len(triangles), gloss, np.float32)
+    return Surface(
+        points, triangles, uv[triangles].astype(np.float32), normals.astype(np.float32), blank, shine
+    )
 
 
-def joined(parts: Sequence[Surface], texture: ColorImage, *, gloss: float = 0.0) -> Surface:
-    """Several surfaces as one, with one texture."""
+def joined(parts: Sequence[Surface], texture: ColorImage) -> Surface:
+    """Several surfaces as one, with one texture; each keeps its gloss."""
     offsets = np.cumsum([0, *(len(part.vertices) for part in parts)])
     return Surface(
         np.concatenate([part.vertices for part in parts]),
@@ -87,21 +91,30 @@ def joined(parts: Sequence[Surface], texture: ColorImage, *, gloss: float = 0.0)
         np.concatenate([part.corner_uv for part in parts]),
         np.concatenate([part.corner_normals for part in parts]),
         texture,
-        gloss,
+        np.concatenate([part.gloss for part in parts]),
     )
 
 
-def quad(corners: Sequence[Sequence[float]], uv_rect: UvRect = WHOLE, *, cells: int = 8) -> Surface:
+def quad(
+    corners: Sequence[Sequence[float]], uv_rect: UvRect = WHOLE, *, cells: int = 8, gloss: float = 0.0
+) -> Surface:
     """A flat patch; corners top left, top right, bottom left, bottom right seen from outside."""
     top_left, top_right, bottom_left, bottom_right = (np.asarray(corner, dtype=float) for corner in corners)
     t = np.linspace(0, 1, cells + 1)
     top = top_left + t[:, None] * (top_right - top_left)
     bottom = bottom_left + t[:, None] * (bottom_right - bottom_left)
-    return patch(top[None] + t[:, None, None] * (bottom - top)[None], uv_rect)
+    return patch(top[None] + t[:, None, None] * (bottom - top)[None], uv_rect, gloss=gloss)
 
 
-def box(size_m: Sequence[float], uv_rects: Sequence[UvRect], *, cells: int = 8) -> list[Surface]:
-    """The faces -y (front), +y (back), -x (left), +x (right), +z (top), -z (bottom) of a centred box."""
+def box(
+    size_m: Sequence[float],
+    uv_rects: Sequence[UvRect],
+    *,
+    centre_m: Sequence[float] = (0.0, 0.0, 0.0),
+    cells: int = 8,
+    gloss: float = 0.0,
+) -> list[Surface]:
+    """The faces -y (front), +y (back), -x (left), +x (right), +z (top), -z (bottom) of a box."""
     x, y, z = (side / 2 for side in size_m)
     corners = [
         [(-x, -y, z), (x, -y, z), (-x, -y, -z), (x, -y, -z)],
@@ -111,7 +124,8 @@ def box(size_m: Sequence[float], uv_rects: Sequence[UvRect], *, cells: int = 8) 
         [(-x, y, z), (x, y, z), (-x, -y, z), (x, -y, z)],
         [(-x, -y, -z), (x, -y, -z), (-x, y, -z), (x, y, -z)],
     ]
-    return [quad(face, rect, cells=cells) for face, rect in zip(corners, uv_rects, strict=True)]
+    placed = [(np.array(face) + np.asarray(centre_m)).tolist() for face in corners]
+    return [quad(face, rect, cells=cells, gloss=gloss) for face, rect in zip(placed, uv_rects, strict=True)]
 
 
 def lathe_grid(profile_rz_m: Sequence[Sequence[float]], *, columns: int = 64) -> Grid:
@@ -121,6 +135,35 @@ def lathe_grid(profile_rz_m: Sequence[Sequence[float]], *, columns: int = 64) ->
     ring = np.stack([np.cos(angle), np.sin(angle)], -1)
     xy = radius[:, None, None] * ring[None]
     return np.concatenate([xy, np.broadcast_to(z[:, None, None], (len(z), columns + 1, 1))], -1)
+
+
+def loft_grid(
+    sections: Sequence[Sequence[float]],
+    *,
+    roundness: float = 2.0,
+    columns: int = 64,
+) -> Grid:
+    """A skin over superellipses (z, centre x, centre y, half x, half y), top to bottom; columns start at +x.
+
+    Args:
+        roundness: exponent of the superellipse: 2 = ellipse, 6 = a box with rounded edges.
+    """
+    z, centre_x, centre_y, half_x, half_y = np.asarray(sections, dtype=float).T
+    angle = np.linspace(0, 2 * np.pi, columns + 1)
+    cos, sin = (np.sign(f) * np.abs(f) ** (2 / roundness) for f in (np.cos(angle), np.sin(angle)))
+    grid = np.empty((len(z), columns + 1, 3))
+    grid[..., 0] = centre_x[:, None] + half_x[:, None] * cos
+    grid[..., 1] = centre_y[:, None] + half_y[:, None] * sin
+    grid[..., 2] = z[:, None]
+    return grid
+
+
+def smooth_path(points_m: Sequence[Sequence[float]], count: int) -> list[list[float]]:
+    """Evenly spaced points of a smooth curve through the given ones (monotone cubics, no overshoot)."""
+    points = np.asarray(points_m, dtype=float)
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    path: list[list[float]] = PchipInterpolator(along, points)(np.linspace(0, along[-1], count)).tolist()
+    return path
 
 
 def tube_grid(path_xz_m: Sequence[Sequence[float]], radii_m: Sequence[float], *, columns: int = 32) -> Grid:
@@ -140,7 +183,10 @@ def tube_grid(path_xz_m: Sequence[Sequence[float]], radii_m: Sequence[float], *,
 
 
 def _grid_normals(grid: Grid) -> Grid:
-    normals: Grid = np.cross(np.gradient(grid, axis=1), -np.gradient(grid, axis=0))
+    right = np.gradient(grid, axis=1)
+    if grid.shape[1] > 3 and np.allclose(grid[:, 0], grid[:, -1]):  # closed: no seam in the shading
+        right[:, 0] = right[:, -1] = (grid[:, 1] - grid[:, -2]) / 2
+    normals: Grid = np.cross(right, -np.gradient(grid, axis=0))
     return normals
 
 

@@ -54,18 +54,18 @@ def write_twin(folder: Path, spec: TwinSpec, *, workers: int = 2, progress: Prog
         truth = Workspace(partial / "truth")
         write_camera(partial, spec.intrinsics)
         labels = _render_all(partial, spec, workers, progress)
-        clicks: dict[str, list[Click]] = {name: [] for name in spec.objects}
-        poses: dict[str, dict[str, Transform]] = {name: {} for name in spec.objects}
+        clicks: dict[str, list[Click]] = {thing.name: [] for thing in spec.things}
+        poses: dict[str, dict[str, Transform]] = {thing.name: {} for thing in spec.things}
         for number, scene in enumerate(spec.scene_names):
-            of_scene = [next(labels) for _ in range(spec.frames)]
+            of_scene = [next(labels) for _ in range(spec.frames(number))]
             truth.save_labels(scene, of_scene)
             video = film(spec, number)
             _write_lists(partial / scene, video)
-            for place, name in enumerate(spec.objects):
+            for place, name in enumerate(one.model.name for one in video.objects):
                 clicks[name] += _clicks(spec, number, name, of_scene)
                 poses[name][scene] = video.scene_from_object(place)
         next(labels, None)  # lets the pool end
-        _write_objects(truth, poses)
+        _write_objects(truth, spec, poses)
         write_text(partial / "clicks.csv", _csv(spec, clicks))
 
 
@@ -96,7 +96,11 @@ def _render_all(
     partial: Path, spec: TwinSpec, workers: int, progress: Progress | None
 ) -> Iterator[FrameLabel]:
     """Render and write every frame, in order; their labels as they are done."""
-    jobs = [(partial, spec, scene, frame) for scene in range(spec.scenes) for frame in range(spec.frames)]
+    jobs = [
+        (partial, spec, scene, frame)
+        for scene in range(len(spec.casts))
+        for frame in range(spec.frames(scene))
+    ]
     for done, label in enumerate(_in_processes(jobs, workers), start=1):
         if progress is not None:
             progress(done, len(jobs))
@@ -162,7 +166,7 @@ def _depth_name(frame: int) -> str:
 
 
 def _write_lists(folder: Path, video: Film) -> None:
-    frames, times_s = range(video.spec.frames), video.spec.times_s.tolist()
+    frames, times_s = range(len(video.times_s)), video.times_s.tolist()
     write_associations(folder, times_s, [_color_name(f) for f in frames], [_depth_name(f) for f in frames])
     write_poses(folder, times_s, video.scene_from_camera)
 
@@ -174,19 +178,19 @@ def _clicks(spec: TwinSpec, number: int, name: str, labels: list[FrameLabel]) ->
         intrinsics=spec.intrinsics,
         clicks_per_keypoint=spec.clicks_per_keypoint,
         noise_px=spec.click_noise_px,
-        rng=np.random.default_rng([spec.seed, number, 2, spec.objects.index(name)]),
+        rng=np.random.default_rng([spec.seed, number, 2, list(spec.casts[number].objects).index(name)]),
     )
 
 
 def _csv(spec: TwinSpec, clicks: dict[str, list[Click]]) -> str:
     """One table for all objects: the heading once."""
-    tables = [clicks_to_csv(clicks[name], build(name).model.keypoints) for name in spec.objects]
+    tables = [clicks_to_csv(clicks[thing.name], build(thing).model.keypoints) for thing in spec.things]
     return tables[0] + "".join(table.split("\n", 1)[1] for table in tables[1:])
 
 
-def _write_objects(truth: Workspace, poses: Mapping[str, Mapping[str, Transform]]) -> None:
-    for name, scene_from_object in poses.items():
-        thing = build(name)
-        covariance = np.zeros((len(thing.model.keypoints), 3, 3))
-        truth.save_solution(Solution(thing.model, covariance, scene_from_object))
-        save_mesh(truth.mesh_file(name), thing.surface.mesh)
+def _write_objects(truth: Workspace, spec: TwinSpec, poses: Mapping[str, Mapping[str, Transform]]) -> None:
+    for thing in spec.things:
+        one = build(thing)
+        covariance = np.zeros((len(one.model.keypoints), 3, 3))
+        truth.save_solution(Solution(one.model, covariance, poses[thing.name]))
+        save_mesh(truth.mesh_file(thing.name), one.surface.mesh)
