@@ -1,0 +1,32 @@
+"""Measured depth at keypoints."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float64
+
+from rpl_data.types import DepthImage
+
+
+def depths_at(
+    depth: DepthImage, keypoints_px: Float64[np.ndarray, "k 2"], *, radius_px: int = 2, layer_m: float = 0.02
+) -> Float64[np.ndarray, " k"]:
+    """Depth of the nearest surface about each keypoint, metres; NaN where nothing was measured.
+
+    Keypoints sit on corners and edges, where half of the pixels about them show what is behind: the median
+    of those within `layer_m` of the nearest is taken, for which at least three must be there.
+    """
+    height, width = depth.shape
+    found = np.full(len(keypoints_px), np.nan)
+    for row, (u, v) in enumerate(keypoints_px):
+        if not (-0.5 <= u < width - 0.5 and -0.5 <= v < height - 0.5):  # NaN is nowhere too
+            continue
+        column, line = round(u), round(v)
+        top, left = max(line - radius_px, 0), max(column - radius_px, 0)
+        window = depth[top : line + radius_px + 1, left : column + radius_px + 1]
+        measured = np.sort(window[window > 0]).astype(float)
+        if len(measured) < 3:
+            continue
+        layer = measured[measured <= measured[2] + layer_m]  # two pixels may be specks
+        found[row] = float(np.median(layer))
+    return found

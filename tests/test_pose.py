@@ -1,0 +1,239 @@
+"""Pose from keypoints: exactness, wrong keypoints, weights, depth, and what is refused."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from rpl_data.geometry import invert, project, rays, rigid, rotation_angle_rad, transform
+from rpl_data.pose import PoseEstimate, PoseFailure, correspondences, estimate_pose
+from rpl_data.pose.algebra import cross, quartic_roots, small_rotations
+from rpl_data.pose.depth import depths_at
+from rpl_data.pose.errors import INFINITE, pose_errors
+from rpl_data.pose.p3p import poses_from_triples
+from rpl_data.pose.refine import covariance_of, refined
+from rpl_data.types import Intrinsics
+
+CAMERA = Intrinsics(585.0, 580.0, 320.5, 238.0, 640, 480)
+LENS = Intrinsics(585.0, 580.0, 320.5, 238.0, 640, 480, (0.08, -0.15, 0.001, -0.0005))
+METHODS = ["epnp", "sqpnp", "ransac", "consensus"]
+
+
+def some_pose(seed: int) -> tuple[np.random.Generator, np.ndarray, np.ndarray]:
+    """A generator, 8 points of a 0.2 m object, and where it stands."""
+    rng = np.random.default_rng(seed)
+    at = np.array([*rng.uniform(-0.1, 0.1, 2), rng.uniform(0.5, 1.0)])
+    return rng, rng.uniform(-0.1, 0.1, (8, 3)), rigid(Rotation.random(rng=rng).as_matrix(), at)
+
+
+def seen(pose: np.ndarray, points: np.ndarray, camera: Intrinsics = CAMERA) -> np.ndarray:
+    return project(camera, transform(pose, points))
+
+
+def is_near(
+    found: PoseEstimate | PoseFailure, pose: np.ndarray, *, deg: float = 5.0, m: float = 0.03
+) -> bool:
+    if isinstance(found, PoseFailure):
+        return False
+    turned = np.degrees(rotation_angle_rad(found.camera_from_object[:3, :3].T @ pose[:3, :3]))
+    return turned < deg and np.linalg.norm(found.camera_from_object[:3, 3] - pose[:3, 3]) < m
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("camera", [CAMERA, LENS], ids=["pinhole", "lens"])
+def test_noise_free_is_exact(method, camera):
+    for seed in range(10):
+        _, points, pose = some_pose(seed)
+        found = estimate_pose(correspondences(points, seen(pose, points, camera), camera), method=method)
+        np.testing.assert_allclose(found.camera_from_object, pose, atol=1e-6)
+        assert found.keypoints.tolist() == list(range(8)) and found.error_sigmas < 1e-4
+
+
+def test_another_object_frame_is_the_same_pose():
+    rng, points, pose = some_pose(3)
+    pixels = seen(pose, points) + rng.normal(0, 2, (8, 2))
+    a_from_b = rigid(Rotation.random(rng=rng).as_matrix(), rng.normal(size=3))
+    here = estimate_pose(correspondences(points, pixels, CAMERA))
+    there = estimate_pose(correspondences(transform(a_from_b, points), pixels, CAMERA))
+    np.testing.assert_allclose(there.camera_from_object @ a_from_b, here.camera_from_object, atol=2e-4)
+
+
+@pytest.mark.parametrize("wrong", [1, 2, 3])
+def test_wrong_keypoints_are_left_out(wrong):
+    good = 0
+    for seed in range(60):
+        rng, points, pose = some_pose(seed)
+        pixels = seen(pose, points) + rng.normal(0, 1, (8, 2))
+        bad = rng.permutation(8)[:wrong]
+        pixels[bad] += rng.uniform(20, 80, (wrong, 2)) * rng.choice([-1, 1], (wrong, 2))
+        found = estimate_pose(correspondences(points, pixels, CAMERA))
+        if is_near(found, pose):
+            good += 1
+            assert not set(bad.tolist()) & set(found.keypoints.tolist())
+    assert good >= {1: 57, 2: 55, 3: 42}[wrong]
+
+
+def test_more_than_ten_keypoints():
+    rng, _, pose = some_pose(1)
+    points = rng.uniform(-0.1, 0.1, (16, 3))
+    pixels = seen(pose, points) + rng.normal(0, 1, (16, 2))
+    pixels[:5] += 50
+    found = estimate_pose(correspondences(points, pixels, CAMERA))
+    assert is_near(found, pose, deg=2.0) and found.keypoints.min() == 5
+
+
+def test_refinement_trusts_what_is_certain():
+    plain, weighted = [], []
+    for seed in range(40):
+        rng, points, pose = some_pose(seed)
+        sigma = rng.choice([0.5, 6.0], (8, 2))
+        pixels = seen(pose, points) + rng.normal(0, 1, (8, 2)) * sigma
+        covariance = np.array([np.diag(row**2) for row in sigma])
+        for errors, given in (
+            (plain, correspondences(points, pixels, CAMERA)),
+            (weighted, correspondences(points, pixels, CAMERA, covariance_px=covariance)),
+        ):
+            found = estimate_pose(given, method="sqpnp").camera_from_object
+            errors.append(np.linalg.norm(found[:3, 3] - pose[:3, 3]))
+    assert np.median(weighted) < 0.6 * np.median(plain)
+
+
+def test_covariance_is_that_of_the_estimates():
+    rng, points, pose = some_pose(5)
+    covariance_px = np.array([[4.0, 1.5], [1.5, 1.0]])
+    given = correspondences(
+        points, seen(pose, points), CAMERA, covariance_px=np.tile(covariance_px, (8, 1, 1))
+    )
+    expected = covariance_of(pose, given)
+    off = []
+    for _ in range(400):
+        pixels = seen(pose, points) + rng.multivariate_normal(np.zeros(2), covariance_px, 8)
+        noisy = correspondences(points, pixels, CAMERA, covariance_px=np.tile(covariance_px, (8, 1, 1)))
+        found = refined(pose[None], noisy, robust=False)[0][0]
+        turn = Rotation.from_matrix(found[:3, :3] @ pose[:3, :3].T).as_rotvec()
+        off.append([*turn, *(found[:3, 3] - pose[:3, 3])])
+    distances = np.einsum("ni,ij,nj->n", off, np.linalg.inv(expected), off)
+    assert np.mean(distances) == pytest.approx(6, rel=0.15)  # chi-squared of 6 degrees of freedom
+
+
+def test_depth_pins_the_distance():
+    without, with_depth = [], []
+    for seed in range(40):
+        rng, points, pose = some_pose(seed)
+        pixels = seen(pose, points) + rng.normal(0, 2, (8, 2))
+        depth = transform(pose, points)[:, 2] + rng.normal(0, 0.002, 8)
+        depth[:3] = np.nan
+        depth[3] += 0.2  # that of the wall behind
+        for errors, given in (
+            (without, correspondences(points, pixels, CAMERA)),
+            (
+                with_depth,
+                correspondences(points, pixels, CAMERA, depth_m=depth, depth_sigma_m=np.full(8, 0.002)),
+            ),
+        ):
+            found = estimate_pose(given, method="sqpnp").camera_from_object
+            errors.append(abs(found[2, 3] - pose[2, 3]))
+    assert np.median(with_depth) < 0.4 * np.median(without)
+
+
+# Refusals -----------------------------------------------------------------------------------------
+
+
+def test_what_cannot_be_solved_says_why():
+    rng, points, pose = some_pose(0)
+    line = np.outer(np.linspace(-1, 1, 8), [0.1, 0.05, 0.0])
+    plane = np.column_stack([rng.uniform(-0.1, 0.1, (8, 2)), np.zeros(8)])
+    for model, reason in ((line, "keypoints on a line"), (plane, "keypoints in a plane")):
+        for method in METHODS:
+            found = estimate_pose(correspondences(model, seen(pose, model), CAMERA), method=method)
+            assert found == PoseFailure(reason)
+    few = seen(pose, points)
+    few[3:] = np.nan
+    assert estimate_pose(correspondences(points, few, CAMERA)) == PoseFailure("too few keypoints")
+    unknown = np.full((8, 3), np.nan)
+    assert estimate_pose(correspondences(unknown, seen(pose, points), CAMERA)) == PoseFailure(
+        "too few keypoints"
+    )
+
+
+def test_noise_alone_is_no_pose():
+    found = []
+    for seed in range(30):
+        rng, points, _ = some_pose(seed)
+        pixels = rng.uniform(0, 1, (8, 2)) * [640, 480]
+        found.append(estimate_pose(correspondences(points, pixels, CAMERA)))
+    refused = [each for each in found if isinstance(each, PoseFailure)]
+    assert len(refused) >= 24
+    assert not any(np.allclose(each.camera_from_object, np.eye(4)) for each in found if each not in refused)
+
+
+# Parts --------------------------------------------------------------------------------------------
+
+
+def test_every_triple_holds_the_pose():
+    _, points, pose = some_pose(7)
+    triples = np.array(list(combinations(range(8), 3)))
+    directions = rays(CAMERA, seen(pose, points))
+    found = poses_from_triples(points[triples], directions[triples])
+    near = np.abs(found - pose).max(axis=(1, 2)) < 1e-5
+    assert near.sum() >= 54  # a double root may cost one or two of 56 their digits
+    turns = found[:, :3, :3]
+    products = turns @ np.swapaxes(turns, 1, 2)
+    np.testing.assert_allclose(products, np.broadcast_to(np.eye(3), products.shape), atol=1e-9)
+
+
+def test_quartics_against_numpy():
+    coefficients = np.random.default_rng(0).normal(size=(5, 100))
+    found = quartic_roots(*coefficients)
+    for mine, column in zip(found, coefficients.T, strict=True):
+        np.testing.assert_allclose(np.sort(mine), np.sort(np.roots(column[::-1]).real), atol=1e-6)
+
+
+def test_small_algebra():
+    rng = np.random.default_rng(0)
+    a, b = rng.normal(size=(2, 5, 3))
+    np.testing.assert_allclose(cross(a, b), np.cross(a, b))
+    turns = rng.normal(size=(5, 3)) * 1e-3
+    np.testing.assert_allclose(small_rotations(turns), Rotation.from_rotvec(turns).as_matrix(), atol=1e-9)
+    large = small_rotations(1e3 * turns)
+    np.testing.assert_allclose(large @ np.swapaxes(large, 1, 2), np.tile(np.eye(3), (5, 1, 1)), atol=1e-12)
+
+
+def test_depth_about_a_keypoint():
+    depth = np.zeros((20, 30), dtype=np.float32)
+    depth[:, 10:] = 1.0  # the wall
+    depth[5:15, 12:20] = 0.7  # the object, whose corner is at (12, 5)
+    depth[10, 15] = 0.3  # a speck
+    keypoints = np.array([[12.0, 5.0], [15.4, 10.2], [2.0, 2.0], [25.0, 10.0], [np.nan, 1.0], [31.0, 2.0]])
+    np.testing.assert_allclose(
+        depths_at(depth, keypoints), [0.7, 0.7, np.nan, 1.0, np.nan, np.nan], atol=1e-6
+    )
+
+
+def test_errors_by_hand():
+    true = rigid(np.eye(3), np.array([0.0, 0, 1]))
+    half_turn = rigid(np.diag([-1.0, -1, 1]), np.array([0.0, 0.01, 1]))
+    points = np.array([[0.1, 0, 0], [-0.1, 0, 0]])  # looks the same after half a turn
+    errors = pose_errors(half_turn, true, points, centre_object=np.zeros(3))
+    assert errors.position_m == pytest.approx(0.01)
+    assert errors.orientation_rad == pytest.approx(np.pi)
+    assert errors.add_m == pytest.approx(np.hypot(0.2, 0.01))
+    assert errors.adds_m == pytest.approx(0.01)
+    far = pose_errors(half_turn, true, points, centre_object=np.array([0.1, 0, 0]))
+    assert far.position_m == pytest.approx(np.hypot(0.2, 0.01))
+    assert INFINITE.add_m == np.inf and INFINITE.orientation_rad == np.pi
+
+
+def test_errors_do_not_depend_on_the_camera():
+    rng, points, pose = some_pose(2)
+    other = pose @ rigid(Rotation.from_rotvec([0.02, 0, 0.01]).as_matrix(), np.array([0.001, 0.002, 0]))
+    camera = rigid(Rotation.random(rng=rng).as_matrix(), rng.normal(size=3))
+    centre = points.mean(axis=0)
+    here = pose_errors(other, pose, points, centre_object=centre)
+    there = pose_errors(invert(camera) @ other, invert(camera) @ pose, points, centre_object=centre)
+    assert here.position_m == pytest.approx(there.position_m)
+    assert here.orientation_rad == pytest.approx(there.orientation_rad)
+    assert (here.add_m, here.adds_m) == pytest.approx((there.add_m, there.adds_m))
