@@ -30,7 +30,10 @@ LAYERS = [
 ]  # fmt: skip
 LAYER_OF = {unit: number for number, layer in enumerate(LAYERS) for unit in layer}
 
-LEARNING = {"rpl_data.types", "rpl_data.geometry", "rpl_data.pose", "rpl_data.formats.coco", "rpl_data.torch"}
+LEARNING = {
+    "rpl_data.files", "rpl_data.formats.coco", "rpl_data.geometry", "rpl_data.pose", "rpl_data.torch",
+    "rpl_data.types",
+}  # fmt: skip
 """What rpl_data.torch and training may know: a trained pipeline does not depend on the labelling tool."""
 
 SLOW = {

@@ -16,7 +16,14 @@ from torchvision import tv_tensors
 from rpl_data.formats.coco import read_coco
 from rpl_data.torch.keypoints import to_unit_range
 from rpl_data.torch.regions import read_image
-from rpl_data.torch.transforms import Affine, Augmentation, jittered, moved, random_crop_from_square, warped
+from rpl_data.torch.transforms import (
+    Affine,
+    Augmentation,
+    jittered,
+    moved,
+    random_crop_from_square,
+    warped_smoothly,
+)
 
 
 class InstanceTarget(TypedDict):
@@ -77,6 +84,10 @@ class InstanceDataset(Dataset[InstanceSample]):
     def __len__(self) -> int:
         """How many images."""
         return len(self._images)
+
+    def file_name(self, image_id: int) -> str:
+        """The file of an image, for messages."""
+        return next(str(image["file_name"]) for image in self._images if image["id"] == image_id)
 
     def __getitem__(self, row: int) -> InstanceSample:
         """An image and its target."""
@@ -145,23 +156,31 @@ def warp_instances(
     target: InstanceTarget,
     out_from_image: Affine,
     *,
+    size: tuple[int, int] | None = None,
+    smallest_px: int = 1,
     augmentation: Augmentation | None = None,
     rng: np.random.Generator | None = None,
 ) -> InstanceSample:
     """Image, masks, boxes, areas and keypoints moved together; boxes are those of the moved masks.
 
     Keypoints that leave the image become 0, 0, 0.
+
+    Args:
+        size: width and height of what comes out; the image's own when left out.
+        smallest_px: instances whose box is narrower or lower than this leave the target.
+        augmentation, rng: colours are changed when both are given.
     """
-    height, width = image.shape[-2:]
+    width, height = size or (image.shape[-1], image.shape[-2])
     pixels = (image.permute(1, 2, 0).numpy() * 255).round().astype(np.uint8)
-    pixels = warped(pixels, out_from_image, size=(width, height))
+    pixels = warped_smoothly(pixels, out_from_image, size=(width, height))
     if augmentation is not None and rng is not None:
         pixels = jittered(pixels, augmentation, rng)
     white = target["masks"].numpy() * np.uint8(255)
-    masks = [warped(mask, out_from_image, size=(width, height)) > 127 for mask in white]
-    kept = [row for row, mask in enumerate(masks) if mask.any()]
+    masks = [warped_smoothly(mask, out_from_image, size=(width, height)) > 127 for mask in white]
+    edges = {row: _box(mask) for row, mask in enumerate(masks) if mask.any()}
+    kept = [row for row, (x0, y0, x1, y1) in edges.items() if min(x1 - x0, y1 - y0) >= smallest_px]
     stacked = np.array([masks[row] for row in kept], dtype=np.uint8).reshape(-1, height, width)
-    boxes = np.array([_box(mask) for mask in stacked], dtype=np.float32).reshape(-1, 4)
+    boxes = np.array([edges[row] for row in kept], dtype=np.float32).reshape(-1, 4)
     moved_target: InstanceTarget = {
         "boxes": tv_tensors.BoundingBoxes(
             boxes, format=tv_tensors.BoundingBoxFormat.XYXY, canvas_size=(height, width)

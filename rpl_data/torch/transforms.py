@@ -84,6 +84,19 @@ def warped(image: Pixels, out_from_image: Affine, *, size: tuple[int, int]) -> R
     return result
 
 
+def warped_smoothly(image: Pixels, out_from_image: Affine, *, size: tuple[int, int]) -> Resampled:
+    """`warped`, but pixels are averaged where the map shrinks, so that fine texture does not alias."""
+    zoom = float(np.sqrt(abs(np.linalg.det(out_from_image[:, :2]))))
+    if zoom > 0.75:
+        return warped(image, out_from_image, size=size)
+    height, width = image.shape[:2]
+    small_size = max(1, round(width * zoom)), max(1, round(height * zoom))
+    small = cv2.resize(image, small_size, interpolation=cv2.INTER_AREA)
+    across, down = width / small_size[0], height / small_size[1]
+    image_from_small = np.array([[across, 0, (across - 1) / 2], [0, down, (down - 1) / 2]])
+    return warped(small, chained(out_from_image, image_from_small), size=size)
+
+
 # Augmentation -------------------------------------------------------------------------------------
 
 

@@ -1,0 +1,236 @@
+"""Mask R-CNN (He et al., ICCV 2017) with a ResNet and a feature pyramid, made of torchvision's parts.
+
+Built here instead of by torchvision's own constructors because those know one width only, and because their
+frozen batch norm without trained weights starts with losses in the thousands.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from pickle import UnpicklingError
+from typing import Any, Literal
+from urllib.error import URLError
+
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import interpolate
+from torchvision.models import get_model_weights, resnet
+from torchvision.models.detection import MaskRCNN
+from torchvision.models.detection.anchor_utils import AnchorGenerator
+from torchvision.models.detection.backbone_utils import BackboneWithFPN, LastLevelMaxPool
+from torchvision.models.detection.faster_rcnn import FastRCNNPredictor, TwoMLPHead
+from torchvision.models.detection.mask_rcnn import MaskRCNNHeads, MaskRCNNPredictor
+from torchvision.models.detection.rpn import RPNHead
+from torchvision.models.detection.transform import GeneralizedRCNNTransform
+from torchvision.ops import FrozenBatchNorm2d, MultiScaleRoIAlign
+
+from rpl_data.types import DataError
+
+MEAN, STD = [0.485, 0.456, 0.406], [0.229, 0.224, 0.225]
+"""Of ImageNet's colours: what trained ResNets expect."""
+LEVELS = 5
+"""Of the pyramid: four of the ResNet and one more by pooling."""
+
+
+@dataclass(frozen=True)
+class ModelConfig:
+    """What is needed to build the network again; the defaults are the paper's.
+
+    Attributes:
+        size_px: shorter side of the image as the network sees it; anchors are 1/16 to 1 of it.
+        channels: of the feature pyramid and of the mask head.
+        hidden: width of the box head's two layers.
+        proposals: boxes of the first stage that the second may look at, an image.
+        rois: of these, how many the second stage trains on.
+        detections: most objects found in an image.
+        norm: of the ResNet; `auto` is frozen with trained weights and batch norm from scratch.
+    """
+
+    backbone: Literal["resnet18", "resnet34", "resnet50", "resnet101"] = "resnet101"
+    size_px: int = 512
+    channels: int = 256
+    hidden: int = 1024
+    proposals: int = 2000
+    rois: int = 512
+    detections: int = 100
+    norm: Literal["auto", "batch", "group", "frozen"] = "auto"
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be built."""
+        if self.size_px < 64 or self.size_px % 16:
+            raise DataError(f"model.size_px must be a multiple of 16 from 64 on, got {self.size_px}")
+        if min(self.channels, self.hidden, self.proposals, self.rois, self.detections) < 1:
+            raise DataError("model: channels, hidden, proposals, rois and detections must be at least 1")
+
+
+def with_norm(config: ModelConfig, weights: str) -> ModelConfig:
+    """The config with `auto` decided: frozen statistics make sense only when there are some."""
+    if config.norm != "auto":
+        return config
+    return replace(config, norm="batch" if weights == "scratch" else "frozen")
+
+
+def build_model(config: ModelConfig, classes: int) -> MaskRCNN:
+    """The network with random weights; `classes` is without the background."""
+    size, channels = config.size_px, config.channels
+    levels = [str(level) for level in range(LEVELS - 1)]
+    # torchvision's 224 px belong to 512 px images; larger objects are looked at one level up.
+    scale = {"canonical_scale": round(size * 224 / 512), "sampling_ratio": 2}
+    model = MaskRCNN(
+        _backbone(config),
+        min_size=size,
+        max_size=size * 4,
+        image_mean=MEAN,
+        image_std=STD,
+        rpn_anchor_generator=AnchorGenerator(
+            tuple((size * 2**level // 16,) for level in range(LEVELS)), ((0.5, 1.0, 2.0),) * LEVELS
+        ),
+        rpn_head=RPNHead(channels, 3),
+        rpn_pre_nms_top_n_train=config.proposals,
+        rpn_post_nms_top_n_train=config.proposals,
+        rpn_pre_nms_top_n_test=config.proposals // 2,
+        rpn_post_nms_top_n_test=config.proposals // 2,
+        box_roi_pool=MultiScaleRoIAlign(levels, output_size=7, **scale),
+        box_head=TwoMLPHead(channels * 7**2, config.hidden),
+        box_predictor=FastRCNNPredictor(config.hidden, classes + 1),
+        box_batch_size_per_image=config.rois,
+        box_detections_per_img=config.detections,
+        mask_roi_pool=MultiScaleRoIAlign(levels, output_size=14, **scale),
+        mask_head=MaskRCNNHeads(channels, (channels,) * 4, dilation=1),
+        mask_predictor=MaskRCNNPredictor(channels, channels, classes + 1),
+    )
+    model.transform = SmoothResize(size, size * 4, MEAN, STD)
+    return model
+
+
+def _backbone(config: ModelConfig) -> BackboneWithFPN:
+    norms: dict[str, Callable[[int], nn.Module]] = {
+        "batch": nn.BatchNorm2d,
+        "group": lambda channels: nn.GroupNorm(32, channels),
+        "frozen": FrozenBatchNorm2d,
+    }
+    if config.norm not in norms:
+        raise ValueError("decide the norm with `with_norm` first")
+    body = getattr(resnet, config.backbone)(weights=None, norm_layer=norms[config.norm])
+    widths = [body.inplanes // 8 * 2**level for level in range(LEVELS - 1)]
+    layers = {f"layer{level + 1}": str(level) for level in range(LEVELS - 1)}
+    return BackboneWithFPN(body, layers, widths, config.channels, extra_blocks=LastLevelMaxPool())
+
+
+class SmoothResize(GeneralizedRCNNTransform):
+    """torchvision's resizing of whole images, without its aliasing: 640 px become 256 in the `cpu` preset."""
+
+    def resize(
+        self, image: Tensor, target: dict[str, Tensor] | None = None
+    ) -> tuple[Tensor, dict[str, Tensor] | None]:
+        """An image alone is smoothed as it shrinks; training crops come in the right size."""
+        height, width = image.shape[-2:]
+        zoom = min(self.min_size[-1] / min(height, width), self.max_size / max(height, width))
+        if target is not None or zoom >= 1:
+            resized: tuple[Tensor, dict[str, Tensor] | None] = super().resize(image, target)
+            return resized
+        size = max(1, round(height * zoom)), max(1, round(width * zoom))
+        small = interpolate(image[None], size=size, mode="bilinear", align_corners=False, antialias=True)
+        return small[0], None
+
+
+def train_body(model: MaskRCNN, trained: bool) -> None:
+    """Freeze or free the ResNet alone: the pyramid, part of `backbone` too, is one of the paper's heads."""
+    model.backbone.body.requires_grad_(trained)
+
+
+# Weights ------------------------------------------------------------------------------------------
+
+
+def load_weights(model: MaskRCNN, config: ModelConfig, weights: str) -> str:
+    """Put trained weights into the network; a line saying what came from where.
+
+    Args:
+        weights: `scratch`; `imagenet`, which torchvision fetches; or the path of a file with a ResNet, a
+            torchvision Mask R-CNN (other classes than ours: the layers that name them stay random) or one of
+            our checkpoints.
+
+    Raises:
+        DataError: nothing can be fetched, or the file does not hold this network.
+    """
+    if weights == "scratch":
+        return f"{config.backbone} from scratch, {config.norm} norm"
+    state = _fetched(config.backbone) if weights == "imagenet" else _read(Path(weights))
+    resnet_only = "layer1.0.conv1.weight" in state
+    target: nn.Module = model.backbone.body if resnet_only else model
+    wanted = target.state_dict()
+    fitting = {key: value for key, value in state.items() if _fits(wanted.get(key), value)}
+    needed = {key for key in wanted if not key.endswith("num_batches_tracked")}
+    body = {key for key in needed if resnet_only or key.startswith("backbone.body.")}
+    if missing := sorted(body - set(fitting)):
+        raise DataError(
+            f"{weights} does not hold a {config.backbone}: {len(missing)} of its {len(body)} tensors are "
+            f"missing or of another shape ({missing[0]}); choose the backbone the weights belong to"
+        )
+    target.load_state_dict(fitting, strict=False)
+    left = len(needed - set(fitting))
+    return f"{weights}: {len(fitting)} tensors taken, {left} stay random, {config.norm} norm"
+
+
+def _fits(wanted: Tensor | None, value: Any) -> bool:
+    return wanted is not None and isinstance(value, Tensor) and wanted.shape == value.shape
+
+
+def _fetched(backbone: str) -> Mapping[str, Tensor]:
+    try:
+        state: Mapping[str, Tensor] = get_model_weights(backbone).DEFAULT.get_state_dict(check_hash=True)
+    except (URLError, OSError) as error:
+        raise DataError(
+            f"cannot fetch torchvision's weights of {backbone}: {error}; give the path of a file as "
+            "`weights`, or `scratch`"
+        ) from error
+    return state
+
+
+def _read(path: Path) -> Mapping[str, Tensor]:
+    """The state dict of a file: our own checkpoints hold it one level down, with a prefix."""
+    content = read_file(path)
+    if "state_dict" in content:
+        return {key.removeprefix("model."): value for key, value in content["state_dict"].items()}
+    return content
+
+
+def read_file(path: Path) -> dict[str, Any]:
+    """A file that `torch.save` wrote, tensors and plain values only; DataError when it is anything else."""
+    if not path.is_file():
+        raise DataError(f"{path} does not exist; expected a file of weights")
+    try:
+        content = torch.load(path, map_location="cpu", weights_only=True)
+    except (UnpicklingError, RuntimeError, EOFError, KeyError, ValueError, OSError) as error:
+        raise DataError(f"cannot read {path} as weights: {str(error).splitlines()[0]}") from error
+    if not isinstance(content, dict):
+        raise DataError(f"{path} holds a {type(content).__name__}; expected a dictionary of tensors")
+    return content
+
+
+@dataclass(frozen=True)
+class Segmenter:
+    """A trained network and what its labels mean: `names[0]` is the background."""
+
+    model: MaskRCNN
+    config: ModelConfig
+    names: tuple[str, ...]
+
+
+def description(config: ModelConfig, names: tuple[str, ...]) -> dict[str, Any]:
+    """What a checkpoint says about its network, in plain values."""
+    return {"model": asdict(config), "names": list(names)}
+
+
+def load_segmenter(checkpoint: Path) -> Segmenter:
+    """The network of a checkpoint of `training.train_masks`, ready to predict."""
+    content = read_file(checkpoint)
+    if "masks" not in content:
+        raise DataError(f"{checkpoint} is not a checkpoint of training.train_masks")
+    config, names = ModelConfig(**content["masks"]["model"]), tuple(content["masks"]["names"])
+    model = build_model(config, len(names) - 1)
+    state = content["state_dict"]
+    model.load_state_dict({key.removeprefix("model."): value for key, value in state.items()})
+    return Segmenter(model.eval(), config, names)

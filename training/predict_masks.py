@@ -1,0 +1,226 @@
+"""Find objects in an image, a folder or a video: `python -m training.predict_masks --help`."""
+
+from __future__ import annotations
+
+import colorsys
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from pycocotools import mask as masks
+
+from rpl_data.files import write_bytes, write_json
+from rpl_data.torch.keypoints import to_unit_range
+from rpl_data.torch.regions import read_image
+from rpl_data.types import DataError
+from training.mask_scores import Json, predict
+from training.masks import Segmenter, load_segmenter
+
+IMAGE_SUFFIXES = {".bmp", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp"}
+SCORE_THRESHOLD = 0.5
+"""Least score of what is drawn; the results file has everything."""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """What is looked at: RGB pixels, and the name its overlay gets."""
+
+    name: str
+    pixels: np.ndarray
+
+
+# Input --------------------------------------------------------------------------------------------
+
+
+def pictures_of(source: Path) -> Iterator[Picture]:
+    """The images of a file or a folder (in the order of their names), or the frames of a video.
+
+    Raises:
+        DataError: nothing is there, or it is neither.
+    """
+    if source.is_dir():
+        files = sorted(path for path in source.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES)
+        if not files:
+            raise DataError(f"{source} holds no image; expected {', '.join(sorted(IMAGE_SUFFIXES))}")
+        yield from (Picture(path.name, read_image(str(path))) for path in files)
+    elif source.suffix.lower() in IMAGE_SUFFIXES:
+        yield Picture(source.name, read_image(str(source)))
+    else:
+        yield from _frames(source)
+
+
+def is_video(source: Path) -> bool:
+    """A file that is not an image."""
+    return not source.is_dir() and source.suffix.lower() not in IMAGE_SUFFIXES
+
+
+def _frames(video: Path) -> Iterator[Picture]:
+    capture = cv2.VideoCapture(str(video))
+    try:
+        number = 0
+        while True:
+            there, frame = capture.read()
+            if not there:
+                break
+            yield Picture(f"{number:06d}.jpg", cv2.cvtColor(frame, cv2.COLOR_BGR2RGB))
+            number += 1
+        if number == 0:
+            raise DataError(f"{video} is neither an image, nor a folder, nor a video that can be read")
+    finally:
+        capture.release()
+
+
+def frame_rate(video: Path) -> float:
+    """Frames a second, 30 where the file does not say."""
+    capture = cv2.VideoCapture(str(video))
+    rate = float(capture.get(cv2.CAP_PROP_FPS))
+    capture.release()
+    return rate if 0 < rate < 1000 else 30.0
+
+
+# Drawing ------------------------------------------------------------------------------------------
+
+
+def class_color(label: int, classes: int) -> tuple[int, int, int]:
+    """Bright colours spread over the hues."""
+    red, green, blue = colorsys.hsv_to_rgb((label - 1) / max(1, classes), 0.75, 1.0)
+    return round(255 * red), round(255 * green), round(255 * blue)
+
+
+def draw(pixels: np.ndarray, results: Sequence[Json], names: Sequence[str]) -> np.ndarray:
+    """A new picture with masks tinted and outlined, boxes, names and scores; the best lie on top."""
+    picture = pixels.copy()
+    for entry in sorted(results, key=lambda entry: float(entry["score"])):
+        label = entry["category_id"]
+        color = class_color(label, len(names) - 1)
+        inside = np.ascontiguousarray(masks.decode(entry["segmentation"]))
+        picture[inside > 0] = (0.6 * picture[inside > 0] + 0.4 * np.array(color)).astype(np.uint8)
+        outlines, _ = cv2.findContours(inside, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+        cv2.drawContours(picture, outlines, -1, color, 1, cv2.LINE_AA)
+        left, top, width, height = (round(side) for side in entry["bbox"])
+        cv2.rectangle(picture, (left, top), (left + width - 1, top + height - 1), color, 1)
+        _write(picture, f"{names[label]} {entry['score']:.2f}", (left, max(12, top - 4)), color)
+    return picture
+
+
+def _write(picture: np.ndarray, words: str, corner: tuple[int, int], color: tuple[int, int, int]) -> None:
+    for shade, thickness in (((15, 15, 15), 3), (color, 1)):
+        cv2.putText(picture, words, corner, cv2.FONT_HERSHEY_SIMPLEX, 0.45, shade, thickness, cv2.LINE_AA)
+
+
+# Output -------------------------------------------------------------------------------------------
+
+Saver = Callable[[Picture], None]
+
+
+@contextmanager
+def saving_images(out: Path) -> Iterator[Saver]:
+    """Overlays as files of the pictures' names."""
+
+    def save(picture: Picture) -> None:
+        suffix = Path(picture.name).suffix
+        done, content = cv2.imencode(suffix, cv2.cvtColor(picture.pixels, cv2.COLOR_RGB2BGR))
+        if not done:
+            raise DataError(f"OpenCV cannot write {suffix} images ({picture.name}); convert it to PNG")
+        write_bytes(out / picture.name, content.tobytes())
+
+    yield save
+
+
+@contextmanager
+def saving_video(path: Path, rate: float) -> Iterator[Saver]:
+    """Overlays as frames of an MP4 file, which takes its name when the block ends well."""
+    with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.stem}.") as folder:
+        partial = Path(folder) / path.name
+        writer = cv2.VideoWriter()
+
+        def save(picture: Picture) -> None:
+            height, width = picture.pixels.shape[:2]
+            if not writer.isOpened():
+                writer.open(str(partial), cv2.VideoWriter.fourcc(*"mp4v"), rate, (width, height))
+            writer.write(cv2.cvtColor(picture.pixels, cv2.COLOR_RGB2BGR))
+
+        try:
+            yield save
+        finally:
+            writer.release()
+        if not partial.exists():
+            raise DataError(f"OpenCV cannot write the video {path}; give a folder of images instead")
+        partial.replace(path)
+
+
+def predict_to(segmenter: Segmenter, source: Path, out: Path, *, threshold: float) -> tuple[int, int]:
+    """Overlays, `results.json` and `images.json` of everything in `source`; images and objects drawn.
+
+    `results.json` is a COCO results file; `images.json` says which image has which id, with the categories.
+    """
+    pictures = pictures_of(source)
+    results: list[Json] = []
+    images: list[Json] = []
+    drawn = 0
+    out.mkdir(parents=True, exist_ok=True)
+    overlays = saving_images(out)
+    if is_video(source):
+        overlays = saving_video(out / f"{source.stem}.mp4", frame_rate(source))
+    with overlays as save:
+        for number, picture in enumerate(pictures, start=1):
+            found = predict(segmenter, [to_unit_range(picture.pixels)], [number])
+            seen = [entry for entry in found if entry["score"] >= threshold]
+            save(Picture(picture.name, draw(picture.pixels, seen, segmenter.names)))
+            height, width = picture.pixels.shape[:2]
+            images.append({"id": number, "file_name": picture.name, "width": width, "height": height})
+            results += found
+            drawn += len(seen)
+    categories = [{"id": n, "name": name} for n, name in enumerate(segmenter.names) if n > 0]
+    write_json(out / "results.json", results, indent=None)
+    write_json(out / "images.json", {"images": images, "categories": categories, "annotations": []})
+    return len(images), drawn
+
+
+def main(
+    checkpoint: Path,
+    source: Path,
+    out: Path = Path("runs/predicted"),
+    threshold: float = SCORE_THRESHOLD,
+    threads: int | None = None,
+) -> None:
+    """Find objects in an image, a folder of images or a video.
+
+    Writes the pictures (or the video) with masks, boxes, names and scores drawn on them, `results.json` (COCO
+    results with boxes and masks) and `images.json` (which image has which id).
+
+    Args:
+        checkpoint: `last.ckpt` of training.train_masks.
+        source: an image, a folder of images, or a video.
+        out: folder for everything that is written.
+        threshold: least score of what is drawn; results.json has everything.
+        threads: processor cores to use; as many as there are when left out.
+    """
+    if threads is not None:
+        torch.set_num_threads(threads)
+    if out.resolve() in {source.resolve(), source.resolve().parent}:
+        raise DataError(f"the overlays would replace the images of {out}; choose another --out")
+    images, drawn = predict_to(load_segmenter(checkpoint), source, out, threshold=threshold)
+    print(f"{out}: {images} images, {drawn} objects with a score of {threshold:g} or more")
+
+
+def run() -> int:
+    """The program: 0 when all is well, 1 with one line on stderr when the user can mend it."""
+    from jsonargparse import auto_cli
+
+    try:
+        auto_cli(main, prog="python -m training.predict_masks")
+    except DataError as error:
+        print(f"predict_masks: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(run())
