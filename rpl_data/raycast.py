@@ -37,6 +37,14 @@ class Hits:
     normals: Float32[np.ndarray, "n 3"]
 
 
+@dataclass(frozen=True)
+class Closest:
+    """Points of the meshes' surface, and the unit normals of the triangles they lie on."""
+
+    points: Points
+    normals: Points
+
+
 class RayScene:
     """Meshes of one common frame, indexed for rays."""
 
@@ -90,9 +98,19 @@ class RayScene:
         ).numpy()
         return blocked
 
-    def _as_tensor(self, origin_directions: Float32[np.ndarray, "n 6"]) -> Any:
-        """The rays as Open3D takes them, without a copy when they are float32 already."""
-        return self._tensor.from_numpy(np.ascontiguousarray(origin_directions, dtype=np.float32))
+    def closest(self, points: Points) -> Closest:
+        """The nearest point of the meshes to each point, in the meshes' frame."""
+        answer = self._scene.compute_closest_points(
+            self._as_tensor(points.astype(np.float32)), nthreads=self._threads
+        )
+        return Closest(
+            points=answer["points"].numpy().astype(np.float64),
+            normals=answer["primitive_normals"].numpy().astype(np.float64),
+        )
+
+    def _as_tensor(self, rows: Float32[np.ndarray, "n _"]) -> Any:
+        """Rays or points as Open3D takes them, without a copy when they are float32 already."""
+        return self._tensor.from_numpy(np.ascontiguousarray(rows, dtype=np.float32))
 
 
 def pixel_rays(

@@ -10,7 +10,7 @@ import pytest
 
 ROOT = Path(__file__).parent.parent
 STAGES = {
-    "annotate", "capture", "export", "label", "quality", "reconstruct", "refine", "report", "segment",
+    "annotate", "cad", "capture", "export", "label", "quality", "reconstruct", "refine", "report", "segment",
     "solve", "truth", "twin",
 }  # fmt: skip
 LAYERS = [
