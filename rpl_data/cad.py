@@ -8,6 +8,7 @@ these figures flatter; where true poses are known, `quality.py`'s strict protoco
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -172,6 +173,27 @@ def _step(shape: RayScene, seen: PointCloud, scene_from_cad: Transform, reach_m:
     moved = rigid(turn, centre - turn @ centre + step[3:])
     rms_m = float(np.sqrt(np.mean(distances**2)))
     return _Fit(scene_from_cad @ invert(moved), rms_m, int(chosen.sum()))
+
+
+def picked_in_order(
+    names: Sequence[str], points: Points, keypoints: Sequence[str], *, source: str
+) -> Float64[np.ndarray, "k 3"]:
+    """A row a keypoint; NaN where it was not picked. Points are found by name, or by number from 0.
+
+    Raises:
+        DataError: a point is neither the name nor the number of a keypoint.
+    """
+    ordered = np.full((len(keypoints), 3), np.nan)
+    rows = {name: k for k, name in enumerate(keypoints)}
+    for name, point in zip(names, points, strict=True):
+        row = rows.get(name, int(name) if name.isdecimal() else -1)
+        if not 0 <= row < len(keypoints):
+            raise DataError(
+                f"{source}: picked point {name!r} is no keypoint; name the points like the keypoints "
+                f"({', '.join(keypoints)}) or number them from 0"
+            )
+        ordered[row] = point
+    return ordered
 
 
 def scaled(mesh: Mesh, metres_per_unit: float) -> Mesh:

@@ -233,13 +233,14 @@ def compare_workspaces(workspace: Workspace, truth: Workspace) -> list[QualityRo
     ]
     return [
         summarise(
-            name, models[name], errors[name], _merged([scene[name] for scene in by_scene if name in scene])
+            name, models[name], errors[name], merged([scene[name] for scene in by_scene if name in scene])
         )
         for name in shared
     ]
 
 
-def _merged(parts: Sequence[LabelErrors]) -> LabelErrors:
+def merged(parts: Sequence[LabelErrors]) -> LabelErrors:
+    """The errors of several scenes as those of one."""
     return LabelErrors(
         instances=tuple(instance for part in parts for instance in part.instances),
         truth_frames=sum(part.truth_frames for part in parts),

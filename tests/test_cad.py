@@ -1,14 +1,11 @@
-"""The paper's protocol on shapes whose alignment is known, and MeshLab's picked points."""
+"""The paper's protocol on shapes whose alignment is known."""
 
 from __future__ import annotations
-
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from rpl_data.cad import Cad, align_scene, align_sparse, scaled
-from rpl_data.formats.meshlab import picked_in_order, read_picked_points, write_picked_points
+from rpl_data.cad import Cad, align_scene, align_sparse, picked_in_order, scaled
 from rpl_data.geometry import from_rotvec, invert, rotation_angle_rad, transform
 from rpl_data.truth import box_mesh
 from rpl_data.types import DataError, KeypointModel, Mesh
@@ -131,44 +128,14 @@ def test_millimetres_are_refused_until_their_unit_is_given() -> None:
 # Picked points ------------------------------------------------------------------------------------
 
 
-def test_picked_points_come_back(tmp_path: Path) -> None:
-    points = {"spout <1>": np.array([1e-05, -3.4e-07, 2.0]), "1": np.array([0.1, 0.2, 0.3])}
-    write_picked_points(tmp_path / "a.pp", points)
-    read = read_picked_points(tmp_path / "a.pp")
-    assert list(read) == list(points)
-    for name, position in points.items():
-        np.testing.assert_array_equal(read[name], position)
-
-
-def test_picked_points_as_others_write_them(tmp_path: Path) -> None:
-    path = tmp_path / "other.pp"
-    path.write_text(
-        "<!DOCTYPE PickedPoints>\n<PickedPoints>\n <DocumentData>\n"
-        '  <DateTime date="2020-03-01" time="12:00:00"/>\n  <User name="a"/>\n </DocumentData>\n'
-        ' <point y="0.2" z="0.3" active="1" name="lid" x="0.1"/>\n'
-        ' <point x="9" y="9" z="9" active="0" name="base"/>\n'
-        ' <point x="-5" y="1.2e-05" z="0" name="2"/>\n</PickedPoints>\n'
+def test_picked_points_find_their_keypoints_by_name_or_number() -> None:
+    found = picked_in_order(
+        ("lid", "2"), np.array([[1.0, 2, 3], [4, 5, 6]]), ("base", "lid", "cap"), source="a"
     )
-    points = picked_in_order(read_picked_points(path), ("base", "lid", "cap"), source="other.pp")
-    assert np.isnan(points[0]).all()
-    np.testing.assert_allclose(points[1:], [[0.1, 0.2, 0.3], [-5, 1.2e-05, 0]])
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("not xml", "not a MeshLab file"),
-        ('<P><point x="1" y="2" name="a"/></P>', "lacks a finite"),
-        ('<P><point x="1" y="2" z="3" name="a"/><point x="1" y="2" z="3" name="a"/></P>', "two points"),
-        ('<P><point x="1" y="two" z="3" name="a"/></P>', "could not convert"),
-    ],
-)
-def test_broken_picked_points_are_named(tmp_path: Path, text: str, message: str) -> None:
-    (tmp_path / "a.pp").write_text(text)
-    with pytest.raises(DataError, match=message):
-        read_picked_points(tmp_path / "a.pp")
+    assert np.isnan(found[0]).all()
+    np.testing.assert_array_equal(found[1:], [[1, 2, 3], [4, 5, 6]])
 
 
 def test_a_point_of_another_name_is_refused() -> None:
     with pytest.raises(DataError, match="'nose' is no keypoint"):
-        picked_in_order({"nose": np.zeros(3)}, ("a", "b"), source="x.pp")
+        picked_in_order(("nose",), np.zeros((1, 3)), ("a", "b"), source="x.pp")

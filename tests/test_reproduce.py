@@ -5,13 +5,18 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from rpl_data.workspace import Workspace
+from rpl_data.formats.meshlab import write_picked_points
+from rpl_data.types import DataError
+from rpl_data.workspace import Workspace, load_mesh, save_mesh
 from training.reproduce.__main__ import COMMANDS, main
 from training.reproduce.results import finite_or_none, write_results
+from training.reproduce.table1 import measure
 
 ROOT = Path(__file__).parent.parent
 
@@ -25,17 +30,55 @@ def test_help_is_quick_and_lists_every_command() -> None:
     assert all((command.__doc__ or "").strip() for command in COMMANDS.values())
 
 
-def test_table1_of_a_workspace(
+def rows_of(out: Path) -> list[dict[str, Any]]:
+    rows: list[dict[str, Any]] = json.loads((out / "table1.json").read_text())["rows"]
+    return rows
+
+
+def test_table1_of_a_workspace(tiny_workspace: Workspace, tmp_path: Path) -> None:
+    assert main(["table1", str(tiny_workspace.root), "--out", str(tmp_path)]) == 0
+    (row,) = rows_of(tmp_path)
+    model = tiny_workspace.load_solution("carton").model
+    assert (row["object"], row["keypoints"], row["scenes"]) == ("carton", len(model.keypoints), 3)
+    frames = [label for scene in tiny_workspace.scene_names() for label in tiny_workspace.load_labels(scene)]
+    assert row["labels"] == len(frames)
+    assert 0 < row["by_cad"]["error_3d_mm"] < row["strict"]["error_3d_mm"] < 5  # closest points flatter
+    assert row["cad_rms_mm"] < 3 and row["started_by_solution"] == 0
+    assert row["by_cad"]["iou"] == pytest.approx(row["strict"]["iou"], abs=0.05)
+    assert "carton" in (tmp_path / "table1.html").read_text()
+
+
+def test_drifting_trajectories_cost_accuracy_and_are_reproduced(
     tiny_workspace: Workspace, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["table1", str(tiny_workspace.root), "--out", str(tmp_path)]) == 0
-    (row,) = json.loads((tmp_path / "table1.json").read_text())["rows"]
-    assert (row["object"], row["keypoints"], row["scenes"]) == ("carton", 8, 3)
-    assert row["labels"] == sum(
-        1 for s in tiny_workspace.scene_names() for _ in tiny_workspace.load_labels(s)
-    )
-    assert 0 < row["strict"]["error_3d_mm"] < 5
-    assert "carton" in (tmp_path / "table1.html").read_text()
+    command = ["table1", str(tiny_workspace.root), "--out", str(tmp_path), "--workers", "1"]
+    command += ["--trajectories", "[given, drifting]"]
+    assert main(command) == 0
+    given, drifting = rows_of(tmp_path)
+    assert drifting["trajectories"] == "drifting" and drifting["labels"] == given["labels"]
+    assert drifting["strict"]["error_2d_px"] > given["strict"]["error_2d_px"]
+    printed, stages = capsys.readouterr().out, tmp_path / "workspaces" / f"{given['workspace']}_drifting"
+    before = (stages / "stages.json").read_text()
+    assert main(command) == 0
+    assert capsys.readouterr().out == printed
+    assert (stages / "stages.json").read_text() == before  # nothing was built again
+
+
+def test_a_cad_of_ones_own_stands_for_truth(tiny_workspace: Workspace, tmp_path: Path) -> None:
+    """The true mesh in millimetres with picked points beside it, as a real recording would have it."""
+    truth = Workspace(tiny_workspace.truth)
+    model, mesh = truth.load_solution("carton").model, load_mesh(truth.mesh_file("carton"))
+    save_mesh(tmp_path / "cad" / "carton.ply", replace(mesh, vertices=1e3 * mesh.vertices))
+    write_picked_points(tmp_path / "cad" / "carton.pp", model.keypoints, 1e3 * model.points_object)
+    rows = measure(tiny_workspace, cad_folder=tmp_path / "cad", metres_per_unit=0.001)
+    (own,), (twin,) = rows, measure(tiny_workspace)
+    assert own.by_cad is not None and twin.by_cad is not None
+    assert own.by_cad.error_2d_px == pytest.approx(twin.by_cad.error_2d_px, abs=0.3)
+    with pytest.raises(DataError, match="has a CAD for none of carton"):
+        measure(tiny_workspace, cad_folder=tmp_path)
+    (tmp_path / "cad" / "carton.pp").unlink()
+    with pytest.raises(DataError, match="has no picked points"):
+        measure(tiny_workspace, cad_folder=tmp_path / "cad")
 
 
 def test_a_folder_that_is_no_workspace_is_one_line(

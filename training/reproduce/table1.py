@@ -3,24 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-import numpy as np
+from typing import TYPE_CHECKING, Literal
 
 from rpl_data.types import DataError
-from training.reproduce.paper import TABLE_1, TABLE_1_MEAN
 
 if TYPE_CHECKING:
-    from rpl_data.report.html import Cell
+    from rpl_data.cad import Cad
     from rpl_data.types import QualityRow
     from rpl_data.workspace import Workspace
+    from training.reproduce.cad_protocol import CadResult
+
+Trajectories = Literal["given", "drifting", "tracked"]
 
 
 @dataclass(frozen=True)
 class Scores:
-    """Errors under one protocol; NaN where nothing could be measured."""
+    """Errors under one protocol; NaN where nothing could be measured.
+
+    Attributes:
+        iou: of the full masks, as the paper's, whose masks know nothing of what hides the object.
+        iou_visible: of the visible masks; the paper's protocol has none.
+    """
 
     error_3d_mm: float
     error_2d_px: float
@@ -36,61 +41,164 @@ class Row:
         keypoints, scenes: N_k and N_s.
         labels: frames in which it is labelled.
         strict: against true correspondences and true poses, nothing aligned; None without truth.
+        by_cad: the paper's protocol, GT-CAD aligned by ICP; None without a CAD.
+        started_by_solution: scenes with too few clicks to start ICP by, started by our own solution.
+        cad_rms_mm: how well GT-CAD lies on the scenes' surfaces; NaN without a CAD.
     """
 
     workspace: str
+    trajectories: Trajectories
     object: str
     keypoints: int
     scenes: int
     labels: int
     strict: Scores | None
+    by_cad: Scores | None
+    started_by_solution: int
+    cad_rms_mm: float
 
 
-def table1(sources: Path | list[Path], out: Path = Path("runs/table1"), root: Path | None = None) -> None:
-    """Accuracy of sparse models and labels (the paper's Table I), an object a row.
+def table1(
+    sources: Path | list[Path],
+    out: Path = Path("runs/table1"),
+    root: Path | None = None,
+    trajectories: list[Trajectories] | None = None,
+    cad: Path | None = None,
+    cad_metres_per_unit: float = 1.0,
+    seed: int = 0,
+    workers: int | None = None,
+) -> None:
+    """Accuracy of sparse models and labels (the paper's Table I), an object a row, by two protocols.
 
-    A source is a workspace that is built, or a recipe, which is built first. Truth comes from the twin or
-    from the recipe's `truth:`.
+    Strict: true correspondences and true poses, nothing aligned in the image; it needs a twin, or `truth:`
+    in the recipe. The paper's: a CAD aligned by ICP to the sparse model and to every scene; it needs a CAD,
+    which a twin has, and for which real recordings name a folder.
 
     Args:
-        sources: a workspace, a recipe, or a list of them: '[a, b]'.
-        out: folder for table1.json, table1.html and the workspaces of recipes.
+        sources: a workspace that is built, a recipe, which is built first, or a list of them: '[a, b]'.
+        out: folder for table1.json, table1.html and the workspaces that are made.
         root: where the relative paths of recipes start; the recipe's own folder when left out.
+        trajectories: '[given, drifting, tracked]' or some of them; drifting ones (5 mm and 0.3 degrees at
+            the end of a video) and tracked ones are made of a twin's recording. Given ones when left out.
+        cad: folder with <object>.obj (or .ply, .stl) and <object>.pp, the keypoints picked on it.
+        cad_metres_per_unit: of those meshes and points; 0.001 for millimetres.
+        seed: of the drift and of the simulated picks on a twin's CAD.
+        workers: processes; as many as cores when left out.
     """
+    from training.reproduce.table1_page import as_text, write_page
+
+    kinds: tuple[Trajectories, ...] = tuple(dict.fromkeys(trajectories or ("given",)))
+    rows: list[Row] = []
+    for source in sources if isinstance(sources, list) else [sources]:
+        workspace = built(source, out / "workspaces", root=root, workers=workers)
+        for kind in kinds:
+            place = in_kind(workspace, kind, out, seed=seed, workers=workers)
+            found = measure(place, cad_folder=cad, metres_per_unit=cad_metres_per_unit, seed=seed)
+            rows += [replace(row, workspace=workspace.root.name, trajectories=kind) for row in found]
+    path = write_page(out, rows, seed=seed)
+    print(as_text(rows))
+    print(path)
+
+
+# Workspaces ---------------------------------------------------------------------------------------
+
+
+def built(source: Path, folder: Path, *, root: Path | None, workers: int | None) -> Workspace:
+    """The workspace itself, or what a recipe makes."""
     from rpl_data.build import build
     from rpl_data.recipe import load_recipe
     from rpl_data.workspace import Workspace
 
-    rows: list[Row] = []
-    for source in sources if isinstance(sources, list) else [sources]:
-        workspace = Workspace(source)
-        if source.is_file():
-            workspace = Workspace(out / "workspaces" / source.stem)
-            build(load_recipe(source, root=root), workspace)
-        rows += measure(workspace)
-    path = write_table(out, rows)
-    print(f"{path}: {len(rows)} objects")
+    if not source.is_file():
+        return Workspace(source)
+    workspace = Workspace(folder / source.stem)
+    build(load_recipe(source, root=root), workspace, workers=workers)
+    return workspace
 
 
-def measure(workspace: Workspace) -> list[Row]:
-    """A row an object of a built workspace."""
+def in_kind(
+    workspace: Workspace, kind: Trajectories, out: Path, *, seed: int, workers: int | None
+) -> Workspace:
+    """The workspace, or one of the same pixels and other camera paths, built to its labels."""
+    from rpl_data.build import build
+    from rpl_data.workspace import Workspace
+    from training.reproduce.trajectories import with_trajectories
+
+    if kind == "given":
+        return workspace
+    name = f"{workspace.root.resolve().name}_{kind}"
+    recipe = with_trajectories(workspace, kind, out / "recordings" / name, seed=seed)
+    changed = Workspace(out / "workspaces" / name)
+    build(recipe, changed, until="label", workers=workers)
+    return changed
+
+
+# Rows ---------------------------------------------------------------------------------------------
+
+
+def measure(
+    workspace: Workspace, *, cad_folder: Path | None = None, metres_per_unit: float = 1.0, seed: int = 0
+) -> list[Row]:
+    """A row an object of a built workspace.
+
+    Raises:
+        DataError: neither truth nor a CAD is known.
+    """
     from rpl_data.build import context_of
     from rpl_data.pipeline.products import truth_workspace
     from rpl_data.quality import compare_workspaces
+    from training.reproduce.cad_protocol import by_cad
 
     context = context_of(workspace)
     truth = truth_workspace(context)
-    if truth is None:
-        raise DataError(f"the truth of {workspace.root} is not known; name it with `truth:` in the recipe")
-    strict = {row.object: row for row in compare_workspaces(workspace, truth)}
+    cads = _cads(workspace, truth, context.object_names, cad_folder, metres_per_unit, seed)
+    if truth is None and not cads:
+        raise DataError(
+            f"the truth of {workspace.root} is not known: name it with `truth:` in the recipe, or give a "
+            "folder with CAD models (--cad)"
+        )
+    strict = {} if truth is None else {row.object: row for row in compare_workspaces(workspace, truth)}
+    aligned = by_cad(workspace, cads)
     labels = labels_of(workspace)
-    rows = []
-    for name in context.object_names:
-        solution = workspace.load_solution(name)
-        scores = strict_scores(strict[name]) if name in strict else None
-        size = len(solution.model.keypoints), len(solution.scene_from_object)
-        rows.append(Row(workspace.root.name, name, *size, labels.get(name, 0), scores))
-    return rows
+    return [
+        _row(workspace, name, labels.get(name, 0), strict.get(name), aligned.get(name))
+        for name in context.object_names
+    ]
+
+
+def _cads(
+    workspace: Workspace,
+    truth: Workspace | None,
+    names: Sequence[str],
+    folder: Path | None,
+    metres_per_unit: float,
+    seed: int,
+) -> dict[str, Cad]:
+    from training.reproduce.cad_protocol import cads_in, true_cads
+
+    if folder is not None:
+        models = [workspace.load_solution(name).model for name in names]
+        return cads_in(folder, models, metres_per_unit=metres_per_unit)
+    return {} if truth is None else true_cads(truth, names, seed=seed)
+
+
+def _row(
+    workspace: Workspace, name: str, labels: int, strict: QualityRow | None, aligned: CadResult | None
+) -> Row:
+    solution = workspace.load_solution(name)
+    places = list(aligned.scenes.values()) if aligned else []
+    return Row(
+        workspace=workspace.root.name,
+        trajectories="given",
+        object=name,
+        keypoints=len(solution.model.keypoints),
+        scenes=len(solution.scene_from_object),
+        labels=labels,
+        strict=scores_of(strict) if strict else None,
+        by_cad=replace(scores_of(aligned.row), iou_visible=float("nan")) if aligned else None,
+        started_by_solution=sum(started == "solution" for _, started in places),
+        cad_rms_mm=1e3 * sum(p.rms_m for p, _ in places) / len(places) if places else float("nan"),
+    )
 
 
 def labels_of(workspace: Workspace) -> dict[str, int]:
@@ -103,36 +211,6 @@ def labels_of(workspace: Workspace) -> dict[str, int]:
     return counts
 
 
-def strict_scores(row: QualityRow) -> Scores:
-    """The figures of the strict protocol that Table I has."""
+def scores_of(row: QualityRow) -> Scores:
+    """The figures that Table I has."""
     return Scores(row.error_3d_mean_mm, row.error_2d_mean_px, row.iou_full_mean, row.iou_visible_mean)
-
-
-def write_table(out: Path, rows: Sequence[Row]) -> Path:
-    """table1.json and table1.html."""
-    from rpl_data.report.html import section, table
-    from training.reproduce.results import write_results
-
-    header = ("object", "N_k", "N_s", "3D mm", "2D px", "IoU", "IoU visible", "labels")
-    ours = table(header, [_cells(row) for row in rows])
-    paper: list[list[str | Cell]] = []
-    for r in TABLE_1:
-        errors = (f"{r.error_3d_mm:.2f}", f"{r.error_2d_px:.2f}", f"{r.iou:.3f}")
-        paper.append([r.object, str(r.keypoints), str(r.scenes), *errors, "", str(r.labels)])
-    means = [f"{TABLE_1_MEAN[name]:.{digits}f}" for name, digits in (("error_3d_mm", 2), ("error_2d_px", 2))]
-    paper.append(["mean", "", "", *means, f"{TABLE_1_MEAN['iou']:.3f}", "", ""])
-    parts = [
-        section("ours", "Measured, strict protocol", ours, note="Nothing is aligned in the image."),
-        section("paper", "The paper's Table I", table(header, paper)),
-    ]
-    data = {"rows": [asdict(row) for row in rows], "paper": [asdict(row) for row in TABLE_1]}
-    return write_results(out, "table1", title="Table I", data=data, sections=parts)
-
-
-def _cells(row: Row) -> list[str | Cell]:
-    from rpl_data.report.html import number
-
-    scores = row.strict or Scores(np.nan, np.nan, np.nan, np.nan)
-    figures = [number(scores.error_3d_mm), number(scores.error_2d_px)]
-    figures += [number(scores.iou, 3), number(scores.iou_visible, 3)]
-    return [row.object, str(row.keypoints), str(row.scenes), *figures, str(row.labels)]

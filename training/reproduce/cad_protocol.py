@@ -1,0 +1,152 @@
+"""The paper's protocol on a whole workspace: GT-CAD on every scene, GT-SPARSE and GT-CAD projected back."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from rpl_data.cad import Cad, CadInScene, SparseOnCad, align_scene, align_sparse, picked_in_order, scaled
+from rpl_data.formats.meshlab import read_picked_points
+from rpl_data.geometry import Transform, invert
+from rpl_data.pipeline.sparse import observe
+from rpl_data.quality import LabelErrors, ModelError, label_errors, merged, summarise
+from rpl_data.solve import register
+from rpl_data.truth import TrueObject, true_labels
+from rpl_data.types import DataError, KeypointModel, QualityRow, Solution
+from rpl_data.workspace import Workspace, load_mesh
+
+PICKED_WITHIN_M = 0.002
+"""Standard deviation on each axis of a hand that picks a landmark on a CAD."""
+MESHES = (".obj", ".ply", ".stl", ".glb", ".off")
+
+
+@dataclass(frozen=True)
+class CadResult:
+    """An object under the paper's protocol.
+
+    Attributes:
+        row: errors; its 3D error is the distance to the closest points of the CAD.
+        scenes: how GT-CAD lies on each scene, and whether the clicks or our own solution started it.
+    """
+
+    row: QualityRow
+    scenes: Mapping[str, tuple[CadInScene, str]]
+
+
+# The CAD models -----------------------------------------------------------------------------------
+
+
+def cads_in(folder: Path, models: Sequence[KeypointModel], *, metres_per_unit: float) -> dict[str, Cad]:
+    """The CADs of a folder: `<object>.obj` (or .ply .stl .glb .off) with `<object>.pp` beside it.
+
+    Raises:
+        DataError: the folder has a CAD for none of the objects, or one without picked points.
+    """
+    cads = {}
+    for model in models:
+        found = [path for path in (folder / f"{model.name}{suffix}" for suffix in MESHES) if path.exists()]
+        if not found:
+            continue
+        picks = folder / f"{model.name}.pp"
+        if not picks.exists():
+            raise DataError(
+                f"{found[0]} has no picked points; pick the keypoints on it with MeshLab and save {picks}"
+            )
+        picked = read_picked_points(picks, metres_per_unit=metres_per_unit)
+        points = picked_in_order(picked.names, picked.points_mesh, model.keypoints, source=str(picks))
+        cads[model.name] = Cad(model.name, scaled(load_mesh(found[0]), metres_per_unit), points)
+    if not cads:
+        names = ", ".join(model.name for model in models)
+        raise DataError(f"{folder} has a CAD for none of {names}; name the files <object>.obj, <object>.pp")
+    return cads
+
+
+def true_cads(truth: Workspace, names: Sequence[str], *, seed: int) -> dict[str, Cad]:
+    """The true meshes, with the true keypoints picked as a hand would: `PICKED_WITHIN_M` off."""
+    cads = {}
+    for number, name in enumerate(names):
+        if truth.mesh_file(name).exists() and truth.solution_file(name).exists():
+            points = truth.load_solution(name).model.points_object
+            noise = np.random.default_rng([seed, 3, number]).standard_normal(points.shape)
+            cads[name] = Cad(name, load_mesh(truth.mesh_file(name)), points + PICKED_WITHIN_M * noise)
+    return cads
+
+
+# Alignment ----------------------------------------------------------------------------------------
+
+
+def by_cad(workspace: Workspace, cads: Mapping[str, Cad]) -> dict[str, CadResult]:
+    """Every object that has a CAD, under the paper's protocol."""
+    solutions = {name: workspace.load_solution(name) for name in cads}
+    sparse = {name: align_sparse(cad, solutions[name].model) for name, cad in cads.items()}
+    places: dict[str, dict[str, tuple[CadInScene, str]]] = {name: {} for name in cads}
+    errors: dict[str, list[LabelErrors]] = {name: [] for name in cads}
+    for scene in workspace.labelled_scene_names():
+        here = [name for name in cads if scene in solutions[name].scene_from_object]
+        for name in here:
+            places[name][scene] = place(workspace, cads[name], solutions[name], sparse[name], scene)
+        standing = {name: places[name][scene][0].scene_from_cad for name in here}
+        found = errors_in(workspace, scene, cads, sparse, standing)
+        for name in here:
+            errors[name].append(found[name])
+    rows = {
+        name: summarise(
+            name,
+            solutions[name].model,
+            ModelError(sparse[name].distances_m, sparse[name].cad_from_object),
+            merged(errors[name]),
+        )
+        for name in cads
+    }
+    return {name: CadResult(rows[name], places[name]) for name in cads}
+
+
+def place(
+    workspace: Workspace, cad: Cad, solution: Solution, sparse: SparseOnCad, scene: str
+) -> tuple[CadInScene, str]:
+    """GT-CAD on the surface of a scene, and what started it.
+
+    The start is the paper's by hand: the keypoints clicked in the scene against those picked on the
+    CAD. Where too few are clicked, it is the solution that is being judged.
+    """
+    surface = load_mesh(workspace.surface_file(scene))
+    try:
+        picked = KeypointModel(cad.object, solution.model.keypoints, cad.picked)
+        start, _ = register(picked, observe(workspace, cad.object, scene=scene))
+        started = "clicks"
+    except DataError:
+        start = solution.scene_from_object[scene] @ invert(sparse.cad_from_object)
+        started = "solution"
+    return align_scene(cad, surface, start), started
+
+
+def errors_in(
+    workspace: Workspace,
+    name: str,
+    cads: Mapping[str, Cad],
+    sparse: Mapping[str, SparseOnCad],
+    scene_from_cad: Mapping[str, Transform],
+) -> dict[str, LabelErrors]:
+    """The labels of a scene against GT-SPARSE and GT-CAD, carried by the same trajectory."""
+    scene = workspace.load_scene(name)
+    trajectory = workspace.load_trajectory(scene)
+    labels = list(workspace.load_labels(name))
+
+    def poses(scene_from: Transform) -> Iterator[tuple[tuple[str, int], Transform]]:
+        for label in labels:
+            yield (name, label.frame), invert(trajectory.at(label.frame)) @ scene_from
+
+    truth = tuple(
+        TrueObject(_gt_sparse(workspace, one, sparse[one]), cads[one].mesh, dict(poses(scene_from)))
+        for one, scene_from in scene_from_cad.items()
+    )
+    alignments = {one: sparse[one].cad_from_object for one in scene_from_cad}
+    return label_errors(labels, true_labels(scene, truth), alignments)
+
+
+def _gt_sparse(workspace: Workspace, name: str, sparse: SparseOnCad) -> KeypointModel:
+    model = workspace.load_solution(name).model
+    return KeypointModel(name, model.keypoints, sparse.gt_sparse, model.skeleton)
