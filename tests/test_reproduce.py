@@ -9,6 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
 import pytest
 
 from rpl_data.formats.meshlab import write_picked_points
@@ -16,6 +18,7 @@ from rpl_data.types import DataError
 from rpl_data.workspace import Workspace, load_mesh, save_mesh
 from training.reproduce.__main__ import COMMANDS, main
 from training.reproduce.results import finite_or_none, write_results
+from training.reproduce.slopes import slope_of
 from training.reproduce.table1 import measure
 
 ROOT = Path(__file__).parent.parent
@@ -93,3 +96,44 @@ def test_results_hold_no_nan(tmp_path: Path) -> None:
     assert json.loads((tmp_path / "x.json").read_text()) == {"a": [None, 1.0]}
     assert "&lt;X&gt;" in page.read_text()
     assert finite_or_none({"t": (1, float("inf"))}) == {"t": [1, None]}
+
+
+# Error curves -------------------------------------------------------------------------------------
+
+
+def test_a_falling_and_a_flat_curve_are_told_apart() -> None:
+    rng = np.random.default_rng(0)
+    x = np.arange(2.0, 11.0)
+    noise = 0.3 * rng.standard_normal((12, 9))
+    falling, flat = slope_of(x, 3 - 0.15 * x + noise), slope_of(x, 2 + noise)
+    assert falling.falls and not falling.flat
+    assert flat.flat and not flat.falls
+    assert falling.low < -0.15 * 8 < falling.high
+    assert falling.change == pytest.approx(-1.2, abs=0.3)
+    assert flat.spread == pytest.approx(0.3, abs=0.05)
+
+
+def test_seeds_without_an_answer_are_left_out_of_the_means() -> None:
+    x = np.array([1.0, 2.0, 3.0])
+    y = np.array([[1.0, 2.0, 3.0], [np.nan, 2.0, 3.0], [1.0, np.nan, 3.0]])
+    assert slope_of(x, y).change == pytest.approx(2.0)
+
+
+def test_curves_of_a_workspace(tiny_workspace: Workspace, tmp_path: Path) -> None:
+    command = ["curves", "--workspace", str(tiny_workspace.root), "--seeds", "3", "--click_noise_px", "1"]
+    assert main([*command, "--out", str(tmp_path / "a")]) == 0
+    data = json.loads((tmp_path / "a" / "curves.json").read_text())
+    by = {curve["against"]: curve for curve in data["curves"]}
+    assert by["scenes"]["x"] == [2, 3] and by["keypoints"]["x"][0] == 5
+    errors = [e for curve in data["curves"] for row in curve["error_mm"] for e in row if e is not None]
+    assert errors and all(0 < e < 20 for e in errors)
+    for name in ("curves_keypoints.png", "curves_scenes.png"):
+        assert cv2.imread(str(tmp_path / "a" / name)).std() > 10  # a drawing, not an empty page
+    assert main([*command, "--out", str(tmp_path / "b")]) == 0
+    for name in ("curves.json", "curves.html", "curves_scenes.png"):
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+
+
+def test_curves_need_truth(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["curves", "--workspace", str(tmp_path), "--out", str(tmp_path / "out")]) == 1
+    assert "is no built twin" in capsys.readouterr().err

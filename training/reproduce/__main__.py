@@ -7,10 +7,11 @@ from collections.abc import Sequence
 from typing import Any
 
 from rpl_data.types import DataError
+from training.reproduce.curves import curves
 from training.reproduce.table1 import table1
 
 HELP = "The paper's experiments: numbers beside the paper's, as JSON and as a page."
-COMMANDS: dict[str, Any] = {"table1": table1}
+COMMANDS: dict[str, Any] = {"table1": table1, "curves": curves}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -1,0 +1,61 @@
+"""Does a curve fall, or is it flat? A straight line through the means, with an interval by bootstrap."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+
+@dataclass(frozen=True)
+class Slope:
+    """Change of a curve from its first to its last x.
+
+    Attributes:
+        change: of the fitted line, in the unit of y.
+        low, high: 95 % interval of `change`, seeds drawn again with replacement.
+        relative: `change` as a share of the mean.
+        spread: mean over x of the standard deviation among seeds.
+    """
+
+    change: float
+    low: float
+    high: float
+    relative: float
+    spread: float
+
+    @property
+    def falls(self) -> bool:
+        """The whole interval is below zero."""
+        return self.high < 0
+
+    @property
+    def flat(self) -> bool:
+        """Nothing is left of the change beside the spread among seeds."""
+        return abs(self.change) < self.spread
+
+
+def slope_of(
+    x: Float64[np.ndarray, " n"], y: Float64[np.ndarray, "seeds n"], *, resamples: int = 2000
+) -> Slope:
+    """The slope of the seeds' mean curve; NaN (a seed that failed) is left out of the means."""
+    rng = np.random.default_rng(0)
+    span = x[-1] - x[0]
+    draws = rng.integers(0, len(y), (resamples, len(y)))
+    changes = np.array([_slope(x, y[draw]) * span for draw in draws])
+    changes = changes[np.isfinite(changes)]
+    change = _slope(x, y) * span
+    low, high = np.percentile(changes, [2.5, 97.5]) if len(changes) else (np.nan, np.nan)
+    with_spread = [column[np.isfinite(column)].std() for column in y.T if np.isfinite(column).any()]
+    relative = change / float(np.nanmean(y))
+    return Slope(change, float(low), float(high), relative, float(np.mean(with_spread)))
+
+
+def _slope(x: Float64[np.ndarray, " n"], y: Float64[np.ndarray, "seeds n"]) -> float:
+    """Least squares through the means of the columns that have a value."""
+    known = np.isfinite(y).any(axis=0)
+    if known.sum() < 2:
+        return float("nan")
+    means = np.array([column[np.isfinite(column)].mean() for column in y[:, known].T])
+    return float(np.polyfit(x[known], means, 1)[0])
