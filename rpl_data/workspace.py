@@ -41,7 +41,7 @@ class Workspace:
         recipe.yaml                   the resolved recipe that built it
         stages.json                   what each stage ran with
         recording/                    the synthetic recording of a twin, with recording/truth/
-        scenes/<scene>/               scene.json  trajectory.txt  surface.ply  cache/
+        scenes/<scene>/               scene.json  trajectory.txt  surface.ply  cache/  images/
         objects/<object>/             clicks.jsonl  solution.json  mesh.ply  cloud.ply
         labels/<scene>.jsonl          a line a frame
         export/<format>/              coco, coco_truth, ...
@@ -97,6 +97,10 @@ class Workspace:
     def cache(self, scene: str) -> Path:
         """Decoded depth and other things that can be rebuilt at any time."""
         return self.root / "scenes" / scene / "cache"
+
+    def images(self, scene: str) -> Path:
+        """Images of a recording that is one file (.klg, .bag, .db3)."""
+        return self.root / "scenes" / scene / "images"
 
     def clicks_file(self, object_name: str) -> Path:
         """The log of clicks."""

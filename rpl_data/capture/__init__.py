@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
+from rpl_data.formats.elasticfusion import read_klg
 from rpl_data.formats.frame_files import Camera
 from rpl_data.formats.frames import has_frames, read_frames
 from rpl_data.formats.rpl import read_rpl
@@ -17,12 +19,19 @@ READERS: dict[str, Callable[..., list[Recording]]] = {
     "frames": read_frames,
     "tum": read_tum,
 }
-"""By format name: ``reader(path, *, names, metres_per_unit, camera) -> recordings``."""
+"""Formats whose images are files, by name: ``reader(path, *, names, metres_per_unit, camera)``."""
+
+UNPACKERS: dict[str, Callable[..., list[Recording]]] = {
+    "klg": read_klg,
+    "klg_bgr": partial(read_klg, bgr=True),
+}
+"""Formats that keep all images in one file: the same, with ``unpack(scene) -> folder`` for the images."""
 
 _LOOKS_LIKE: dict[str, Callable[[Path], bool]] = {
     "rpl": lambda folder: (folder / "camera.txt").exists() and any(folder.glob("*/associations.txt")),
     "frames": has_frames,
     "tum": is_sequence,
+    "klg": lambda path: path.suffix == ".klg" or any(path.glob("*.klg")),
 }
 """By format name: whether a path looks like that, for the message about a wrong `format`."""
 
@@ -35,8 +44,9 @@ def open_scenes(
     metres_per_unit: float | None = None,
     camera: Camera | None = None,
     registered: bool | None = None,
+    unpack: Callable[[str], Path] | None = None,
 ) -> list[Recording]:
-    """The recordings found at `path`, read as `format`, a key of `READERS`.
+    """The recordings found at `path`, read as `format`, a key of `READERS` or `UNPACKERS`.
 
     Args:
         path: what the format's reader expects, usually a folder.
@@ -45,18 +55,23 @@ def open_scenes(
         metres_per_unit: of the depth images; the format's own where None.
         camera: of the colour images; what the recording says where None.
         registered: whether depth lies on the colour pixels; what the format says where None.
+        unpack: an empty folder for the images of a scene, by its name; the formats of `UNPACKERS` need it.
 
     Raises:
         DataError: the format is unknown, or the reader cannot read what is there; the message names the
             format it looks like instead.
     """
-    if format not in READERS:
-        raise DataError(f"unknown format {format!r} for {path}; expected one of {', '.join(sorted(READERS))}")
+    known = READERS | UNPACKERS
+    if format not in known:
+        raise DataError(f"unknown format {format!r} for {path}; expected one of {', '.join(sorted(known))}")
+    if format in UNPACKERS and unpack is None:
+        raise DataError(f"{path}: recordings of format {format} are unpacked; say where to")
+    reader = partial(known[format], unpack=unpack) if format in UNPACKERS else known[format]
     try:
-        found = READERS[format](path, names=names, metres_per_unit=metres_per_unit, camera=camera)
+        found = reader(path, names=names, metres_per_unit=metres_per_unit, camera=camera)
     except DataError as error:
         likely = likely_formats(path)
-        if not likely or format in likely:
+        if not likely or format.startswith(tuple(likely)):
             raise
         raise DataError(f"{error}. It looks like `format: {likely[0]}`") from error
     if registered is None:

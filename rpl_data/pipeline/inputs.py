@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -42,7 +42,7 @@ def import_steps(context: Context) -> list[Step]:
     workspace, sources = context.workspace, context.scene_sources
 
     def run(advance: Advance) -> Outcome:
-        recordings = read_recordings(sources)
+        recordings = read_recordings(sources, unpack=lambda name: _emptied(workspace.images(name)))
         for gone in set(workspace.scene_names()) - {recording.scene.name for recording in recordings}:
             remove(workspace.scene_file(gone).parent)
             remove(workspace.labels_file(gone))
@@ -62,11 +62,23 @@ def import_steps(context: Context) -> list[Step]:
     return [step("import", "", run, options=options, sources=seen, after=["twin"], outputs=outputs)]
 
 
-def read_recordings(sources: Sequence[SceneSource]) -> list[Recording]:
-    """All scenes of all sources; DataError when two share a name or one has no poses."""
+def _emptied(folder: Path) -> Path:
+    remove(folder)
+    return folder
+
+
+def read_recordings(
+    sources: Sequence[SceneSource], *, unpack: Callable[[str], Path] | None = None
+) -> list[Recording]:
+    """All scenes of all sources; DataError when two share a name or one has no poses.
+
+    Args:
+        sources: where they are.
+        unpack: an empty folder for the images of a scene whose recording is one file.
+    """
     recordings: dict[str, Recording] = {}
     for source in sources:
-        for recording in capture.open_scenes(**vars(source)):
+        for recording in capture.open_scenes(**vars(source), unpack=unpack):
             name = recording.scene.name
             if name in recordings:
                 raise DataError(

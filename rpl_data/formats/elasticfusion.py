@@ -1,0 +1,170 @@
+"""What ElasticFusion reads and leaves: a log (.klg), its camera, and the trajectory it found.
+
+::
+
+    <name>.klg             all frames, see `klg`
+    <name>.klg.freiburg    TUM lines "t tx ty tz qx qy qz qw", scene_from_camera, t in seconds
+    <name>.cal             "fx fy cx cy"; or camera.txt, of all logs of the folder
+    <name>.klg.ply         the surface it fused, in the frame of the first camera
+
+ElasticFusion never processes the last frame, and others neither when told so, hence poses are matched by
+time. Run with -icl it writes the log's numbers as they are instead of seconds. The .freiburg of a run
+that was killed is empty.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from jaxtyping import Float64
+
+from rpl_data.formats.frame_files import (
+    Camera,
+    Listing,
+    Pair,
+    chosen,
+    examine,
+    grouped,
+    match_poses,
+    with_poses,
+    without_poses,
+)
+from rpl_data.formats.klg import METRES_PER_UNIT, KlgIndex, index_klg, klg_color, klg_depth_mm, klg_image_size
+from rpl_data.formats.pose_lines import nearest, read_pose_lines
+from rpl_data.formats.rpl import read_camera
+from rpl_data.formats.scene_images import write_images
+from rpl_data.geometry import Transform
+from rpl_data.types import DataError, Frame, Recording
+
+USUAL_STEPS_S = (1 / 250, 2.0)
+"""Between frames; a log whose numbers are no microseconds is outside."""
+
+
+def read_klg(
+    path: Path,
+    *,
+    unpack: Callable[[str], Path],
+    names: Sequence[str] | None = None,
+    metres_per_unit: float | None = None,
+    camera: Camera | None = None,
+    bgr: bool = False,
+) -> list[Recording]:
+    """The logs of a folder, or one log, unpacked; a scene is called as its log.
+
+    `Frame.index` is the frame's place in the log.
+
+    Args:
+        path: a .klg file, or a folder of them.
+        unpack: where the images of a scene go, by its name.
+        names: which logs to read, without .klg.
+        metres_per_unit: of the depth; 0.001 by the format.
+        camera: instead of <name>.cal or camera.txt beside the log.
+        bgr: the order of colours, see `klg_color`.
+
+    Raises:
+        DataError: there is no log, no camera, or no whole frame.
+    """
+    path = path.absolute()
+    logs = sorted(path.glob("*.klg")) if path.is_dir() else [path]
+    found = chosen({log.stem: log for log in logs}, names, path)
+    if not found:
+        raise DataError(f"{path} holds no .klg file")
+    unit_m = METRES_PER_UNIT if metres_per_unit is None else metres_per_unit
+    return [_read_log(name, log, unpack(name), unit_m, camera, bgr) for name, log in found.items()]
+
+
+def _read_log(
+    name: str, log: Path, folder: Path, unit_m: float, camera: Camera | None, bgr: bool
+) -> Recording:
+    index = index_klg(log)
+    times_s, notes = _times_s(index)
+    lens, lens_source = _camera_of(log, camera)
+    pairs, broken = _unpack(log, index, times_s, folder, bgr)
+    listing = Listing(
+        name, log, "klg", pairs, lens, lens_source, unit_m, notes=notes, skipped=(*_loss(index), *broken)
+    )
+    recording = examine(listing)
+    poses = log.with_name(f"{log.name}.freiburg")
+    if not poses.exists():
+        return without_poses(recording, poses.name)
+    matched = _match(poses, index, recording.scene.frames)
+    return with_poses(recording, matched, without=f"without a pose in {poses.name} at their time")
+
+
+def _loss(index: KlgIndex) -> list[str]:
+    """What a log that was cut off has lost."""
+    whole, promised = len(index.entries), index.promised
+    if promised > whole:
+        return [f"{promised - whole} of {promised} frames: the log was cut off behind frame {whole - 1}"]
+    if index.lost_bytes:
+        return [f"the log was cut off in the middle of frame {whole}: its {index.lost_bytes} bytes are lost"]
+    return []
+
+
+def _times_s(index: KlgIndex) -> tuple[Float64[np.ndarray, " n"], tuple[str, ...]]:
+    """Time of every frame in seconds.
+
+    png_to_klg stores the digits of the time it read, without the point: seconds with other than six decimals
+    are then no microseconds, and are scaled by the power of ten that comes nearest to 30 frames a second.
+    """
+    stored = np.array([entry.time for entry in index.entries], dtype=float)
+    step = float(np.median(np.abs(np.diff(stored)))) if len(stored) > 1 else 0.0
+    if step == 0 or USUAL_STEPS_S[0] <= step * 1e-6 <= USUAL_STEPS_S[1]:
+        return stored * 1e-6, ()
+    unit_s = 10.0 ** -round(float(np.log10(step * 30)))
+    note = (
+        f"times are no microseconds (frames would be {step * 1e-6:g} s apart): units of {unit_s:g} s assumed"
+    )
+    return stored * unit_s, (note,)
+
+
+def _camera_of(log: Path, camera: Camera | None) -> tuple[Camera, Path]:
+    if camera is not None:
+        return camera, log
+    for path in (log.with_suffix(".cal"), log.with_name("camera.txt")):
+        if path.exists():
+            return read_camera(path), path
+    raise DataError(
+        f"{log}: a log does not say its camera; give `camera: [fx, fy, cx, cy]` in pixels, "
+        f"or write these four numbers into {log.with_suffix('.cal').name} beside it"
+    )
+
+
+def _unpack(
+    log: Path, index: KlgIndex, times_s: Float64[np.ndarray, " n"], folder: Path, bgr: bool
+) -> tuple[list[Pair], list[str]]:
+    """Write the images, a frame at a time; frames whose data is broken are counted."""
+    size = klg_image_size(log, index)
+    pairs: list[Pair] = []
+    broken: list[int] = []
+    with log.open("rb") as file:
+        for number in range(len(index.entries)):
+            files = _unpack_frame(file, index, number, size, folder, bgr)
+            if files is None:
+                broken.append(number)
+            else:
+                pairs.append(Pair(number, float(times_s[number]), *files))
+    return pairs, grouped(broken, "with broken data in the log")
+
+
+def _unpack_frame(
+    file: BinaryIO, index: KlgIndex, number: int, size: tuple[int, int], folder: Path, bgr: bool
+) -> tuple[Path, Path] | None:
+    entry = index.entries[number]
+    depth, color = klg_depth_mm(file, entry, size), klg_color(file, entry, size, bgr=bgr)
+    if depth is None or color is None:
+        return None
+    return write_images(folder, number, color, depth, lossless=True)
+
+
+def _match(poses: Path, index: KlgIndex, frames: Sequence[Frame]) -> dict[int, Transform]:
+    """The pose at each frame's time, on whichever clock fits: microseconds, or the log's own numbers."""
+    times, found = read_pose_lines(poses)
+    numbers = [frame.index for frame in frames]
+    stored = np.array([index.entries[number].time for number in numbers], dtype=float)
+    apart = [float(np.median(nearest(times * unit, stored)[1])) for unit in (1e6, 1.0)]
+    unit = (1e6, 1.0)[int(np.argmin(apart))]
+    return match_poses(times * unit * 1e-6, found, numbers, stored * 1e-6, source=str(poses))

@@ -1,0 +1,54 @@
+"""Images of a recording that is one file, or a live camera, written as files of their own.
+
+::
+
+    <folder>/rgb/000000.jpg      the camera's own JPEG where it made one, else PNG, or JPEG of quality 95
+             depth/000000.png    16 bit
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import UInt8, UInt16
+
+from rpl_data.files import write_bytes
+
+JPEG_QUALITY = 95
+
+
+def write_images(
+    folder: Path,
+    index: int,
+    color: UInt8[np.ndarray, "height width 3"] | bytes,
+    depth: UInt16[np.ndarray, "height width"],
+    *,
+    lossless: bool = False,
+) -> tuple[Path, Path]:
+    """Write a frame, each file whole or not at all; returns the paths of colour and depth.
+
+    Args:
+        folder: of the scene.
+        index: `Frame.index`.
+        color: RGB, or the bytes of a JPEG file, which are written as they are.
+        depth: in the units of the recording.
+        lossless: RGB as PNG, about five times the size.
+    """
+    suffix = "png" if lossless and not isinstance(color, bytes) else "jpg"
+    color_path = folder / "rgb" / f"{index:06d}.{suffix}"
+    depth_path = folder / "depth" / f"{index:06d}.png"
+    write_bytes(color_path, color if isinstance(color, bytes) else _encoded(color[..., ::-1], suffix))
+    write_bytes(depth_path, _encoded(depth, "png"))
+    return color_path, depth_path
+
+
+def _encoded(image: np.ndarray, suffix: str) -> bytes:
+    """PNG at the fastest level: depth is 10 % larger than at the best and five times quicker."""
+    options = {
+        "png": [cv2.IMWRITE_PNG_COMPRESSION, 1],
+        "jpg": [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY],
+    }
+    content: bytes = cv2.imencode(f".{suffix}", image, options[suffix])[1].tobytes()
+    return content
