@@ -120,7 +120,7 @@ def test_seeds_without_an_answer_are_left_out_of_the_means() -> None:
 
 
 def test_curves_of_a_workspace(tiny_workspace: Workspace, tmp_path: Path) -> None:
-    command = ["curves", "--workspace", str(tiny_workspace.root), "--seeds", "3", "--click_noise_px", "1"]
+    command = ["curves", "--workspace", str(tiny_workspace.root), "--seeds", "2", "--click_noise_px", "1"]
     assert main([*command, "--out", str(tmp_path / "a")]) == 0
     data = json.loads((tmp_path / "a" / "curves.json").read_text())
     by = {curve["against"]: curve for curve in data["curves"]}

@@ -41,7 +41,7 @@ def slope_of(
 ) -> Slope:
     """The slope of the seeds' mean curve; NaN (a seed that failed) is left out of the means."""
     rng = np.random.default_rng(0)
-    span = x[-1] - x[0]
+    span = float(x[-1] - x[0])
     draws = rng.integers(0, len(y), (resamples, len(y)))
     changes = np.array([_slope(x, y[draw]) * span for draw in draws])
     changes = changes[np.isfinite(changes)]
@@ -49,7 +49,8 @@ def slope_of(
     low, high = np.percentile(changes, [2.5, 97.5]) if len(changes) else (np.nan, np.nan)
     with_spread = [column[np.isfinite(column)].std() for column in y.T if np.isfinite(column).any()]
     relative = change / float(np.nanmean(y))
-    return Slope(change, float(low), float(high), relative, float(np.mean(with_spread)))
+    spread = float(np.mean(with_spread)) if with_spread else np.nan
+    return Slope(change, float(low), float(high), relative, spread)
 
 
 def _slope(x: Float64[np.ndarray, " n"], y: Float64[np.ndarray, "seeds n"]) -> float:
