@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+from rpl_data.capture.playback import is_recording, read_realsense
 from rpl_data.formats.elasticfusion import read_klg
 from rpl_data.formats.frame_files import Camera
 from rpl_data.formats.frames import has_frames, read_frames
@@ -24,6 +25,7 @@ READERS: dict[str, Callable[..., list[Recording]]] = {
 UNPACKERS: dict[str, Callable[..., list[Recording]]] = {
     "klg": read_klg,
     "klg_bgr": partial(read_klg, bgr=True),
+    "realsense": read_realsense,
 }
 """Formats that keep all images in one file: the same, with ``unpack(scene) -> folder`` for the images."""
 
@@ -32,6 +34,7 @@ _LOOKS_LIKE: dict[str, Callable[[Path], bool]] = {
     "frames": has_frames,
     "tum": is_sequence,
     "klg": lambda path: path.suffix == ".klg" or any(path.glob("*.klg")),
+    "realsense": lambda path: any(map(is_recording, (path, *path.glob("*")))),
 }
 """By format name: whether a path looks like that, for the message about a wrong `format`."""
 

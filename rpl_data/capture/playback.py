@@ -1,0 +1,148 @@
+"""Recordings of RealSense cameras, .db3 and the .bag of earlier versions: all they need is in the file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from rpl_data.capture.device import COLOR_FORMATS, choose, opened
+from rpl_data.capture.streams import Shot, Streams
+from rpl_data.formats.db3 import repair_db3
+from rpl_data.formats.frame_files import Camera, Listing, Pair, chosen, examine, without_poses
+from rpl_data.formats.rosbag import repair_bag
+from rpl_data.formats.scene_images import write_images
+from rpl_data.types import DataError, Recording
+
+SUFFIXES = (".db3", ".bag")
+PATIENCE_S = 10.0
+"""A file whose next frame takes longer than this has no more."""
+
+
+def read_realsense(
+    path: Path,
+    *,
+    unpack: Callable[[str], Path],
+    names: Sequence[str] | None = None,
+    metres_per_unit: float | None = None,
+    camera: Camera | None = None,
+) -> list[Recording]:
+    """The recordings of a folder, or one, unpacked; a scene is called as its file.
+
+    Depth is moved onto the colour pixels. Of a recording that was cut off or never closed, what is whole
+    is kept and the loss is named in `Recording.skipped`.
+
+    Args:
+        path: a .db3 or .bag file, or a folder of them.
+        unpack: where the images of a scene go, by its name.
+        names: which recordings to read, without suffix.
+        metres_per_unit: instead of what the file says.
+        camera: instead of what the file says.
+
+    Raises:
+        DataError: there is no recording, it lacks colour or depth, or nothing of it is whole.
+    """
+    path = path.absolute()
+    files = [found for found in sorted(path.iterdir()) if is_recording(found)] if path.is_dir() else [path]
+    recordings = chosen({found.stem: found for found in files}, names, path)
+    if not recordings:
+        raise DataError(f"{path} holds no {' or '.join(SUFFIXES)} file")
+    return [
+        _read_file(name, found, unpack(name), metres_per_unit, camera) for name, found in recordings.items()
+    ]
+
+
+def is_recording(path: Path) -> bool:
+    """Whether it is called as one."""
+    return path.suffix in SUFFIXES
+
+
+def _read_file(name: str, file: Path, folder: Path, unit_m: float | None, camera: Camera | None) -> Recording:
+    pairs: list[Pair] = []
+    with playing(file, folder) as (shots, streams, lost):
+        found = streams.camera
+        for index, shot in enumerate(shots):
+            files = write_images(folder, index, shot.color, shot.depth)
+            pairs.append(Pair(index, shot.timestamp_s, *files))
+        skipped = (*lost, *streams.counts.lines())
+    if not pairs:
+        raise DataError(f"{file} holds no colour image with depth at its time; record it again")
+    lens = found.intrinsics
+    listing = Listing(
+        name,
+        file,
+        "realsense",
+        pairs,
+        camera or (lens.fx, lens.fy, lens.cx, lens.cy, *lens.distortion),
+        file,
+        found.metres_per_unit if unit_m is None else unit_m,
+        notes=(f"recorded by {found.name}", *found.notes),
+        skipped=skipped,
+    )
+    return without_poses(examine(listing), "poses in a RealSense file")
+
+
+@contextmanager
+def playing(file: Path, scratch: Path) -> Iterator[tuple[Iterator[Shot], Streams, tuple[str, ...]]]:
+    """The pairs of a file, its streams, what was lost of it; a repaired copy lies in `scratch` meanwhile."""
+    if not file.is_file():
+        raise DataError(f"{file} does not exist; expected a recording of a RealSense camera")
+    repaired = scratch / f"repaired{file.suffix}"
+    try:
+        device, lost = _loaded(file, repaired)
+        playback = device.as_playback()
+        playback.set_real_time(False)
+        choices = _choices(playback, file)
+        playback.pause()  # else the first sensor plays before the second has started
+        with opened(playback, choices, lossless=True) as streams:
+            playback.resume()
+            yield streams.shots(patience_s=PATIENCE_S, ended=lambda: _stopped(playback)), streams, lost
+    finally:
+        repaired.unlink(missing_ok=True)
+
+
+def _stopped(playback: Any) -> bool:
+    return str(playback.current_status().name) == "stopped"
+
+
+def _loaded(file: Path, repaired: Path) -> tuple[Any, tuple[str, ...]]:
+    """The device of a file, of its repaired copy where the file itself cannot be played."""
+    import pyrealsense2 as rs
+
+    context = rs.context()
+    try:
+        return context.load_device(str(file)), ()
+    except RuntimeError:
+        lost = _repair(file, repaired)
+    try:
+        return context.load_device(str(repaired)), (lost,)
+    except RuntimeError as error:
+        raise DataError(f"{file} cannot be played, nor repaired: {error}; record it again") from error
+
+
+def _repair(file: Path, repaired: Path) -> str:
+    """Write the repaired copy; the line that says what is lost."""
+    repaired.parent.mkdir(parents=True, exist_ok=True)
+    if file.suffix == ".db3":
+        kept = repair_db3(file, repaired)
+        return f"{file.name} was cut off: the first {kept.seconds:.1f} s are whole, what came later is lost"
+    bag = repair_bag(file, repaired)
+    return (
+        f"{file.name} was never closed or cut off: the first {bag.seconds:.1f} s are whole, "
+        f"{bag.lost_bytes} bytes behind them are lost"
+    )
+
+
+def _choices(device: Any, file: Path) -> tuple[tuple[Any, Any], tuple[Any, Any]]:
+    """Sensor and profile of colour and of depth."""
+    found = {}
+    for kind, formats in (("color", COLOR_FORMATS), ("depth", ("z16",))):
+        for sensor in device.query_sensors():
+            profile = choose(sensor.get_stream_profiles(), kind, formats)
+            if profile is not None:
+                found[kind] = (sensor, profile)
+        if kind not in found:
+            word = "colour" if kind == "color" else kind
+            raise DataError(f"{file} holds no {word} stream; record depth and colour together")
+    return found["color"], found["depth"]

@@ -1,0 +1,244 @@
+"""Colour and depth of any RealSense device (a camera, a file, a software device) as pairs, depth on colour.
+
+Its sensors are read directly: librealsense's pipeline leaves out the first frames of a file and hands out
+some frames twice. Frames are paired by time, then depth is moved onto the colour pixels by librealsense's
+own `align`, unless the two streams already share one camera.
+"""
+
+from __future__ import annotations
+
+import queue
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from jaxtyping import UInt8, UInt16
+
+from rpl_data.types import DataError, Intrinsics
+
+POLL_S = 0.1
+LONGEST_WAIT = 30
+"""Frames that wait for their partner; one that is still alone then stays alone."""
+
+
+@dataclass(frozen=True)
+class Shot:
+    """A pair of images.
+
+    Attributes:
+        number: the camera's own count of colour images; a gap is a loss on the way here.
+        timestamp_s: of the colour image, on the camera's clock.
+        color: RGB.
+        depth: on the colour pixels, in units of `StreamCamera.metres_per_unit`.
+    """
+
+    number: int
+    timestamp_s: float
+    color: UInt8[np.ndarray, "height width 3"]
+    depth: UInt16[np.ndarray, "height width"]
+
+
+@dataclass(frozen=True)
+class StreamCamera:
+    """What the device says about itself.
+
+    Attributes:
+        intrinsics: of the colour images, and so of the aligned depth.
+        name: of the device, with its serial number where it has one.
+        notes: lines for a person.
+    """
+
+    intrinsics: Intrinsics
+    metres_per_unit: float
+    name: str
+    notes: tuple[str, ...] = ()
+
+
+@dataclass
+class StreamCounts:
+    """How many frames came and what became of them."""
+
+    pairs: int = 0
+    color_alone: int = 0
+    depth_alone: int = 0
+    late: int = 0
+
+    def lines(self) -> list[str]:
+        """A line for every loss."""
+        lines = []
+        if self.color_alone:
+            lines.append(f"{self.color_alone} colour images without depth at their time")
+        if self.late:
+            lines.append(f"{self.late} colour images came faster than they could be aligned and were dropped")
+        return lines
+
+
+class Streams:
+    """The open colour and depth streams of a device.
+
+    Attributes:
+        camera: what the device says about itself.
+        counts: grow while `shots` is read.
+        settings: exposure, gain and white balance of the last colour image, where the camera tells.
+    """
+
+    def __init__(self, color: Any, depth: Any, camera: StreamCamera, *, lossless: bool) -> None:
+        self._color, self._depth = color.as_video_stream_profile(), depth.as_video_stream_profile()
+        self.camera = camera
+        self.counts = StreamCounts()
+        self._lossless = lossless
+        self._queue: queue.Queue[Any] = queue.Queue(maxsize=16)
+        self._closed = False
+        self.settings: dict[str, float] = {}
+        self._aligner = None if self._share_one_camera() else _Aligner()
+
+    # Called by librealsense's threads -----------------------------------------------------------
+
+    def receive(self, frame: Any) -> None:
+        """Take a frame; wait for room where nothing may be lost, else count it as late."""
+        frame.keep()
+        while not self._closed:
+            try:
+                self._queue.put(frame, timeout=0.1 if self._lossless else 0)
+                return
+            except queue.Full:
+                if not self._lossless:
+                    self.counts.late += frame.profile.stream_type() == self._color.stream_type()
+                    return
+
+    def close(self) -> None:
+        """Let go of threads that wait for room."""
+        self._closed = True
+
+    # Called by the reader -------------------------------------------------------------------------
+
+    def shots(self, *, patience_s: float, ended: Callable[[], bool] = lambda: False) -> Iterator[Shot]:
+        """Pairs in the order of time.
+
+        Args:
+            patience_s: nothing coming for so long is the end.
+            ended: asked when nothing has come for a moment.
+        """
+        for color, depth in self._pairs(patience_s, ended):
+            self.counts.pairs += 1
+            self.settings = _settings(color)
+            yield Shot(
+                color.frame_number,
+                color.timestamp / 1000,
+                _rgb(color),
+                _pixels(depth) if self._aligner is None else self._aligner.aligned(color, depth),
+            )
+
+    def _pairs(self, patience_s: float, ended: Callable[[], bool]) -> Iterator[tuple[Any, Any]]:
+        colors: deque[Any] = deque()
+        depths: deque[Any] = deque()
+        apart_ms = 500.0 / max(1, self._color.fps())
+        for frame in self._frames(patience_s, ended):
+            mine = colors if frame.profile.stream_type() == self._color.stream_type() else depths
+            mine.append(frame)
+            yield from self._matched(colors, depths, apart_ms, waiting=LONGEST_WAIT)
+        yield from self._matched(colors, depths, apart_ms, waiting=0)
+        self.counts.depth_alone += len(depths)
+
+    def _frames(self, patience_s: float, ended: Callable[[], bool]) -> Iterator[Any]:
+        waited_s, end_seen = 0.0, False
+        while waited_s < patience_s:
+            try:
+                frame = self._queue.get(timeout=POLL_S)
+            except queue.Empty:
+                if end_seen:  # a moment ago already: nothing is on its way any more
+                    return
+                waited_s, end_seen = waited_s + POLL_S, ended()
+                continue
+            waited_s = 0.0
+            yield frame
+
+    def _matched(
+        self, colors: deque[Any], depths: deque[Any], apart_ms: float, *, waiting: int
+    ) -> Iterator[tuple[Any, Any]]:
+        """Colour images whose nearest depth is known by now; at most `waiting` are left to wait."""
+        while colors and (len(colors) > waiting or (depths and depths[-1].timestamp >= colors[0].timestamp)):
+            color = colors.popleft()
+            nearest = min(depths, key=lambda depth: abs(depth.timestamp - color.timestamp), default=None)
+            if nearest is None or abs(nearest.timestamp - color.timestamp) > apart_ms:
+                self.counts.color_alone += 1
+                continue
+            while depths[0] is not nearest:
+                depths.popleft()
+                self.counts.depth_alone += 1
+            depths.popleft()
+            yield color, nearest
+
+    def _share_one_camera(self) -> bool:
+        color, depth = self._color.get_intrinsics(), self._depth.get_intrinsics()
+        same = all(
+            getattr(color, key) == getattr(depth, key)
+            for key in ("width", "height", "fx", "fy", "ppx", "ppy", "model", "coeffs")
+        )
+        moved = self._depth.get_extrinsics_to(self._color)
+        still = np.allclose(moved.rotation, np.eye(3).ravel()) and np.allclose(moved.translation, 0)
+        return same and still
+
+
+class _Aligner:
+    """librealsense's `align` for a pair that its own syncer did not make."""
+
+    def __init__(self) -> None:
+        import pyrealsense2 as rs
+
+        self._pair: list[Any] = []
+        self._joined = rs.frame_queue(1)
+        self._block = rs.processing_block(self._join)
+        self._block.start(self._joined)
+        self._align = rs.align(rs.stream.color)
+
+    def _join(self, frame: Any, source: Any) -> None:
+        source.frame_ready(source.allocate_composite_frame(self._pair))
+
+    def aligned(self, color: Any, depth: Any) -> UInt16[np.ndarray, "height width"]:
+        """The depth image on the pixels of the colour image."""
+        self._pair = [depth, color]
+        self._block.invoke(depth)
+        pair = self._joined.wait_for_frame().as_frameset()
+        return _pixels(self._align.process(pair).get_depth_frame())
+
+
+def _pixels(frame: Any) -> UInt16[np.ndarray, "height width"]:
+    return np.array(np.asanyarray(frame.get_data()), dtype=np.uint16)  # a copy: the buffer is used again
+
+
+def _rgb(frame: Any) -> UInt8[np.ndarray, "height width 3"]:
+    """The colour image as RGB, whatever it was recorded as."""
+    name = frame.profile.format().name
+    pixels = np.asanyarray(frame.get_data())
+    if name == "rgb8":
+        return np.array(pixels, dtype=np.uint8)
+    codes = {
+        "bgr8": cv2.COLOR_BGR2RGB,
+        "rgba8": cv2.COLOR_RGBA2RGB,
+        "bgra8": cv2.COLOR_BGRA2RGB,
+        "yuyv": cv2.COLOR_YUV2RGB_YUY2,
+        "uyvy": cv2.COLOR_YUV2RGB_UYVY,
+    }
+    if name not in codes:
+        raise DataError(f"colour is stored as {name}; expected rgb8, {', '.join(codes)}")
+    if name in ("yuyv", "uyvy"):
+        pixels = pixels.view(np.uint8).reshape(*pixels.shape[:2], 2)
+    converted: np.ndarray = cv2.cvtColor(pixels, codes[name])
+    return converted
+
+
+def _settings(frame: Any) -> dict[str, float]:
+    """What the camera says about how it took an image."""
+    import pyrealsense2 as rs
+
+    keys = {"exposure": "actual_exposure", "gain": "gain_level", "white_balance": "white_balance"}
+    found = {option: getattr(rs.frame_metadata_value, key) for option, key in keys.items()}
+    return {
+        option: float(frame.get_frame_metadata(key))
+        for option, key in found.items()
+        if frame.supports_frame_metadata(key)
+    }
