@@ -13,7 +13,7 @@ from rpl_data.types import Frame, Scene, Solution, Trajectory
 from rpl_data.workspace import Workspace
 
 VERSIONS = {
-    "twin": 2,
+    "twin": 3,
     "import": 1,
     "clicks": 1,
     "solve": 1,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -13,13 +13,16 @@ from rpl_data.geometry import Transform, box_around, inside_image, invert, proje
 from rpl_data.twin.objects import TwinObject, build
 from rpl_data.twin.renderer import Rendered, Renderer
 from rpl_data.twin.scene import TwinScene, compose
-from rpl_data.twin.sensor import measure_color, measure_depth
+from rpl_data.twin.sensor import PerfectView, measure_color, measure_depth, shifted
+from rpl_data.twin.sensor.motion import Twist, flow_px_s, image_flow_px_s, row_delay_s, twist
 from rpl_data.twin.spec import TwinSpec
 from rpl_data.twin.trajectory import hand_held
 from rpl_data.types import Box, ColorImage, DepthImage, FrameLabel, InstanceLabel, Rle
 
 SEEN_WITHIN_M = 0.001
 """Landmarks lie on the surface; a surface this much in front of one is its own."""
+INSTANT_S = 0.002
+"""The camera's velocity is taken between so long before and after a frame."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +41,9 @@ class Film:
 
     Attributes:
         objects: those of this scene, in the spec's order.
-        table_from_camera: one a frame.
+        table_from_camera: one a frame, in the middle of its exposure.
+        twists: velocity of the camera then.
+        table_from_imager: where the camera was when it took the depth image of each frame.
     """
 
     spec: TwinSpec
@@ -46,6 +51,8 @@ class Film:
     objects: tuple[TwinObject, ...]
     scene: TwinScene
     table_from_camera: Float64[np.ndarray, "n 4 4"]
+    twists: tuple[Twist, ...]
+    table_from_imager: Float64[np.ndarray, "n 4 4"]
 
     @cached_property
     def renderer(self) -> Renderer:
@@ -72,15 +79,32 @@ class Film:
         """Render a frame; the same spec, scene and frame give the same pixels."""
         rng = np.random.default_rng([self.spec.seed, self.number, 1, frame])
         perfect = self.renderer.render(self.table_from_camera[frame], rng=rng)
-        depth_m = measure_depth(
-            perfect.depth_m,
-            perfect.cos_incidence,
-            self.spec.depth_sensor,
-            focal_px=self.spec.intrinsics.fx,
-            rng=rng,
-        )
-        color = measure_color(perfect.color, self.spec.color_sensor, rng=rng)
+        older = perfect
+        if self.spec.sensor.lag_frames:
+            older = self.renderer.render(self.table_from_imager[frame], rng=rng)
+        view = PerfectView(older.depth_m, older.cos_incidence, older.albedo, older.shininess)
+        sensor, intrinsics = self.spec.sensor, self.spec.intrinsics
+        view = shifted(view, sensor.shift_px)
+        depth_m = measure_depth(view, sensor.depth, focal_px=intrinsics.fx, rng=rng)
+        flow = image_flow_px_s(intrinsics, perfect.depth_m, self.twists[frame])
+        color = measure_color(perfect.color, sensor.color, flow_px_s=flow, rng=rng)
         return Shot(color, depth_m, perfect, self._label(frame, perfect.thing))
+
+    def as_shown(self, label: FrameLabel) -> FrameLabel:
+        """The label with its keypoints where the image has them: off in rows exposed early or late."""
+        instances = tuple(
+            replace(one, keypoints_px=self._shown_px(one, label.frame)) for one in label.instances
+        )
+        return replace(label, instances=instances)
+
+    def _shown_px(self, label: InstanceLabel, frame: int) -> Float64[np.ndarray, "k 2"]:
+        one = next(thing for thing in self.objects if thing.model.name == label.object)
+        depth_m = transform(label.camera_from_object, one.model.points_object)[:, 2]
+        intrinsics, readout_s = self.spec.intrinsics, self.spec.sensor.color.readout_s
+        later_s = row_delay_s(label.keypoints_px[:, 1], intrinsics.height, readout_s)
+        flow = flow_px_s(intrinsics, label.keypoints_px, depth_m, self.twists[frame])
+        shown: Float64[np.ndarray, "k 2"] = label.keypoints_px + flow * later_s[:, None]
+        return shown
 
     def _label(self, frame: int, thing: Int64[np.ndarray, "height width"]) -> FrameLabel:
         found = (self._instance(number, frame, thing) for number in range(len(self.objects)))
@@ -141,15 +165,20 @@ def film(spec: TwinSpec, number: int) -> Film:
     turns = [before[one.model.name] for one in objects]
     rng = np.random.default_rng([spec.seed, number, 0])
     scene = compose(objects, rng=rng, number=number, turns=turns, clutter=spec.clutter)
+    times_s = spec.times_s(number)
+    moments_s = [times_s, times_s - INSTANT_S, times_s + INSTANT_S, times_s - spec.lag_s]
     poses = hand_held(
         rng,
-        times_s=spec.times_s(number),
+        times_s=np.concatenate(moments_s),
         target_m=scene.target_m,
         sweep_deg=spec.sweep_deg,
         distance_m=spec.distance_m,
         elevation_deg=spec.elevation_deg,
+        span_s=(float(times_s[0]), float(times_s[-1])),
     )
-    return Film(spec, number, objects, scene, poses)
+    now, earlier, later, imager = np.split(poses, len(moments_s))
+    twists = tuple(twist(*pair, 2 * INSTANT_S) for pair in zip(earlier, later, strict=True))
+    return Film(spec, number, objects, scene, now, twists, imager)
 
 
 def _box(mask: Bool[np.ndarray, "height width"]) -> Box:

@@ -32,12 +32,16 @@ class Rendered:
         depth_m: along the optical axis; 0 where there is nothing.
         thing: number of the surface in `TwinScene.surfaces`; -1 = nothing. The objects come first.
         cos_incidence: cosine of the angle between the ray and the surface's normal; 0 = grazing.
+        albedo: share of the light the surface throws back, mean of the colours; linear, 0 to 1.
+        shininess: 0 (paper) to 1 (polished metal).
     """
 
     color: ColorImage
     depth_m: DepthImage
     thing: Int64[np.ndarray, "height width"]
     cos_incidence: Float32[np.ndarray, "height width"]
+    albedo: Float32[np.ndarray, "height width"]
+    shininess: Float32[np.ndarray, "height width"]
 
 
 @dataclass(frozen=True)
@@ -47,6 +51,8 @@ class _Shaded:
     linear: Float32[np.ndarray, "n 3"]
     hits: Hits
     cos_incidence: Float32[np.ndarray, " n"]
+    albedo: Float32[np.ndarray, " n"]
+    shininess: Float32[np.ndarray, " n"]
 
 
 class Renderer:
@@ -72,7 +78,14 @@ class Renderer:
         edges = _edges(thing, shaded.hits.normals.reshape(*shape, 3), depth_m)
         self._smooth(linear, edges, table_from_camera, rng)
         color = FROM_LINEAR[(linear * 4095).clip(0, 4095).astype(np.int32)]
-        return Rendered(color, depth_m.astype(np.float32), thing, shaded.cos_incidence.reshape(shape))
+        return Rendered(
+            color,
+            depth_m.astype(np.float32),
+            thing,
+            shaded.cos_incidence.reshape(shape),
+            shaded.albedo.reshape(shape),
+            shaded.shininess.reshape(shape),
+        )
 
     def full_mask(self, object_number: int, table_from_camera: Transform) -> Bool[np.ndarray, "height width"]:
         """Pixels whose centre ray meets the object when nothing else is there."""
@@ -120,7 +133,9 @@ class Renderer:
         sky = self._light.ambient * (0.75 + 0.25 * normals[:, 2])
         color = self._light.color.astype(np.float32)
         linear = albedo * (sky[:, None] + lit[:, None] * color) + (gloss * highlight)[:, None] * color
-        return _Shaded(linear.astype(np.float32), hits, cos_incidence.astype(np.float32))
+        return _Shaded(
+            linear.astype(np.float32), hits, cos_incidence.astype(np.float32), albedo.mean(axis=1), gloss
+        )
 
     def _surface_at(
         self, hits: Hits

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 
-from rpl_data.twin.sensor import ColorSensor, DepthSensor
+from rpl_data.twin.sensor import Sensor
 from rpl_data.types import DataError, Intrinsics
 
 
@@ -66,7 +66,7 @@ class TwinSpec:
         clutter: other things on the table.
         sweep_deg: how far around the objects the camera goes.
         distance_m, elevation_deg: bounds between which the camera wanders.
-        depth_sensor, color_sensor: errors of the images.
+        sensor: errors of the images; each effect has its own switch.
     """
 
     objects: tuple[str | Thing, ...] = ("carton", "kettle")
@@ -83,8 +83,7 @@ class TwinSpec:
     sweep_deg: float = 160.0
     distance_m: tuple[float, float] = (0.6, 0.8)
     elevation_deg: tuple[float, float] = (30.0, 55.0)
-    depth_sensor: DepthSensor = field(default_factory=DepthSensor)
-    color_sensor: ColorSensor = field(default_factory=ColorSensor)
+    sensor: Sensor = field(default_factory=Sensor)
 
     @property
     def things(self) -> tuple[Thing, ...]:
@@ -113,6 +112,11 @@ class TwinSpec:
     def frames(self, scene: int) -> int:
         """Frames of a scene."""
         return len(self.times_s(scene))
+
+    @property
+    def lag_s(self) -> float:
+        """How much older than the colour image its depth image is."""
+        return self.sensor.lag_frames / self.rate_hz
 
     @property
     def total_frames(self) -> int:

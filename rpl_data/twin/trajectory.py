@@ -20,6 +20,7 @@ def hand_held(
     sweep_deg: float,
     distance_m: tuple[float, float],
     elevation_deg: tuple[float, float],
+    span_s: tuple[float, float],
     sway_m: float = 0.012,
     tremor_m: float = 0.0005,
     aim_m: float = 0.02,
@@ -31,11 +32,11 @@ def hand_held(
     looks at the target but for `aim_m`.
 
     Args:
-        sweep_deg: azimuth between the first and the last frame.
+        sweep_deg: azimuth between the first and the last moment of `span_s`.
+        span_s: when the orbit starts and ends; `times_s` may reach a little beyond.
         sway_m, tremor_m: standard deviation of slow and of fast movements of the hand, on each axis.
     """
-    duration_s = max(float(times_s[-1] - times_s[0]), 1e-6)
-    progress = (times_s - times_s[0]) / duration_s
+    progress = (times_s - span_s[0]) / max(span_s[1] - span_s[0], 1e-6)
     uneven = progress + 0.35 / (2 * np.pi) * np.sin(2 * np.pi * progress + rng.uniform(0, 2 * np.pi))
     direction = rng.choice([-1.0, 1.0])
     azimuth = rng.uniform(0, 2 * np.pi) + direction * np.deg2rad(sweep_deg) * (uneven - uneven[0])

@@ -60,9 +60,10 @@ def write_twin(folder: Path, spec: TwinSpec, *, workers: int = 2, progress: Prog
             of_scene = [next(labels) for _ in range(spec.frames(number))]
             truth.save_labels(scene, of_scene)
             video = film(spec, number)
+            shown = [video.as_shown(label) for label in of_scene]
             _write_lists(partial / scene, video)
             for place, name in enumerate(one.model.name for one in video.objects):
-                clicks[name] += _clicks(spec, number, name, of_scene)
+                clicks[name] += _clicks(spec, number, name, shown)
                 poses[name][scene] = video.scene_from_object(place)
         next(labels, None)  # lets the pool end
         _write_objects(truth, spec, poses)
@@ -139,7 +140,7 @@ def _write_frame(job: tuple[Path, TwinSpec, int, int]) -> FrameLabel:
     partial, spec, scene, frame = job
     shot = _film(spec, scene).shoot(frame)
     folder = partial / spec.scene_names[scene]
-    quality = [cv2.IMWRITE_JPEG_QUALITY, spec.color_sensor.jpeg_quality]
+    quality = [cv2.IMWRITE_JPEG_QUALITY, spec.sensor.color.jpeg_quality]
     _write_image(folder / _color_name(frame), shot.color[..., ::-1], quality)
     # The reader multiplies by 0.001, so the image holds millimetres whatever the sensor's quantum is.
     units = np.round(shot.depth_m * 1000).clip(0, 65535).astype(np.uint16)
