@@ -22,12 +22,14 @@ class Curve:
 
     Attributes:
         against: `keypoints` (the first x landmarks of the one ordered list) or `scenes`.
+        other: how many there were of the other: the paper's N_s = 8 or N_k = 9, or all where there are fewer.
         x: numbers of keypoints or of scenes.
         error_mm: NaN where the clicks of that seed did not tie the scenes together.
     """
 
     object: str
     against: Literal["keypoints", "scenes"]
+    other: int
     x: tuple[int, ...]
     error_mm: tuple[tuple[float, ...], ...]
 

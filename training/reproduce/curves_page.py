@@ -14,7 +14,6 @@ from training.reproduce.results import picture, png_of, write_results
 from training.reproduce.slopes import Slope, slope_of
 
 COLORS = ("#0f7c74", "#c26a00", "#5b4bb5", "#b3364b", "#3b6ea5", "#6b7a1f")
-FIXED = {"keypoints": "N_s = 8", "scenes": "N_k = 9"}
 SAYS = {
     "keypoints": "fairly independent of N_k",
     "scenes": "improves with N_s",
@@ -32,7 +31,7 @@ def write_curves(
     parts = []
     for against, says in SAYS.items():
         chosen = [(c, s) for c, s in zip(curves, slopes, strict=True) if c.against == against]
-        caption = f"Mean 3D error against N_{against[0]} ({FIXED[against]}); bands: one standard deviation"
+        caption = f"Mean 3D error against N_{against[0]}; bands: one standard deviation among seeds"
         body = picture(figures[f"curves_{against}"], caption) + _table(chosen)
         note = f'The paper: the error is "{says}". {seeds} seeds, clicks {click_noise_px:g} px off an axis.'
         parts.append(section(against, f"Number of {against}", body, note=note))
@@ -77,7 +76,9 @@ def draw(curves: Sequence[Curve], against: str) -> bytes:
         mean, spread = np.nanmean(values, axis=0), np.nanstd(values, axis=0)
         axes.plot(curve.x, mean, "o-", color=color, label=curve.object.replace("_", " "), markersize=4)
         axes.fill_between(curve.x, mean - spread, mean + spread, color=color, alpha=0.15, linewidth=0)
-    axes.set_xlabel(f"number of {against} $N_{against[0]}$ ({FIXED[against]})")
+    other = "s" if against == "keypoints" else "k"
+    fixed = ", ".join(str(count) for count in sorted({curve.other for curve in curves}))
+    axes.set_xlabel(f"number of {against} $N_{against[0]}$  ($N_{other}$ = {fixed})")
     axes.set_ylabel("mean 3D error of keypoints (mm)")
     axes.set_ylim(bottom=0)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))

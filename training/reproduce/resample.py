@@ -39,8 +39,9 @@ def curves_of(workspace: Workspace, *, seeds: int, click_noise_px: float) -> lis
             order = [places[i] for i in rng.permutation(len(places))]
             rows_k.append(tuple(_error_mm(model, observations, k, order[:SCENES]) for k in xs_k))
             rows_s.append(tuple(_error_mm(model, observations, KEYPOINTS, order[:s]) for s in xs_s))
-        found.append(Curve(name, "keypoints", xs_k, tuple(rows_k)))
-        found.append(Curve(name, "scenes", xs_s, tuple(rows_s)))
+        most_k, most_s = min(KEYPOINTS, len(model.keypoints)), min(SCENES, len(places))
+        found.append(Curve(name, "keypoints", most_s, xs_k, tuple(rows_k)))
+        found.append(Curve(name, "scenes", most_k, xs_s, tuple(rows_s)))
     return found
 
 
