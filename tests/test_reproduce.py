@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -20,6 +21,7 @@ from training.reproduce.__main__ import COMMANDS, main
 from training.reproduce.results import finite_or_none, write_results
 from training.reproduce.slopes import slope_of
 from training.reproduce.table1 import measure
+from training.reproduce.table1_page import write_page
 
 ROOT = Path(__file__).parent.parent
 
@@ -82,6 +84,20 @@ def test_a_cad_of_ones_own_stands_for_truth(tiny_workspace: Workspace, tmp_path:
     (tmp_path / "cad" / "carton.pp").unlink()
     with pytest.raises(DataError, match="has no picked points"):
         measure(tiny_workspace, cad_folder=tmp_path / "cad")
+
+
+def test_a_scene_whose_surface_lost_the_object_is_left_out_and_named(
+    tiny_workspace: Workspace, tmp_path: Path
+) -> None:
+    shutil.copytree(tiny_workspace.root, tmp_path / "copy")
+    changed = Workspace(tmp_path / "copy")
+    name = changed.scene_names()[1]
+    surface = load_mesh(changed.surface_file(name))
+    save_mesh(changed.surface_file(name), replace(surface, vertices=surface.vertices + [0.0, 0.0, 1.0]))
+    (row,), (whole,) = measure(changed), measure(tiny_workspace)
+    assert len(row.left_out) == 1 and row.left_out[0].startswith(f"{name}: object carton: only")
+    assert row.strict == whole.strict and row.by_cad is not None
+    assert "Not judged by CAD" in write_page(tmp_path, [row], seed=0).read_text()
 
 
 def test_a_folder_that_is_no_workspace_is_one_line(

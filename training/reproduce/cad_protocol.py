@@ -30,10 +30,12 @@ class CadResult:
     Attributes:
         row: errors; its 3D error is the distance to the closest points of the CAD.
         scenes: how GT-CAD lies on each scene, and whether the clicks or our own solution started it.
+        left_out: why, of scenes whose surface did not hold the CAD; their labels are not judged.
     """
 
     row: QualityRow
     scenes: Mapping[str, tuple[CadInScene, str]]
+    left_out: Mapping[str, str]
 
 
 # The CAD models -----------------------------------------------------------------------------------
@@ -83,14 +85,17 @@ def by_cad(workspace: Workspace, cads: Mapping[str, Cad]) -> dict[str, CadResult
     solutions = {name: workspace.load_solution(name) for name in cads}
     sparse = {name: align_sparse(cad, solutions[name].model) for name, cad in cads.items()}
     places: dict[str, dict[str, tuple[CadInScene, str]]] = {name: {} for name in cads}
+    left_out: dict[str, dict[str, str]] = {name: {} for name in cads}
     errors: dict[str, list[LabelErrors]] = {name: [] for name in cads}
     for scene in workspace.labelled_scene_names():
-        here = [name for name in cads if scene in solutions[name].scene_from_object]
-        for name in here:
-            places[name][scene] = place(workspace, cads[name], solutions[name], sparse[name], scene)
-        standing = {name: places[name][scene][0].scene_from_cad for name in here}
+        for name in [name for name in cads if scene in solutions[name].scene_from_object]:
+            try:
+                places[name][scene] = place(workspace, cads[name], solutions[name], sparse[name], scene)
+            except DataError as error:
+                left_out[name][scene] = str(error)
+        standing = {name: own[scene][0].scene_from_cad for name, own in places.items() if scene in own}
         found = errors_in(workspace, scene, cads, sparse, standing)
-        for name in here:
+        for name in standing.keys() & found.keys():
             errors[name].append(found[name])
     rows = {
         name: summarise(
@@ -101,7 +106,7 @@ def by_cad(workspace: Workspace, cads: Mapping[str, Cad]) -> dict[str, CadResult
         )
         for name in cads
     }
-    return {name: CadResult(rows[name], places[name]) for name in cads}
+    return {name: CadResult(rows[name], places[name], left_out[name]) for name in cads}
 
 
 def place(

@@ -43,6 +43,7 @@ class Row:
         strict: against true correspondences and true poses, nothing aligned; None without truth.
         by_cad: the paper's protocol, GT-CAD aligned by ICP; None without a CAD.
         started_by_solution: scenes with too few clicks to start ICP by, started by our own solution.
+        left_out: scenes that the paper's protocol could not judge, and why.
         cad_rms_mm: how well GT-CAD lies on the scenes' surfaces; NaN without a CAD.
     """
 
@@ -55,6 +56,7 @@ class Row:
     strict: Scores | None
     by_cad: Scores | None
     started_by_solution: int
+    left_out: tuple[str, ...]
     cad_rms_mm: float
 
 
@@ -197,6 +199,7 @@ def _row(
         strict=scores_of(strict) if strict else None,
         by_cad=replace(scores_of(aligned.row), iou_visible=float("nan")) if aligned else None,
         started_by_solution=sum(started == "solution" for _, started in places),
+        left_out=tuple(f"{scene}: {why}" for scene, why in aligned.left_out.items()) if aligned else (),
         cad_rms_mm=1e3 * sum(p.rms_m for p, _ in places) / len(places) if places else float("nan"),
     )
 

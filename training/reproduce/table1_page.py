@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rpl_data.report.html import Cell, number, section, table
+from rpl_data.report.html import Cell, number, section, table, text
 from training.reproduce.paper import TABLE_1, TABLE_1_MEAN
 from training.reproduce.results import write_results
 from training.reproduce.table1 import Row, Scores
@@ -37,7 +37,11 @@ def write_page(out: Path, rows: Sequence[Row], *, seed: int) -> Path:
         chosen = [row for row in rows if row.trajectories == kind]
         body = [_cells(row) for row in chosen] + [_mean_cells(chosen)]
         kinds = ["" for _ in chosen] + ["quiet"]
-        parts.append(section(kind, TITLES[kind], table(HEADER, body, kinds=kinds), note=NOTE))
+        left_out = [
+            f"<li>{text(f'{row.object}, scene {line}')}</li>" for row in chosen for line in row.left_out
+        ]
+        list_of = f"<p>Not judged by CAD:</p><ul>{''.join(left_out)}</ul>" if left_out else ""
+        parts.append(section(kind, TITLES[kind], table(HEADER, body, kinds=kinds) + list_of, note=NOTE))
     parts.append(_paper())
     data = {
         "seed": seed,
