@@ -68,6 +68,35 @@ def import_(recipe: Path, workspace: Path = HERE, root: Path | None = None, agai
     _run(load_recipe(recipe, root=root), workspace, "import", "import" if again else None)
 
 
+def check(
+    path: Path,
+    format: str | None = None,
+    names: tuple[str, ...] | None = None,
+    metres_per_unit: float | None = None,
+) -> None:
+    """What is wrong with a recording, how sure that is, and what mends it; changes nothing.
+
+    Looks at about 90 frames of every scene: gaps between frames, repeated images, blur, depth that is
+    missing, lag and shift between colour and depth, and, where there are poses, how they are stored, the
+    unit of depth and the intrinsics.
+
+    Args:
+        path: a recording, or a recipe: then its recordings, as the recipe reads and mends them.
+        format: how the recording is stored; guessed when left out.
+        names: only these scenes.
+        metres_per_unit: of the depth images; what the format says when left out.
+    """
+    from tempfile import TemporaryDirectory
+
+    from rpl_data.pipeline.check import recordings_at
+    from rpl_data.screen import print_diagnoses
+
+    with TemporaryDirectory() as scratch:
+        print_diagnoses(
+            recordings_at(path, Path(scratch), format=format, names=names, metres_per_unit=metres_per_unit)
+        )
+
+
 def solve(workspace: Path = HERE, again: bool = False) -> None:
     """Clicks to sparse models: where every keypoint is, and where the objects stand in every scene.
 
@@ -223,6 +252,7 @@ HELP = "Labelled pose, keypoint and mask datasets from RGB-D videos and a few cl
 COMMANDS: dict[str, Any] = {
     "build": build,
     "status": status,
+    "check": check,
     "import": import_,
     "clicks": {
         "_help": "Clicks in and out as CSV files.",

@@ -18,6 +18,7 @@ from typing import Any, Literal, TypeVar
 import yaml
 
 from rpl_data.files import read_text
+from rpl_data.mend import Mend
 from rpl_data.split import SplitRule
 from rpl_data.twin.spec import TwinSpec
 from rpl_data.types import DataError
@@ -40,6 +41,7 @@ class SceneSource:
             recording says when left out.
         registered: whether depth lies on the pixels of the colour image; what the format says when left
             out.
+        mend: faults of these recordings to put right while they are read; `rpl check` names them.
     """
 
     path: Path
@@ -48,6 +50,7 @@ class SceneSource:
     metres_per_unit: float | None = None
     camera: tuple[float, ...] | None = None
     registered: bool | None = None
+    mend: Mend = Mend()
 
 
 @dataclass(frozen=True)

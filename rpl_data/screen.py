@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import partial
 from types import TracebackType
 
 from rich.console import Console
@@ -11,6 +13,7 @@ from rpl_data import build
 from rpl_data.pipeline.products import quality_rows, split_summary, timings
 from rpl_data.quality import format_table
 from rpl_data.steps import Ledger
+from rpl_data.types import Recording
 from rpl_data.workspace import Workspace
 
 
@@ -53,6 +56,25 @@ class Screen:
         self.console.print(f"{title:20s} {progress.seconds:6.1f} s{work}")
         for line in progress.outcome.messages:
             self.console.print(f"    {line}")
+
+
+def print_diagnoses(recordings: Sequence[Recording]) -> None:
+    """What the doctor says of each scene, with a bar while it looks."""
+    from rpl_data.doctor.examine import examine
+    from rpl_data.doctor.text import describe
+
+    console = Console(highlight=False, markup=False, soft_wrap=True)
+    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        for recording in recordings:
+            task = bar.add_task(f"scene {recording.scene.name}", total=None)
+            diagnosis = examine(recording, progress=partial(_show, bar, task))
+            bar.remove_task(task)
+            console.print(describe(diagnosis))
+
+
+def _show(bar: Progress, task: TaskID, done: int, total: int) -> None:
+    bar.update(task, completed=done, total=total)
 
 
 def print_results(workspace: Workspace, ledger: Ledger, screen: Screen, until: str | None) -> None:

@@ -10,13 +10,13 @@ import pytest
 
 ROOT = Path(__file__).parent.parent
 STAGES = {
-    "annotate", "cad", "capture", "export", "label", "quality", "reconstruct", "refine", "report", "segment",
-    "solve", "truth", "twin",
+    "annotate", "cad", "capture", "doctor", "export", "label", "quality", "reconstruct", "refine", "report",
+    "segment", "solve", "truth", "twin",
 }  # fmt: skip
 LAYERS = [
     {"types"},
     {"clicklog", "files", "geometry", "ply", "records"},
-    {"masks", "regions", "split"},
+    {"masks", "mend", "regions", "split"},
     {
         "adjustment", "completion", "formats", "lift", "occlusion", "overlay", "pool", "pose",
         "raycast", "steps", "views", "workspace",

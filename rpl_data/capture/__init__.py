@@ -13,6 +13,7 @@ from rpl_data.formats.frame_files import Camera
 from rpl_data.formats.frames import has_frames, read_frames
 from rpl_data.formats.rpl import read_rpl
 from rpl_data.formats.tum import is_sequence, read_tum
+from rpl_data.mend import Mend, mended
 from rpl_data.types import DataError, Recording
 
 READERS: dict[str, Callable[..., list[Recording]]] = {
@@ -28,6 +29,8 @@ UNPACKERS: dict[str, Callable[..., list[Recording]]] = {
     "realsense": read_realsense,
 }
 """Formats that keep all images in one file: the same, with ``unpack(scene) -> folder`` for the images."""
+
+SOUND = Mend()
 
 _LOOKS_LIKE: dict[str, Callable[[Path], bool]] = {
     "rpl": lambda folder: (folder / "camera.txt").exists() and any(folder.glob("*/associations.txt")),
@@ -48,6 +51,7 @@ def open_scenes(
     camera: Camera | None = None,
     registered: bool | None = None,
     unpack: Callable[[str], Path] | None = None,
+    mend: Mend = SOUND,
 ) -> list[Recording]:
     """The recordings found at `path`, read as `format`, a key of `READERS` or `UNPACKERS`.
 
@@ -59,6 +63,7 @@ def open_scenes(
         camera: of the colour images; what the recording says where None.
         registered: whether depth lies on the colour pixels; what the format says where None.
         unpack: an empty folder for the images of a scene, by its name; the formats of `UNPACKERS` need it.
+        mend: what to put right.
 
     Raises:
         DataError: the format is unknown, or the reader cannot read what is there; the message names the
@@ -77,9 +82,9 @@ def open_scenes(
         if not likely or format.startswith(tuple(likely)):
             raise
         raise DataError(f"{error}. It looks like `format: {likely[0]}`") from error
-    if registered is None:
-        return found
-    return [replace(one, scene=replace(one.scene, registered=registered)) for one in found]
+    if registered is not None:
+        found = [replace(one, scene=replace(one.scene, registered=registered)) for one in found]
+    return [mended(one, mend) for one in found]
 
 
 def likely_formats(path: Path) -> list[str]:

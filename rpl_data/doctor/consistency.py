@@ -1,0 +1,121 @@
+"""How well depth images agree under the given poses.
+
+A point seen in frame i, taken to frame j by the poses, must lie at the depth that j measured. Under wrong
+poses, a wrong depth unit or wrong intrinsics it does not, and a fused surface would be blurred.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float32, Float64, Int64
+
+from rpl_data.geometry import invert, rays
+from rpl_data.types import DepthImage, Intrinsics
+
+WORST = 0.05
+"""Relative differences of depth are cut off here: beyond it, it is another surface or a wrong pose."""
+
+FEWEST = 50
+"""With fewer points a pair of images says nothing."""
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """What relates depth images to one another.
+
+    Attributes:
+        intrinsics: of the depth images.
+        scene_from_camera: a pose a depth image; NaN where there is none.
+        metres_factor: depths are multiplied by this.
+    """
+
+    intrinsics: Intrinsics
+    scene_from_camera: Float64[np.ndarray, "n 4 4"]
+    metres_factor: float = 1.0
+
+
+@dataclass(frozen=True)
+class Views:
+    """Depth images to be compared two by two.
+
+    Attributes:
+        depths_m: the images, 0 = none.
+        grid_px: (u, v) of the pixels that are compared.
+        pairs: rows (i, j) of images.
+        runs: (first, behind the last) rows of images that follow one another in the recording.
+    """
+
+    depths_m: Float32[np.ndarray, "n height width"]
+    grid_px: Float64[np.ndarray, "points 2"]
+    pairs: Int64[np.ndarray, "pairs 2"]
+    runs: tuple[tuple[int, int], ...]
+
+
+def views_of(
+    depths_m: Float32[np.ndarray, "n height width"],
+    runs: Sequence[tuple[int, int]],
+    *,
+    columns: int = 50,
+    most_pairs: int = 40,
+) -> Views:
+    """Pairs of images an eighth, a quarter and half a run apart, at most `most_pairs`, evenly chosen."""
+    _, height, width = depths_m.shape
+    grid = max(1, width // columns)
+    v, u = np.mgrid[grid // 2 : height : grid, grid // 2 : width : grid]
+    pairs = [
+        (i, i + gap)
+        for first, behind in runs
+        for gap in sorted({max(1, (behind - first) // part) for part in (8, 4, 2)})
+        for i in range(first, behind - gap)
+    ]
+    chosen = np.unique(np.linspace(0, len(pairs) - 1, min(most_pairs, len(pairs))).astype(int))
+    rows = np.array([pairs[number] for number in chosen.tolist()], dtype=np.int64).reshape(-1, 2)
+    return Views(depths_m, np.column_stack([u.ravel(), v.ravel()]).astype(float), rows, tuple(runs))
+
+
+def differences(views: Views, geometry: Geometry) -> Float64[np.ndarray, " pairs"]:
+    """Median relative difference of depth of each pair of images.
+
+    Differences are cut off at `WORST`, and points that leave the image count as that, so that a pose that
+    takes everything out of sight does not win. NaN for a pair without a pose or with too little depth.
+    """
+    toward = rays(geometry.intrinsics, views.grid_px)
+    return np.array([_difference(views, geometry, toward, int(i), int(j)) for i, j in views.pairs])
+
+
+def _difference(
+    views: Views, geometry: Geometry, toward: Float64[np.ndarray, "points 3"], i: int, j: int
+) -> float:
+    j_from_i = invert(geometry.scene_from_camera[j]) @ geometry.scene_from_camera[i]
+    u, v = views.grid_px.astype(int).T
+    depth_m = views.depths_m[i, v, u].astype(float) * geometry.metres_factor
+    seen = depth_m > 0
+    if seen.sum() < FEWEST or not np.isfinite(j_from_i).all():
+        return float("nan")
+    points = (toward[seen] * depth_m[seen, None]) @ j_from_i[:3, :3].T + j_from_i[:3, 3]
+    found_m, inside = _looked_up(views.depths_m[j], geometry, points)
+    measured = found_m > 0
+    relative = np.abs(points[measured, 2] - found_m[measured]) / points[measured, 2]
+    relative = np.concatenate([np.minimum(relative, WORST), np.full((~inside).sum(), WORST)])
+    return float(np.median(relative)) if len(relative) >= FEWEST else float("nan")
+
+
+def _looked_up(
+    image_m: DepthImage, geometry: Geometry, points_camera: Float64[np.ndarray, "n 3"]
+) -> tuple[Float64[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
+    """The measured depth where each point projects (0 = none), and which points project into the image.
+
+    Lens distortion is left out: here the question is one of factors, not of pixels.
+    """
+    camera, z = geometry.intrinsics, points_camera[:, 2]
+    ahead = np.where(z > 1e-3, z, np.inf)
+    u = camera.fx * points_camera[:, 0] / ahead + camera.cx
+    v = camera.fy * points_camera[:, 1] / ahead + camera.cy
+    height, width = image_m.shape
+    inside = np.isfinite(ahead) & (u > 0) & (u < width - 1) & (v > 0) & (v < height - 1)
+    found_m = np.zeros(len(z))
+    found_m[inside] = image_m[np.rint(v[inside]).astype(int), np.rint(u[inside]).astype(int)]
+    return found_m * geometry.metres_factor, inside

@@ -1,0 +1,169 @@
+"""Faults of poses, depth unit and intrinsics: what would mend a recording says what is wrong with it.
+
+Every known fault is tried as a correction. The one under which the depth images agree best is a finding
+when they agree much better than as recorded, in resamples of the image pairs too; the search then goes
+on from the corrected geometry, so two faults at a time are found one after the other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from itertools import product
+
+import numpy as np
+from jaxtyping import Float64
+
+from rpl_data.doctor.consistency import Geometry, Views, differences
+from rpl_data.doctor.findings import Finding, Kind
+from rpl_data.mend import Mend, mended_poses
+
+MUCH_BETTER = 0.7
+"""A correction must bring the differences of depth down to this share."""
+
+SURE = 0.9
+"""And do so in this share of resamples."""
+
+LAGS = tuple(lag for lag in range(-5, 6) if lag)
+DEPTH_FACTORS = (0.1, 0.2, 0.25, 0.5, 0.7, 0.8, 0.9, 1.1, 1.25, 1.4, 2.0, 4.0, 5.0, 10.0)
+FOCAL_FACTORS = (0.5, 0.6, 0.7, 0.8, 0.87, 0.93, 1.07, 1.15, 1.25, 1.4, 1.7, 2.0)
+SIZE_FACTORS = (1 / 3, 0.5, 2 / 3, 0.75, 4 / 3, 1.5, 2.0, 3.0)
+
+
+@dataclass(frozen=True)
+class Correction:
+    """A fault, by what mends it: `what` is wrong, `todo` is done about it, `geometry` is then true."""
+
+    kind: Kind
+    what: str
+    todo: str
+    geometry: Geometry
+
+
+def faults(views: Views, geometry: Geometry, *, most: int = 3) -> list[Finding]:
+    """What is wrong with the geometry of a recording, the fault that spoils it most first."""
+    findings: list[Finding] = []
+    now = differences(views, geometry)
+    while len(findings) < most:
+        tried = [(found, differences(views, found.geometry)) for found in _corrections(views, geometry)]
+        best, then = min(tried, key=lambda pair: _mean(now, pair[1]))
+        sure = _sure(now, then)
+        if sure < SURE:
+            break
+        share = f"depth images then agree {_mean(now, now) / _mean(now, then):.1f} times better"
+        findings.append(Finding(best.kind, f"{best.what} ({share})", sure, best.todo))
+        geometry, now = best.geometry, then
+    return findings
+
+
+def _mean(now: Float64[np.ndarray, " pairs"], then: Float64[np.ndarray, " pairs"]) -> float:
+    """Mean of `then` over the pairs that both could judge; infinite when that is less than half of them."""
+    both = np.isfinite(now) & np.isfinite(then)
+    return float(then[both].mean()) if 2 * both.sum() > np.isfinite(now).sum() else float("inf")
+
+
+def _sure(
+    now: Float64[np.ndarray, " pairs"], then: Float64[np.ndarray, " pairs"], *, resamples: int = 200
+) -> float:
+    """Share of bootstrap resamples of the pairs in which `then` is much better."""
+    both = np.flatnonzero(np.isfinite(now) & np.isfinite(then))
+    if len(both) < 5:
+        return 0.0
+    chosen = np.random.default_rng(0).choice(both, (resamples, len(both)))
+    return float((then[chosen].mean(axis=1) < MUCH_BETTER * now[chosen].mean(axis=1)).mean())
+
+
+def _corrections(views: Views, geometry: Geometry) -> Iterator[Correction]:
+    yield from _readings(geometry)
+    yield from _pose_lags(views, geometry)
+    yield _best_factor(views, DEPTH_FACTORS, lambda factor: _other_depth_unit(geometry, factor))
+    yield _best_factor(views, FOCAL_FACTORS, lambda factor: _other_focal_length(geometry, factor))
+    yield from (_other_size(geometry, factor) for factor in SIZE_FACTORS)
+
+
+def _readings(geometry: Geometry) -> Iterator[Correction]:
+    """The seven other readings of poses: quaternion order x direction x camera axes."""
+    for wxyz, inverted, opengl in list(product((False, True), repeat=3))[1:]:
+        mend = Mend(wxyz_quaternions=wxyz, inverted_poses=inverted, opengl_cameras=opengl)
+        said = {
+            "their quaternions are w x y z": wxyz,
+            "they are camera_from_scene": inverted,
+            "their cameras look along -z with y up (OpenGL)": opengl,
+        }
+        what = f"the poses are stored another way: {', '.join(text for text, true in said.items() if true)}"
+        poses = mended_poses(geometry.scene_from_camera, mend)
+        yield Correction("pose convention", what, _option(mend), replace(geometry, scene_from_camera=poses))
+
+
+def _pose_lags(views: Views, geometry: Geometry) -> Iterator[Correction]:
+    for lag in LAGS:
+        poses = shifted(geometry.scene_from_camera, views.runs, lag)
+        what = f"poses belong to images {abs(lag)} frames {'earlier' if lag > 0 else 'later'}"
+        yield Correction(
+            "pose lag", what, _option(Mend(pose_lag=lag)), replace(geometry, scene_from_camera=poses)
+        )
+
+
+def shifted(
+    poses: Float64[np.ndarray, "n 4 4"], runs: Sequence[tuple[int, int]], lag: int
+) -> Float64[np.ndarray, "n 4 4"]:
+    """Every image with the pose of `lag` images later in the same run; NaN at the ends."""
+    result = np.full_like(poses, np.nan)
+    for first, behind in runs:
+        for row in range(max(first, first - lag), min(behind, behind - lag)):
+            result[row] = poses[row + lag]
+    return result
+
+
+def _best_factor(
+    views: Views, factors: Sequence[float], corrected: Callable[[float], Correction]
+) -> Correction:
+    """The best correction of a family with one factor: the best of a coarse, a finer and a fine grid."""
+    best = _cheapest(views, factors, corrected)
+    for step in (0.04, 0.01):
+        near = [best * float(np.exp(step * n)) for n in range(-3, 4)]
+        best = _cheapest(views, near, corrected)
+    return corrected(best)
+
+
+def _cheapest(views: Views, factors: Sequence[float], corrected: Callable[[float], Correction]) -> float:
+    return min(factors, key=lambda factor: np.nanmean(differences(views, corrected(factor).geometry)))
+
+
+def _other_depth_unit(geometry: Geometry, factor: float) -> Correction:
+    what = f"depths are {_times(factor)} what the poses say"
+    todo = f"set metres_per_unit of the scene to {factor:.3g} times what it is"
+    return Correction(
+        "depth scale", what, todo, replace(geometry, metres_factor=geometry.metres_factor * factor)
+    )
+
+
+def _other_focal_length(geometry: Geometry, factor: float) -> Correction:
+    camera = geometry.intrinsics
+    fitting = replace(camera, fx=camera.fx * factor, fy=camera.fy * factor)
+    what = f"the focal length {camera.fx:.0f} px does not fit, about {fitting.fx:.0f} px would"
+    todo = (
+        "ask the camera's own tool for the intrinsics of these images, and give the scenes "
+        "`camera: [fx, fy, cx, cy]` in the recipe"
+    )
+    return Correction("intrinsics", what, todo, replace(geometry, intrinsics=fitting))
+
+
+def _other_size(geometry: Geometry, factor: float) -> Correction:
+    camera = geometry.intrinsics
+    fx, fy, cx, cy = (factor * value for value in (camera.fx, camera.fy, camera.cx, camera.cy))
+    what = f"the intrinsics are those of images {1 / factor:.2f} times this size"
+    todo = f"in the recipe, give these scenes about `camera: [{fx:.0f}, {fy:.0f}, {cx:.0f}, {cy:.0f}]`"
+    fitting = replace(camera, fx=fx, fy=fy, cx=cx, cy=cy)
+    return Correction("intrinsics", what, todo, replace(geometry, intrinsics=fitting))
+
+
+def _times(factor: float) -> str:
+    return f"{1 / factor:.2f} times" if factor < 1 else f"1/{factor:.2f} of"
+
+
+def _option(mend: Mend) -> str:
+    """The line of a recipe that mends it."""
+    changed = {key: value for key, value in asdict(mend).items() if value}
+    words = ", ".join(f"{key}: {str(value).lower()}" for key, value in changed.items())
+    return f"in the recipe, give these scenes `mend: {{{words}}}`"

@@ -1,0 +1,229 @@
+"""A scene's examination: looks at some stretches of it, asks every check, and collects what they say."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float32, Float64
+
+from rpl_data.doctor import images, timing
+from rpl_data.doctor.alignment import Alignment, Pair, align, edges_of
+from rpl_data.doctor.consistency import Geometry, Views, differences, views_of
+from rpl_data.doctor.corrections import faults, shifted
+from rpl_data.doctor.findings import Diagnosis, Finding
+from rpl_data.types import DataError, DepthImage, Recording, Scene, Trajectory
+from rpl_data.workspace import read_color, read_depth_m
+
+LEAST_LAG_FRAMES = 0.25
+LEAST_CONTRAST = 1.2
+"""The peak of a lag or a shift must be higher than that of the images as they are by this factor."""
+
+LEAST_SHIFT = 0.01
+"""Of the image's width; a good registration errs by less, and edges of depth are no sharper."""
+SURE = 0.9
+UNSURE_FRAMES, UNSURE_PX = 1.0, 8.0
+LEFT_OUT = "copy these images again, or take them off the list; nothing is done with them"
+STILL_M, STILL_RAD = 0.02, 0.05
+"""A camera that moves and turns less than this in a stretch proves nothing about its poses."""
+
+
+@dataclass(frozen=True)
+class _Look:
+    """What was read of a scene.
+
+    Attributes:
+        positions: rows of `Scene.frames`.
+        runs: stretches of frames that follow one another, as rows of the lists here.
+    """
+
+    positions: tuple[int, ...]
+    runs: tuple[tuple[int, int], ...]
+    depths_m: Float32[np.ndarray, "n height width"]
+    edges: tuple[Pair, ...]
+    sharpness: tuple[float, ...]
+
+
+def examine(recording: Recording, *, progress: Callable[[int, int], None] | None = None) -> Diagnosis:
+    """What is wrong with a scene; about 90 of its frames are looked at, however long it is.
+
+    Args:
+        recording: as its reader returns it.
+        progress: called with the frames read and how many will be.
+    """
+    scene, trajectory = recording.scene, recording.trajectory
+    look, unreadable = _look(scene, progress)
+    findings = [Finding("left out", line, 1.0, LEFT_OUT) for line in recording.skipped]
+    if unreadable:
+        what = f"{len(unreadable)} of the images looked at cannot be read: {unreadable[0]}"
+        findings.append(Finding("unreadable", what, 1.0, "record again, or take them off the list"))
+    findings += timing.dropped_frames(scene)
+    facts = [_summary(scene, look)]
+    if not len(look.depths_m):
+        return Diagnosis(scene.name, tuple(facts), tuple(findings))
+    findings += images.repeated(_repeats(scene, look), len(look.positions))
+    findings += images.blur(look.sharpness)
+    findings += images.missing_depth([images.missing_share(depth_m) for depth_m in look.depths_m])
+    aligned = align(dict(zip(look.positions, look.edges, strict=True)))
+    findings += _misaligned(scene, aligned)
+    facts.append(_alignment_fact(aligned))
+    if trajectory is None:
+        facts.append("no poses: depth unit, intrinsics and poses were not judged; track it first (rpl build)")
+    else:
+        said, found = _geometry(scene, trajectory, look, aligned)
+        facts.append(said)
+        findings += timing.pose_jumps(scene, trajectory) + found
+    return Diagnosis(scene.name, tuple(facts), tuple(findings))
+
+
+# Looking ------------------------------------------------------------------------------------------
+
+
+def stretches(frames: int, *, count: int = 2, length: int = 45) -> list[range]:
+    """Some stretches of frames at the start and the end of the recording; all of a short one."""
+    if frames <= count * length:
+        return [range(frames)]
+    starts = np.linspace(0, frames - length, count).astype(int)
+    return [range(start, start + length) for start in starts.tolist()]
+
+
+def _look(scene: Scene, progress: Callable[[int, int], None] | None) -> tuple[_Look, list[str]]:
+    """Read the stretches; images that cannot be read are left out and named."""
+    chosen = stretches(len(scene.frames))
+    total, done = sum(map(len, chosen)), 0
+    positions: list[int] = []
+    runs: list[tuple[int, int]] = []
+    depths: list[DepthImage] = []
+    edges: list[Pair] = []
+    sharpness: list[float] = []
+    unreadable: list[str] = []
+    for stretch in chosen:
+        first = len(positions)
+        for at in stretch:
+            try:
+                color, depth_m = read_color(scene.frames[at]), read_depth_m(scene, scene.frames[at])
+            except DataError as error:
+                unreadable.append(str(error))
+                continue
+            positions.append(at)
+            depths.append(depth_m)
+            edges.append(edges_of(color, depth_m))
+            sharpness.append(images.sharpness(color))
+            done += 1
+            if progress is not None:
+                progress(done, total)
+        runs.append((first, len(positions)))
+    size = (0, scene.intrinsics.height, scene.intrinsics.width)
+    stack = np.stack(depths) if depths else np.zeros(size, np.float32)
+    return _Look(tuple(positions), tuple(runs), stack, tuple(edges), tuple(sharpness)), unreadable
+
+
+def _repeats(scene: Scene, look: _Look) -> list[int]:
+    numbers = [scene.frames[at].index for at in look.positions]
+    found = [images.repeats(list(look.depths_m[a:b]), numbers[a:b]) for a, b in look.runs]
+    return [number for numbers_of_run in found for number in numbers_of_run]
+
+
+# Judging ------------------------------------------------------------------------------------------
+
+
+def _misaligned(scene: Scene, aligned: Alignment) -> list[Finding]:
+    """Lag and shift between colour and depth, where they are sure and large enough to matter."""
+    findings = []
+    whole, sure = _lag_frames(aligned)
+    if sure >= SURE:
+        late = "behind" if aligned.lag_frames > 0 else "ahead of"
+        todo = "less than a frame cannot be mended: move slowly, and click in the slowest frames"
+        if whole:
+            todo = f"in the recipe, give these scenes `mend: {{depth_lag: {whole}}}`"
+        what = f"depth is {abs(aligned.lag_frames):.1f} frames {late} colour"
+        findings.append(Finding("depth lag", what, sure, todo))
+    sure = aligned.sure_of_shift(LEAST_SHIFT * scene.intrinsics.width)
+    if sure >= SURE and aligned.contrast > LEAST_CONTRAST:
+        du, dv = aligned.shift_px
+        todo = (
+            "register depth to colour when recording (`rpl capture` does); "
+            "labels of an unregistered recording are off by this much"
+        )
+        findings.append(
+            Finding("registration", f"colour lies ({du:+.0f}, {dv:+.0f}) px from depth", sure, todo)
+        )
+    return findings
+
+
+def _lag_frames(aligned: Alignment) -> tuple[int, float]:
+    """The lag in whole frames, and how sure it is that there is any; 0 where it is not."""
+    sure = aligned.sure_of_lag(LEAST_LAG_FRAMES)
+    whole = round(aligned.lag_frames)
+    if whole and aligned.contrast < LEAST_CONTRAST:
+        return 0, 0.0
+    return (whole, sure) if sure >= SURE else (0, sure)
+
+
+def _geometry(
+    scene: Scene, trajectory: Trajectory, look: _Look, aligned: Alignment
+) -> tuple[str, list[Finding]]:
+    """What the poses say about poses, depth unit and intrinsics."""
+    poses = _poses_of(scene, trajectory, look)
+    lag, _ = _lag_frames(aligned)  # the depth image of frame t is at t + lag, so its pose is at t
+    poses = shifted(poses, look.runs, -lag)
+    if _still(poses, look.runs):
+        return "the camera hardly moves: poses, depth unit and intrinsics could not be judged", []
+    views = views_of(look.depths_m, look.runs)
+    geometry = Geometry(scene.intrinsics, poses)
+    fit = _agreement(views, geometry)
+    return f"depth images agree to {fit:.1%} of the depth under the given poses", faults(views, geometry)
+
+
+def _agreement(views: Views, geometry: Geometry) -> float:
+    found = differences(views, geometry)
+    return float(np.nanmean(found)) if np.isfinite(found).any() else float("nan")
+
+
+def _poses_of(scene: Scene, trajectory: Trajectory, look: _Look) -> Float64[np.ndarray, "n 4 4"]:
+    """The pose of each frame looked at; NaN where it has none."""
+    row_of = {int(index): row for row, index in enumerate(trajectory.frames)}
+    poses = np.full((len(look.positions), 4, 4), np.nan)
+    for row, at in enumerate(look.positions):
+        index = scene.frames[at].index
+        if index in row_of:
+            poses[row] = trajectory.scene_from_camera[row_of[index]]
+    return poses
+
+
+def _still(poses: Float64[np.ndarray, "n 4 4"], runs: tuple[tuple[int, int], ...]) -> bool:
+    """Whether no stretch has the camera move or turn."""
+    for first, behind in runs:
+        whole = poses[first:behind][np.isfinite(poses[first:behind]).all(axis=(1, 2))]
+        if len(whole) < 2:
+            continue
+        moved_m = np.ptp(whole[:, :3, 3], axis=0).max()
+        turned_rad = np.linalg.norm(whole[:, :3, :3] - whole[0, :3, :3], axis=(1, 2)).max() / np.sqrt(2)
+        if moved_m > STILL_M or turned_rad > STILL_RAD:
+            return False
+    return True
+
+
+# Saying -------------------------------------------------------------------------------------------
+
+
+def _summary(scene: Scene, look: _Look) -> str:
+    camera, interval_s = scene.intrinsics, timing.interval_s(scene)
+    rate = f" at {1 / interval_s:.3g} Hz" if interval_s > 0 else ""
+    text = f"{len(scene.frames)} frames{rate}, {camera.width} x {camera.height}, f = {camera.fx:.0f} px"
+    measured = look.depths_m[look.depths_m > 0]
+    if not len(measured):
+        return f"{text}, no depth"
+    near, middle, far = np.percentile(measured[:: max(1, len(measured) // 100_000)], (2, 50, 98))
+    return f"{text}, depth {near:.2f} - {middle:.2f} - {far:.2f} m (2nd, 50th, 98th percentile)"
+
+
+def _alignment_fact(aligned: Alignment) -> str:
+    if aligned.lag_sigma > UNSURE_FRAMES or aligned.shift_sigma_px > UNSURE_PX:
+        return "too few edges that colour and depth share: lag and registration could not be judged"
+    du, dv = aligned.shift_px
+    return (
+        f"colour and depth edges meet at lag {aligned.lag_frames:+.1f} +- {aligned.lag_sigma:.1f} frames, "
+        f"shift ({du:+.0f}, {dv:+.0f}) +- {aligned.shift_sigma_px:.0f} px"
+    )

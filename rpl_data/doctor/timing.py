@@ -1,0 +1,73 @@
+"""Timestamps: frames that are missing between others, and poses that jump."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float64
+
+from rpl_data.doctor.findings import Finding
+from rpl_data.types import Scene, Trajectory
+
+GAP = 1.6
+"""An interval this many times the usual one lacks a frame: a camera's clock jitters by less than half."""
+
+FASTEST_M_S = 3.0
+"""Nobody moves a camera faster by hand when filming an object."""
+
+
+def interval_s(scene: Scene) -> float:
+    """The usual time between two frames; NaN for a single one."""
+    steps = np.diff(times_s(scene))
+    return float(np.median(steps)) if len(steps) else float("nan")
+
+
+def times_s(scene: Scene) -> Float64[np.ndarray, " n"]:
+    """Timestamps in the order of the frames."""
+    return np.array([frame.timestamp_s for frame in scene.frames], dtype=float)
+
+
+def dropped_frames(scene: Scene) -> list[Finding]:
+    """Intervals so long that frames must be missing in them."""
+    steps = np.diff(times_s(scene))
+    if len(steps) < 2:
+        return []
+    usual = float(np.median(steps))
+    if usual <= 0 or (steps < 0).any():
+        back = int((steps <= 0).sum())
+        what = f"{back} frames are not later than the one before"
+        return [Finding("dropped frames", what, 1.0, "sort the list of frames by time; use seconds")]
+    gaps = np.flatnonzero(steps > GAP * usual)
+    if not len(gaps):
+        return []
+    missing = int(np.rint(steps[gaps] / usual - 1).sum())
+    places = ", ".join(
+        f"{steps[gap]:.2f} s after frame {scene.frames[gap].index}"
+        for gap in sorted(gaps, key=lambda gap: -steps[gap])[:3]
+    )
+    todo = (
+        "record to a faster disk or at a lower rate; what is there can be labelled, but do not take "
+        "row numbers for times, and expect a tracker to lose its way at the long gaps"
+    )
+    what = f"about {missing} frames are missing in {len(gaps)} gaps ({places}); usual: {usual:.3f} s"
+    return [Finding("dropped frames", what, 1.0, todo)]
+
+
+def pose_jumps(scene: Scene, trajectory: Trajectory) -> list[Finding]:
+    """Steps of the camera no hand can make; leaves the answer to one line."""
+    time_of = {frame.index: frame.timestamp_s for frame in scene.frames}
+    known = np.array([int(index) in time_of for index in trajectory.frames], dtype=bool)
+    indices = trajectory.frames[known]
+    stamps = np.array([time_of[int(index)] for index in indices])
+    steps_m = np.linalg.norm(np.diff(trajectory.scene_from_camera[known, :3, 3], axis=0), axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        speeds = steps_m / np.diff(stamps)
+    fast = np.flatnonzero(speeds > FASTEST_M_S)
+    if not len(fast):
+        return []
+    worst = fast[int(np.argmax(steps_m[fast]))]
+    what = (
+        f"the camera jumps {len(fast)} times, {steps_m[worst]:.2f} m at most, "
+        f"behind frame {int(indices[worst])}"
+    )
+    todo = "the tracker lost its way: cut the scene there, or delete the poses and have the camera tracked"
+    return [Finding("pose jump", what, 1.0, todo)]

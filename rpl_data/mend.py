@@ -1,0 +1,92 @@
+"""Faults of a recording that can be put right while it is read; `rpl check` names those that apply."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64
+from scipy.spatial.transform import Rotation
+
+from rpl_data.geometry import invert
+from rpl_data.types import DataError, Recording, Scene, Trajectory
+
+
+@dataclass(frozen=True)
+class Mend:
+    """What to put right; everything is as it should be by default.
+
+    Attributes:
+        wxyz_quaternions: the poses' quaternions are stored as w x y z.
+        inverted_poses: the poses are camera_from_scene.
+        opengl_cameras: the poses are of cameras that look along -z with y up.
+        pose_lag: the pose of frame n is stored at frame n + pose_lag.
+        depth_lag: the depth image of frame n is stored at frame n + depth_lag.
+    """
+
+    wxyz_quaternions: bool = False
+    inverted_poses: bool = False
+    opengl_cameras: bool = False
+    pose_lag: int = 0
+    depth_lag: int = 0
+
+
+def mended(recording: Recording, mend: Mend) -> Recording:
+    """The recording with its poses re-read and its images and poses paired anew.
+
+    Frames whose partner lies beyond an end of the recording are left out and counted.
+
+    Raises:
+        DataError: a lag leaves no frame.
+    """
+    if mend == Mend():
+        return recording
+    scene, left_out = _with_depth_of(recording.scene, mend.depth_lag)
+    trajectory = recording.trajectory
+    if trajectory is not None:
+        poses = mended_poses(trajectory.scene_from_camera, mend)
+        scene, trajectory, unposed = _with_pose_of(scene, Trajectory(trajectory.frames, poses), mend.pose_lag)
+        left_out += unposed
+    if not scene.frames:
+        raise DataError(f"scene {scene.name}: with {mend} no frame is left; the lags are in frames")
+    lines = (f"{left_out} frames without a partner after mending a lag",) if left_out else ()
+    return replace(
+        recording, scene=scene, trajectory=trajectory, skipped=(*recording.skipped, *lines),
+        notes=(*recording.notes, f"read with {mend}"),
+    )  # fmt: skip
+
+
+def mended_poses(poses: Float64[np.ndarray, "n 4 4"], mend: Mend) -> Float64[np.ndarray, "n 4 4"]:
+    """`scene_from_camera` of poses that were read as if nothing were wrong with them; NaN stays NaN."""
+    result = poses.copy()
+    whole = np.isfinite(poses).all(axis=(1, 2))
+    if mend.wxyz_quaternions and whole.any():
+        read = Rotation.from_matrix(poses[whole, :3, :3]).as_quat()
+        result[whole, :3, :3] = Rotation.from_quat(np.roll(read, -1, axis=1)).as_matrix()
+    if mend.inverted_poses:
+        result = invert(result)
+    if mend.opengl_cameras:
+        result = result @ np.diag([1.0, -1.0, -1.0, 1.0])
+    return result
+
+
+def _with_depth_of(scene: Scene, lag: int) -> tuple[Scene, int]:
+    """The scene with every frame's depth image taken from `lag` frames later; how many frames that cost."""
+    depth_of = {frame.index: frame.depth for frame in scene.frames}
+    kept = [
+        replace(frame, depth=depth_of[frame.index + lag])
+        for frame in scene.frames
+        if frame.index + lag in depth_of
+    ]
+    return replace(scene, frames=tuple(kept)), len(scene.frames) - len(kept)
+
+
+def _with_pose_of(scene: Scene, trajectory: Trajectory, lag: int) -> tuple[Scene, Trajectory, int]:
+    """Every frame with the pose of `lag` frames later; frames without one go."""
+    row_of = {int(index): row for row, index in enumerate(trajectory.frames)}
+    kept = tuple(frame for frame in scene.frames if frame.index + lag in row_of)
+    rows = [row_of[frame.index + lag] for frame in kept]
+    paired = Trajectory(
+        np.array([frame.index for frame in kept], dtype=np.int64), trajectory.scene_from_camera[rows]
+    )
+    return replace(scene, frames=kept), paired, len(scene.frames) - len(kept)

@@ -1,0 +1,52 @@
+"""A recording, or all recordings of a recipe, for the doctor."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from rpl_data.capture import READERS, UNPACKERS, likely_formats, open_scenes
+from rpl_data.recipe import load_recipe
+from rpl_data.types import DataError, Recording
+
+
+def recordings_at(
+    path: Path,
+    scratch: Path,
+    *,
+    format: str | None = None,
+    names: Sequence[str] | None = None,
+    metres_per_unit: float | None = None,
+) -> list[Recording]:
+    """The recordings of a recipe as it reads and mends them, or those found at a path.
+
+    Args:
+        path: a recipe (`.yaml`), or what a reader expects.
+        scratch: a folder for the images of formats that keep all of them in one file.
+        format: a key of `capture.READERS`; guessed where None.
+        names: only these scenes.
+        metres_per_unit: of the depth images; what the format says where None.
+
+    Raises:
+        DataError: nothing is there, its format cannot be guessed, or its reader refuses it.
+    """
+
+    def unpack(scene: str) -> Path:
+        folder = scratch / scene
+        folder.mkdir()
+        return folder
+
+    if path.suffix in (".yaml", ".yml"):
+        sources = load_recipe(path).scenes
+        found = [recording for source in sources for recording in open_scenes(**vars(source), unpack=unpack)]
+        if not found:
+            raise DataError(f"{path} names no recordings; give `rpl check` the folder of a recording")
+        return [recording for recording in found if names is None or recording.scene.name in names]
+    if not path.exists():
+        raise DataError(f"there is no {path}; expected a recording or a recipe")
+    likely = [format] if format else likely_formats(path)
+    if not likely:
+        raise DataError(
+            f"{path} looks like no format known; say which with --format {'|'.join(READERS | UNPACKERS)}"
+        )
+    return open_scenes(path, likely[0], names=names, metres_per_unit=metres_per_unit, unpack=unpack)

@@ -1,0 +1,255 @@
+"""The doctor finds each planted fault in a made-up recording, and nothing in the sound one."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from rpl_data.cli import main
+from rpl_data.doctor.alignment import align, edges_of
+from rpl_data.doctor.examine import examine, stretches
+from rpl_data.doctor.findings import Diagnosis, Finding
+from rpl_data.doctor.text import describe
+from rpl_data.formats.rpl import write_associations, write_camera, write_poses
+from rpl_data.geometry import from_rotvec, invert, rays
+from rpl_data.mend import Mend, mended_poses
+from rpl_data.types import Frame, Intrinsics, Recording, Trajectory
+
+CAMERA = Intrinsics(300.0, 300.0, 158.0, 121.0, 320, 240)
+FRAMES = 40
+
+
+def pose(n: int) -> np.ndarray:
+    """A hand-held camera 0.8 m above a floor, swinging to and fro."""
+    swing = np.array([0.10 * np.sin(n / 4), 0.14 * np.sin(n / 5 + 1), 0.05 * np.sin(n / 3)])
+    return from_rotvec(swing, np.array([0.12 * np.sin(n / 6), 0.08 * np.cos(n / 5), -0.8]))
+
+
+def shoot(scene_from_camera: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Colour and exact depth of a floor (z = 0) with blocks of several heights on it."""
+    v, u = np.mgrid[: CAMERA.height, : CAMERA.width]
+    directions = rays(CAMERA, np.column_stack([u.ravel(), v.ravel()]).astype(float))
+    toward = directions @ scene_from_camera[:3, :3].T
+    origin = scene_from_camera[:3, 3]
+    depth_m = -origin[2] / toward[:, 2]
+    points = origin + depth_m[:, None] * toward
+    grey = 90 + 12 * np.sin(60 * points[:, 0]) * np.sin(47 * points[:, 1])
+    rng = np.random.default_rng(3)
+    for _ in range(7):
+        x, y = rng.uniform(-0.35, 0.35, 2)
+        wide, height, shade = rng.uniform(0.04, 0.09), rng.uniform(0.08, 0.2), rng.uniform(0, 255)
+        top_m = (-height - origin[2]) / toward[:, 2]  # z points down, so tops have negative z
+        hit = origin + top_m[:, None] * toward
+        on_top = (abs(hit[:, 0] - x) < wide) & (abs(hit[:, 1] - y) < wide) & (top_m < depth_m)
+        depth_m = np.where(on_top, top_m, depth_m)
+        grey = np.where(on_top, shade, grey)
+    shape = (CAMERA.height, CAMERA.width)
+    color = np.repeat(grey.reshape(shape)[..., None], 3, axis=2).clip(0, 255).astype(np.uint8)
+    return color, depth_m.reshape(shape)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The sound recording as a RapidPoseLabels tree."""
+    root = tmp_path_factory.mktemp("doctor")
+    scene = root / "00"
+    for kind in ("rgb", "depth"):
+        (scene / kind).mkdir(parents=True)
+    poses = np.array([pose(n) for n in range(FRAMES)])
+    for n, at in enumerate(poses):
+        color, depth_m = shoot(at)
+        cv2.imwrite(str(scene / f"rgb/{n:06d}.png"), color)
+        cv2.imwrite(str(scene / f"depth/{n:06d}.png"), np.rint(depth_m * 1000).astype(np.uint16))
+    times_s = [n / 30 for n in range(FRAMES)]
+    names = [f"{n:06d}.png" for n in range(FRAMES)]
+    write_camera(root, CAMERA)
+    write_associations(scene, times_s, [f"rgb/{name}" for name in names], [f"depth/{name}" for name in names])
+    write_poses(scene, times_s, poses)
+    return root
+
+
+@pytest.fixture(scope="module")
+def sound(folder: Path) -> Recording:
+    from rpl_data.capture import open_scenes
+
+    return open_scenes(folder, "rpl", metres_per_unit=0.001)[0]
+
+
+def kinds(found: Diagnosis) -> list[str]:
+    return [finding.kind for finding in found.findings]
+
+
+def with_poses(recording: Recording, poses: np.ndarray) -> Recording:
+    assert recording.trajectory is not None
+    return replace(recording, trajectory=Trajectory(recording.trajectory.frames, poses))
+
+
+def poses_of(recording: Recording) -> np.ndarray:
+    assert recording.trajectory is not None
+    return recording.trajectory.scene_from_camera
+
+
+def with_camera(recording: Recording, **numbers: float) -> Recording:
+    camera = replace(recording.scene.intrinsics, **numbers)
+    return replace(recording, scene=replace(recording.scene, intrinsics=camera))
+
+
+def with_unit(recording: Recording, factor: float) -> Recording:
+    unit = recording.scene.metres_per_unit * factor
+    return replace(recording, scene=replace(recording.scene, metres_per_unit=unit))
+
+
+def with_frames(recording: Recording, frames: list[Frame]) -> Recording:
+    return replace(recording, scene=replace(recording.scene, frames=tuple(frames)))
+
+
+def late_depth(recording: Recording, lag: int) -> Recording:
+    frames = recording.scene.frames
+    return with_frames(
+        recording, [replace(frames[n], depth=frames[n - lag].depth) for n in range(lag, len(frames))]
+    )
+
+
+def as_wxyz(poses: np.ndarray) -> np.ndarray:
+    stored = poses.copy()
+    quaternions_wxyz = np.roll(Rotation.from_matrix(poses[:, :3, :3]).as_quat(), 1, axis=1)
+    stored[:, :3, :3] = Rotation.from_quat(quaternions_wxyz).as_matrix()
+    return stored
+
+
+def test_a_sound_recording_has_nothing_wrong(sound: Recording) -> None:
+    found = examine(sound)
+    assert found.findings == ()
+    assert "nothing wrong" in describe(found)
+
+
+FAULTS: dict[str, tuple[Callable[[Recording], Recording], str]] = {
+    "depth x5": (lambda r: with_unit(r, 5), r"depths are (4\.9|5\.0)\d times"),
+    "depth /5": (lambda r: with_unit(r, 0.2), r"depths are 1/(4\.9|5\.0)\d of"),
+    "depth 3 frames late": (lambda r: late_depth(r, 3), "depth is 3.0 frames behind colour"),
+    "inverted poses": (lambda r: with_poses(r, invert(poses_of(r))), "camera_from_scene"),
+    "wxyz quaternions": (lambda r: with_poses(r, as_wxyz(poses_of(r))), "w x y z"),
+    "focal length x1.25": (lambda r: with_camera(r, fx=375.0, fy=375.0), "focal length 375 px"),
+    "intrinsics of twice the size": (
+        lambda r: with_camera(r, fx=600.0, fy=600.0, cx=316.0, cy=242.0), "2.00 times this size"
+    ),
+    "dropped frames": (
+        lambda r: with_frames(r, [f for f in r.scene.frames if f.index not in (9, 20, 21)]),
+        r"about 3 frames are missing in 2 gaps",
+    ),
+    "repeated depth": (
+        lambda r: with_frames(
+            r, [replace(f, depth=r.scene.frames[6].depth) if f.index == 7 else f for f in r.scene.frames]
+        ),
+        "frames 7",
+    ),
+    "poses 2 frames late": (
+        lambda r: with_poses(r, np.concatenate([poses_of(r)[:2], poses_of(r)[:-2]])),
+        "poses belong to images 2 frames earlier",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_planted_fault_is_found_first_and_alone(sound: Recording, fault: str) -> None:
+    plant, said = FAULTS[fault]
+    found = examine(plant(sound))
+    assert len(found.findings) == 1, describe(found)
+    assert re.search(said, found.findings[0].what)
+    assert found.findings[0].sure >= 0.9
+
+
+def test_two_faults_are_found_one_after_the_other(sound: Recording) -> None:
+    found = examine(with_unit(with_poses(sound, invert(poses_of(sound))), 5))
+    assert sorted(kinds(found)) == ["depth scale", "pose convention"]
+
+
+def test_the_option_a_finding_names_mends_it(sound: Recording) -> None:
+    stored = as_wxyz(invert(poses_of(sound)))
+    (finding,) = examine(with_poses(sound, stored)).findings
+    assert "mend: {wxyz_quaternions: true, inverted_poses: true}" in finding.todo
+    mended = mended_poses(stored, Mend(wxyz_quaternions=True, inverted_poses=True))
+    assert examine(with_poses(sound, mended)).findings == ()
+
+
+def test_shifted_depth_is_measured() -> None:
+    shots = [shoot(pose(n)) for n in range(FRAMES)]
+    found = align({n: edges_of(color, np.roll(depth_m, 20, axis=1).astype(np.float32))
+                   for n, (color, depth_m) in enumerate(shots)})  # fmt: skip
+    np.testing.assert_allclose(found.shift_px, [-20, 0], atol=2.5)
+    assert abs(found.lag_frames) < 0.25
+    assert found.contrast > 1.2
+
+
+def test_a_camera_that_stands_still_proves_nothing(sound: Recording) -> None:
+    found = examine(with_poses(sound, np.repeat(poses_of(sound)[:1], FRAMES, axis=0)))
+    assert any("hardly moves" in fact for fact in found.facts)
+
+
+def test_without_poses_it_says_what_was_not_judged(sound: Recording) -> None:
+    found = examine(replace(with_unit(sound, 5), trajectory=None))
+    assert any("no poses" in fact for fact in found.facts)
+    assert found.findings == ()
+
+
+def test_a_broken_image_is_counted(sound: Recording, tmp_path: Path) -> None:
+    (tmp_path / "half.png").write_bytes(b"\x89PNG")
+    frames = [replace(f, depth=tmp_path / "half.png") if f.index == 5 else f for f in sound.scene.frames]
+    assert kinds(examine(with_frames(sound, frames))) == ["unreadable"]
+
+
+def test_a_long_recording_is_looked_at_in_two_places() -> None:
+    assert stretches(80) == [range(80)]
+    assert stretches(9000) == [range(45), range(8955, 9000)]
+
+
+def test_a_jump_of_the_camera(sound: Recording) -> None:
+    poses = poses_of(sound).copy()
+    poses[20:, 0, 3] += 2.0
+    assert "pose jump" in kinds(examine(with_poses(sound, poses)))
+
+
+def test_the_text_says_how_sure_and_what_to_do() -> None:
+    finding = Finding("depth lag", "depth is late", 0.93, "wait")
+    text = describe(Diagnosis("00", ("10 frames",), (finding,)))
+    assert "scene 00: 1 thing wrong" in text
+    assert "! depth lag (sure 93%): depth is late" in text
+    assert "what to do: wait" in text
+
+
+def test_check_of_a_folder_guesses_its_format(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", str(folder), "--metres_per_unit", "0.005"]) == 0
+    assert "metres_per_unit" in capsys.readouterr().out
+
+
+def test_check_of_a_recipe_reads_as_the_recipe_says(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recipe = tmp_path / "mine.yaml"
+    recipe.write_text(
+        f"name: mine\nobjects: [{{name: block, keypoints: 4}}]\n"
+        f"scenes: [{{path: {folder}, metres_per_unit: 0.001, mend: {{inverted_poses: true}}}}]\n"
+    )
+    assert main(["check", str(recipe)]) == 0
+    assert "camera_from_scene" in capsys.readouterr().out
+
+
+def test_check_of_nothing_known_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", str(tmp_path)]) == 1
+    assert "looks like no format known" in capsys.readouterr().err
+
+
+def test_the_desk_has_its_repeated_depth_and_its_lag(real_data: Path) -> None:
+    from rpl_data.capture import open_scenes
+
+    for recording in open_scenes(real_data / "desk", "rpl"):
+        found = kinds(examine(recording))
+        assert "repeated frames" in found
+        assert set(found) <= {"repeated frames", "depth lag"}

@@ -1,0 +1,80 @@
+"""Mending undoes exactly the fault it is named after."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from rpl_data.geometry import from_rotvec, invert
+from rpl_data.mend import Mend, mended, mended_poses
+from rpl_data.types import DataError, Frame, Intrinsics, Recording, Scene, Trajectory
+
+POSES = np.array(
+    [from_rotvec(np.array([0.3 * n, -0.2, 0.5]), np.array([0.1 * n, 0.2, -0.4])) for n in range(8)]
+)
+
+
+def recording() -> Recording:
+    frames = tuple(Frame(n, n / 30, Path(f"rgb/{n}.png"), Path(f"depth/{n}.png")) for n in range(8))
+    scene = Scene("a", Intrinsics(600.0, 600.0, 320.0, 240.0, 640, 480), 0.001, frames)
+    return Recording(scene, Trajectory(np.arange(8), POSES))
+
+
+def test_nothing_to_mend_changes_nothing() -> None:
+    sound = recording()
+    assert mended(sound, Mend()) is sound
+
+
+def test_quaternions_stored_as_wxyz() -> None:
+    stored = POSES.copy()
+    quaternions_wxyz = np.roll(Rotation.from_matrix(POSES[:, :3, :3]).as_quat(), 1, axis=1)
+    stored[:, :3, :3] = Rotation.from_quat(quaternions_wxyz).as_matrix()  # read as if x y z w
+    np.testing.assert_allclose(mended_poses(stored, Mend(wxyz_quaternions=True)), POSES, atol=1e-12)
+
+
+def test_poses_stored_the_other_way_round_and_for_opengl() -> None:
+    stored = invert(POSES @ np.diag([1.0, -1.0, -1.0, 1.0]))
+    found = mended_poses(stored, Mend(inverted_poses=True, opengl_cameras=True))
+    np.testing.assert_allclose(found, POSES, atol=1e-12)
+
+
+def test_a_missing_pose_stays_missing() -> None:
+    stored = POSES.copy()
+    stored[3] = np.nan
+    found = mended_poses(stored, Mend(wxyz_quaternions=True, inverted_poses=True))
+    assert np.isnan(found[3, :3, :3]).all()
+    assert np.isfinite(np.delete(found, 3, axis=0)).all()
+
+
+@pytest.mark.parametrize("lag", [2, -2])
+def test_depth_of_a_frame_is_taken_from_where_it_is_stored(lag: int) -> None:
+    found = mended(recording(), Mend(depth_lag=lag))
+    assert [frame.depth for frame in found.scene.frames] == [
+        Path(f"depth/{frame.index + lag}.png") for frame in found.scene.frames
+    ]
+    assert len(found.scene.frames) == 6
+    assert found.trajectory is not None
+    assert found.trajectory.frames.tolist() == [frame.index for frame in found.scene.frames]
+    assert "2 frames" in found.skipped[0]
+
+
+def test_pose_of_a_frame_is_taken_from_where_it_is_stored() -> None:
+    found = mended(recording(), Mend(pose_lag=3))
+    assert found.trajectory is not None
+    assert found.trajectory.frames.tolist() == [0, 1, 2, 3, 4]
+    np.testing.assert_array_equal(found.trajectory.at(1), POSES[4])
+
+
+def test_a_recording_without_poses_is_mended_too() -> None:
+    found = mended(replace(recording(), trajectory=None), Mend(depth_lag=1, inverted_poses=True))
+    assert found.trajectory is None
+    assert len(found.scene.frames) == 7
+
+
+def test_a_lag_longer_than_the_recording_is_refused() -> None:
+    with pytest.raises(DataError, match="no frame is left"):
+        mended(recording(), Mend(depth_lag=8))
