@@ -1,0 +1,133 @@
+"""Small images with the paper's square boxes: what the detector in front of the hourglass is trained on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, TypedDict
+
+import cv2
+import numpy as np
+import torch
+from torch import Tensor
+from torch.utils.data import Dataset
+
+from rpl_data.formats.coco import read_coco
+from rpl_data.torch.keypoints import to_unit_range
+from rpl_data.torch.regions import read_image
+from rpl_data.torch.transforms import Augmentation, jittered, moved, random_crop_from_square, warped
+from rpl_data.types import DataError
+
+MARGIN = 1.5
+"""The paper's square box is its keypoints' box times this (section III-E)."""
+
+
+class DetectionTarget(TypedDict):
+    """What torchvision's detectors are trained with; n instances, n may be 0.
+
+    Attributes:
+        boxes: n x 4, float32, x0 y0 x1 y1 with COCO's edges: the squares about the keypoints without margin.
+        labels: n, int64, category ids from 1.
+        image_id: of the COCO file.
+    """
+
+    boxes: Tensor
+    labels: Tensor
+    image_id: int
+
+
+class DetectionDataset(Dataset[tuple[Tensor, DetectionTarget]]):
+    """Every image of an exported COCO file at a small size, kept in memory once decoded.
+
+    Attributes:
+        names: of the labels, `names[0]` is the background.
+    """
+
+    def __init__(self, coco_json: Path, *, width_px: int = 256, augment: Augmentation | None = None) -> None:
+        """Read the annotations; an image is decoded when it is first asked for.
+
+        Args:
+            coco_json: a file that `rpl export` wrote.
+            width_px: of the images; they keep their shape.
+            augment: shifts (a share of the width), zooms and colours at random; boxes stay upright, so
+                `rotation_deg` must be 0.
+
+        Raises:
+            DataError: the file is not ours, it has no image, or boxes would be turned.
+        """
+        if augment is not None and augment.rotation_deg:
+            raise DataError(f"rotation_deg is {augment.rotation_deg}; a turned box is no box: give 0")
+        data = read_coco(coco_json)
+        if not data["images"]:
+            raise DataError(f"{coco_json} has no image; train on another split")
+        by_id = sorted(data["categories"], key=lambda category: int(category["id"]))
+        self.names = ["background", *(category["name"] for category in by_id)]
+        self._folder, self._width_px, self._augment = coco_json.parent, width_px, augment
+        self._images: list[dict[str, Any]] = data["images"]
+        self._annotations: dict[int, list[dict[str, Any]]] = {image["id"]: [] for image in self._images}
+        for annotation in data["annotations"]:
+            self._annotations[annotation["image_id"]].append(annotation)
+        self._pixels: dict[int, np.ndarray] = {}
+
+    def __len__(self) -> int:
+        """How many images."""
+        return len(self._images)
+
+    def __getitem__(self, row: int) -> tuple[Tensor, DetectionTarget]:
+        """An image (3 x height x width, 0 to 1) and its target."""
+        entry = self._images[row]
+        if row not in self._pixels:
+            self._pixels[row] = shrunk(read_image(str(self._folder / entry["file_name"])), self._width_px)
+        pixels, annotations = self._pixels[row], self._annotations[entry["id"]]
+        squares = np.array([a["square_box"] for a in annotations], dtype=float).reshape(-1, 3)
+        boxes = small_from_full_boxes(_tight(squares), self._width_px / entry["width"])
+        labels = torch.tensor([a["category_id"] for a in annotations], dtype=torch.int64)
+        if self._augment is not None:
+            pixels, boxes = _augmented(pixels, boxes, self._augment)
+        inside = _centres_inside(boxes, width=pixels.shape[1], height=pixels.shape[0])
+        return to_unit_range(pixels), {
+            "boxes": torch.from_numpy(boxes[inside].astype(np.float32)),
+            "labels": labels[torch.from_numpy(inside)],
+            "image_id": entry["id"],
+        }
+
+
+def shrunk(image: np.ndarray, width_px: int) -> np.ndarray:
+    """The image that wide, its shape kept; each pixel the mean of those it covers."""
+    height_px = round(image.shape[0] * width_px / image.shape[1])
+    small: np.ndarray = cv2.resize(image, (width_px, height_px), interpolation=cv2.INTER_AREA)
+    return small
+
+
+def small_from_full_boxes(boxes_px: np.ndarray, zoom: float) -> np.ndarray:
+    """Boxes in an image resized by `zoom`: COCO's edges simply scale."""
+    return boxes_px * zoom
+
+
+def square_from_box(box_px: np.ndarray) -> np.ndarray:
+    """The paper's square (cx, cy, side in pixel centres' coordinates) about a detected tight box."""
+    x0, y0, x1, y1 = box_px
+    return np.array([(x0 + x1) / 2 - 0.5, (y0 + y1) / 2 - 0.5, MARGIN * max(x1 - x0, y1 - y0)])
+
+
+def _tight(squares: np.ndarray) -> np.ndarray:
+    half = squares[:, 2:] / 2 / MARGIN
+    return np.concatenate([squares[:, :2] + 0.5 - half, squares[:, :2] + 0.5 + half], axis=1)
+
+
+def _augmented(
+    pixels: np.ndarray, boxes: np.ndarray, augmentation: Augmentation
+) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(int(torch.randint(2**62, ()).item()))
+    height, width = pixels.shape[:2]
+    centre = np.array([(width - 1) / 2, (height - 1) / 2])
+    out_from_image = random_crop_from_square(centre, float(width), augmentation, rng, input_px=width)
+    out_from_image[:, 2] += centre - (width - 1) / 2
+    corners = moved(out_from_image, boxes.reshape(-1, 2) - 0.5) + 0.5  # edges as pixel positions and back
+    image = warped(pixels, out_from_image, size=(width, height))
+    return jittered(image, augmentation, rng), corners.reshape(-1, 4)
+
+
+def _centres_inside(boxes: np.ndarray, *, width: int, height: int) -> np.ndarray:
+    centres = (boxes[:, :2] + boxes[:, 2:]) / 2
+    inside: np.ndarray = ((centres > 0) & (centres < [width, height])).all(axis=1)
+    return inside

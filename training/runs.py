@@ -1,0 +1,148 @@
+"""What all training programs share: learning options, a Lightning trainer, checkpoints."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from pickle import UnpicklingError
+from typing import Any, Literal, TypeVar
+
+import torch
+from pytorch_lightning import Callback, LightningModule, Trainer
+from pytorch_lightning.callbacks import ModelCheckpoint
+from pytorch_lightning.loggers import CSVLogger, TensorBoardLogger
+
+from rpl_data.types import DataError
+
+Module = TypeVar("Module", bound=LightningModule)
+
+
+@dataclass(frozen=True)
+class Learning:
+    """How it is trained; the defaults are the paper's.
+
+    Attributes:
+        epochs: passes over the training images.
+        batch: images a step.
+        optimizer: `rmsprop` as the paper, or `adam`.
+        rate: the learning rate; of `one_cycle` its highest.
+        schedule: `constant`, or `one_cycle` (Smith and Topin 2018): up for a third, then down to nothing.
+        channels_last: memory layout; faster on CPUs.
+    """
+
+    epochs: int = 60
+    batch: int = 16
+    optimizer: Literal["rmsprop", "adam"] = "rmsprop"
+    rate: float = 2.5e-4
+    schedule: Literal["constant", "one_cycle"] = "constant"
+    channels_last: bool = False
+
+
+@dataclass(frozen=True)
+class Machine:
+    """What a training runs on.
+
+    Attributes:
+        accelerator: `auto` takes a GPU when there is one.
+        devices: GPUs, or processes on the CPU; more than one is trained by DDP.
+        precision: `bf16-mixed` and `16-mixed` are for GPUs; most CPUs are slower with them.
+        workers: processes that load images; 0 suits cached pixels.
+        threads: of torch; None leaves it to torch.
+    """
+
+    accelerator: Literal["auto", "cpu", "gpu"] = "auto"
+    devices: int = 1
+    precision: Literal["32-true", "16-mixed", "bf16-mixed"] = "32-true"
+    workers: int = 0
+    threads: int | None = None
+
+
+class EpochLines(Callback):
+    """One line an epoch on the terminal."""
+
+    def on_train_epoch_end(self, trainer: Trainer, module: LightningModule) -> None:
+        """Loss, and what was validated."""
+        validated = (trainer.current_epoch + 1) % (trainer.check_val_every_n_epoch or 1) == 0
+        names = ["train_loss", *(("val_pck", "val_error", "val_found") if validated else ())]
+        names = [name for name in names if name in trainer.callback_metrics]
+        figures = ", ".join(f"{name} {float(trainer.callback_metrics[name]):.4f}" for name in names)
+        print(f"epoch {trainer.current_epoch + 1}/{trainer.max_epochs}: {figures}", flush=True)
+
+
+def trainer_of(
+    out: Path, *, epochs: int, machine: Machine, validate_every: int = 1, monitor: str | None = None
+) -> Trainer:
+    """A trainer that writes last.ckpt (and best.ckpt by `monitor`), CSV and TensorBoard logs into `out`.
+
+    Args:
+        monitor: a logged figure of which more is better.
+    """
+    # Lightning advises more worker processes; cached crops want none.
+    warnings.filterwarnings("ignore", message=".*does not have many workers.*")
+    warnings.filterwarnings("ignore", message=".*number of training batches.*")
+    loggers = [CSVLogger(out, name="", version="logs"), TensorBoardLogger(out, name="", version="logs")]
+    last = ModelCheckpoint(
+        out, filename="last", enable_version_counter=False, every_n_epochs=1, save_on_train_epoch_end=True
+    )
+    best = ModelCheckpoint(out, filename="best", monitor=monitor, mode="max", enable_version_counter=False)
+    return Trainer(
+        max_epochs=epochs,
+        accelerator=machine.accelerator,
+        devices=machine.devices,
+        precision=machine.precision,
+        logger=loggers,
+        callbacks=[EpochLines(), last, *([best] if monitor else [])],
+        check_val_every_n_epoch=validate_every,
+        num_sanity_val_steps=0,
+        enable_progress_bar=False,
+        enable_model_summary=False,
+        log_every_n_steps=1,
+    )
+
+
+def optimizer_of(module: LightningModule, learning: Learning) -> Any:
+    """What `configure_optimizers` returns."""
+    if learning.optimizer == "adam":
+        optimizer: torch.optim.Optimizer = torch.optim.Adam(module.parameters(), lr=learning.rate)
+    else:
+        optimizer = torch.optim.RMSprop(module.parameters(), lr=learning.rate)
+    if learning.schedule == "constant":
+        return optimizer
+    steps = int(module.trainer.estimated_stepping_batches)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, learning.rate, total_steps=steps)
+    return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
+
+
+def stop_if_not_finite(loss: torch.Tensor, epoch: int, batch: int, image_ids: Sequence[int]) -> None:
+    """DataError that names the batch when its loss is no number."""
+    if not torch.isfinite(loss):
+        raise DataError(
+            f"the loss is {loss.item()} in epoch {epoch}, batch {batch}, images "
+            f"{', '.join(str(image_id) for image_id in image_ids)} (ids of the COCO file); look at their "
+            "labels, or lower the learning rate, and resume from the last checkpoint"
+        )
+
+
+def load_module(kind: type[Module], checkpoint: Path, program: str) -> Module:
+    """The trained module of a checkpoint, ready to predict.
+
+    Raises:
+        DataError: it is missing, or no checkpoint of the program.
+    """
+    if not checkpoint.exists():
+        raise DataError(f"there is no checkpoint {checkpoint}; train one with {program}")
+    try:
+        loaded = kind.load_from_checkpoint(checkpoint, map_location="cpu", weights_only=True)
+    except (KeyError, TypeError, RuntimeError, OSError, UnpicklingError) as error:
+        raise DataError(f"{checkpoint} is no checkpoint of {program}: {error}") from error
+    return loaded.eval()
+
+
+def trained_epochs(checkpoint: Path) -> int:
+    """Epochs behind a checkpoint; 0 where there is none."""
+    if not checkpoint.exists():
+        return 0
+    epochs: int = torch.load(checkpoint, map_location="cpu", weights_only=True)["epoch"] + 1
+    return epochs
