@@ -5,9 +5,9 @@ from __future__ import annotations
 import time
 from collections import Counter, OrderedDict
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -22,28 +22,11 @@ from rpl_data.torch.detection import DetectionTarget, shrunk, square_from_box
 from rpl_data.torch.keypoints import to_unit_range
 from rpl_data.torch.readable import Unreadable
 from training.hourglass import Hourglass, Residual
-from training.runs import Learning, load_module, optimizer_of, stop_if_not_finite
-
-Architecture = Literal["small_fcos", "fcos", "ssdlite"]
+from training.options import DetectorNetwork, Learning
+from training.runs import load_module, optimizer_of, stop_if_not_finite
 
 Collated = tuple[list[Tensor], list[DetectionTarget], Sequence[str]]
 """Of `collate_detection`."""
-
-
-@dataclass(frozen=True)
-class DetectorNetwork:
-    """The detector and what goes in.
-
-    Attributes:
-        architecture: `small_fcos` is FCOS with one map of stride 8 behind an hourglass, for CPUs; `fcos`
-            has a ResNet-50 with a feature pyramid; `ssdlite` is SSDLite320 with MobileNetV3.
-        width_px: of the images.
-        features: channels of `small_fcos`, a multiple of 32.
-    """
-
-    architecture: Architecture = "small_fcos"
-    width_px: int = 192
-    features: int = 64
 
 
 class HourglassBackbone(nn.Module):

@@ -7,7 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from rpl_data.pose import Method
-from training.pose_evaluation import Crops
+from training.options import Crops
 
 
 def evaluate_pose(
@@ -59,11 +59,10 @@ def evaluate_pose(
 
 def line_of(found: dict[str, float]) -> str:
     """The figures of `PoseScore` in a line."""
-    return (
-        f"{found['instances']:4d} instances, {found['failures']} without a pose: {found['position_mm']:.1f} mm, "
-        f"{found['orientation_deg']:.2f} deg, ADD {found['add_mm']:.1f} mm (recall {found['recall_add']:.3f}), "
-        f"PCK {found['pck']:.3f}"
-    )
+    pose = f"{found['position_mm']:.1f} mm, {found['orientation_deg']:.2f} deg"
+    add = f"ADD {found['add_mm']:.1f} mm (recall {found['recall_add']:.3f})"
+    instances = f"{found['instances']:4d} instances, {found['failures']} without a pose"
+    return f"{instances}: {pose}, {add}, PCK {found['pck']:.3f}"
 
 
 if __name__ == "__main__":

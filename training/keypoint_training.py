@@ -5,9 +5,9 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import torch
@@ -19,33 +19,14 @@ from rpl_data.torch.heatmaps import positions_in_image
 from rpl_data.torch.keypoints import KeypointSample
 from rpl_data.types import DataError, KeypointModel
 from training.hourglass import StackedHourglass, cross_entropy, mean_squares
-from training.runs import Learning, load_module, optimizer_of, stop_if_not_finite
+from training.options import Learning, Network
+from training.runs import load_module, optimizer_of, stop_if_not_finite
 
 Collated = tuple[KeypointSample | None, Sequence[str]]
 """Of `collate_readable`."""
 
 PCK_SHARE = 0.1
 """A keypoint is right within this share of its square box's side."""
-
-
-@dataclass(frozen=True)
-class Network:
-    """The network and what goes in and out; the defaults are the paper's.
-
-    Attributes:
-        stacks, features, levels: of `StackedHourglass`.
-        input_px, heatmap_px: sides; the heatmap is a quarter of the input.
-        sigma_px: of the targets' Gaussians, heatmap pixels.
-        loss: `squares` as the paper, or `entropy`.
-    """
-
-    stacks: int = 2
-    features: int = 256
-    levels: int = 4
-    input_px: int = 256
-    heatmap_px: int = 64
-    sigma_px: float = 1.0
-    loss: Literal["squares", "entropy"] = "squares"
 
 
 class KeypointTraining(LightningModule):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -16,9 +16,8 @@ from rpl_data.pose import Method, PoseFailure
 from rpl_data.pose.errors import INFINITE, PoseErrors, pose_errors
 from rpl_data.torch.regions import read_image
 from rpl_data.types import DataError, InstanceLabel, KeypointModel
+from training.options import Crops
 from training.pose_pipeline import PosePipeline, SeenKeypoints
-
-Crops = Literal["given", "detected"]
 
 
 @dataclass(frozen=True)

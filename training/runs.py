@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import logging
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from pickle import UnpicklingError
-from typing import Any, Literal, TypeVar
+from typing import Any, TypeVar
 
 import torch
 from pytorch_lightning import Callback, LightningModule, Trainer
@@ -15,48 +15,9 @@ from pytorch_lightning.callbacks import ModelCheckpoint
 from pytorch_lightning.loggers import CSVLogger, TensorBoardLogger
 
 from rpl_data.types import DataError
+from training.options import Learning, Machine
 
 Module = TypeVar("Module", bound=LightningModule)
-
-
-@dataclass(frozen=True)
-class Learning:
-    """How it is trained; the defaults are the paper's.
-
-    Attributes:
-        epochs: passes over the training images.
-        batch: images a step.
-        optimizer: `rmsprop` as the paper, or `adam`.
-        rate: the learning rate; of `one_cycle` its highest.
-        schedule: `constant`, or `one_cycle` (Smith and Topin 2018): up for a third, then down to nothing.
-        channels_last: memory layout; faster on CPUs.
-    """
-
-    epochs: int = 60
-    batch: int = 16
-    optimizer: Literal["rmsprop", "adam"] = "rmsprop"
-    rate: float = 2.5e-4
-    schedule: Literal["constant", "one_cycle"] = "constant"
-    channels_last: bool = False
-
-
-@dataclass(frozen=True)
-class Machine:
-    """What a training runs on.
-
-    Attributes:
-        accelerator: `auto` takes a GPU when there is one.
-        devices: GPUs, or processes on the CPU; more than one is trained by DDP.
-        precision: `bf16-mixed` and `16-mixed` are for GPUs; most CPUs are slower with them.
-        workers: processes that load images; 0 suits cached pixels.
-        threads: of torch; None leaves it to torch.
-    """
-
-    accelerator: Literal["auto", "cpu", "gpu"] = "auto"
-    devices: int = 1
-    precision: Literal["32-true", "16-mixed", "bf16-mixed"] = "32-true"
-    workers: int = 0
-    threads: int | None = None
 
 
 class EpochLines(Callback):
@@ -79,10 +40,13 @@ def trainer_of(
     Args:
         monitor: a logged figure of which more is better.
     """
+    logging.getLogger("pytorch_lightning").setLevel(logging.WARNING)  # what it is not using is no news
     # Lightning advises more worker processes; cached crops want none.
     warnings.filterwarnings("ignore", message=".*does not have many workers.*")
     warnings.filterwarnings("ignore", message=".*number of training batches.*")
-    loggers = [CSVLogger(out, name="", version="logs"), TensorBoardLogger(out, name="", version="logs")]
+    warnings.filterwarnings("ignore", message=".*exists and is not empty.*")
+    logs = _new_logs(out)
+    loggers = [CSVLogger(out, name="", version=logs), TensorBoardLogger(out, name="", version=logs)]
     last = ModelCheckpoint(
         out, filename="last", enable_version_counter=False, every_n_epochs=1, save_on_train_epoch_end=True
     )
@@ -100,6 +64,12 @@ def trainer_of(
         enable_model_summary=False,
         log_every_n_steps=1,
     )
+
+
+def _new_logs(out: Path) -> str:
+    """A folder for logs that is not there yet: a run that goes on leaves what it logged before."""
+    number = len(list(out.glob("logs*")))
+    return f"logs{number}" if number else "logs"
 
 
 def optimizer_of(module: LightningModule, learning: Learning) -> Any:

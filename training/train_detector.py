@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from rpl_data.torch.transforms import Augmentation
 from rpl_data.types import DataError
-from training.detector import DetectorNetwork
-from training.runs import Learning, Machine
+from training.options import DetectorNetwork, Learning, Machine
 
 if TYPE_CHECKING:
     from rpl_data.torch.detection import DetectionDataset

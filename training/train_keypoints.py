@@ -6,12 +6,14 @@ import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rpl_data.torch.transforms import Augmentation
 from rpl_data.types import DataError
-from training.keypoint_training import KeypointTraining, Network
-from training.runs import Learning, Machine
+from training.options import Learning, Machine, Network
+
+if TYPE_CHECKING:
+    from training.keypoint_training import KeypointTraining
 
 
 def train_keypoints(
@@ -71,7 +73,11 @@ def train_keypoints(
     if resume and last.exists():
         check_resumable(last, module)
     trainer = trainer_of(
-        out, epochs=learning.epochs, machine=machine, validate_every=validate_every, monitor="val_pck"
+        out,
+        epochs=learning.epochs,
+        machine=machine,
+        validate_every=validate_every,
+        monitor="val_pck" if data.val is not None else None,
     )
     print(f"{data.train.model.name}: {len(data.train)} instances to train, {len(data.val or [])} to validate")
     started = time.process_time()

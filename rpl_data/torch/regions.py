@@ -61,27 +61,39 @@ class RegionCache:
             place: True for memory, or a folder.
 
         Raises:
-            DataError: an image cannot be read, or the folder cannot be written.
+            DataError: the folder cannot be written, or an image cannot be read that is to be kept in it. In
+                memory the others are kept, and the region of a broken image is refused when asked for.
         """
         self._regions = regions
+        self._unreadable: dict[int, DataError] = {}
         self._offsets = np.concatenate([[0], np.cumsum([region.size_bytes for region in regions])])
         self._pixels: UInt8[np.ndarray, " n"]
         if isinstance(place, Path):
             self._pixels = self._on_disk(files, place)
         else:
             self._pixels = np.empty(self._offsets[-1], dtype=np.uint8)
-            self._fill(files, self._pixels)
+            for row in range(len(regions)):
+                try:
+                    self._fill_row(row, files[row], self._pixels)
+                except DataError as error:
+                    self._unreadable[row] = error
 
     def __getitem__(self, row: int) -> tuple[Image, Region]:
-        """The pixels of a region, and where in the image they are."""
+        """The pixels of a region, and where in the image they are; DataError when it could not be read."""
+        if row in self._unreadable:
+            raise self._unreadable[row]
         region = self._regions[row]
         flat = self._pixels[self._offsets[row] : self._offsets[row + 1]]
         return flat.reshape(region.bottom - region.top, -1, 3), region
 
     def _fill(self, files: Sequence[str], pixels: UInt8[np.ndarray, " n"]) -> None:
-        for row, (file, region) in enumerate(zip(files, self._regions, strict=True)):
-            cut = read_image(file)[region.top : region.bottom, region.left : region.right]
-            pixels[self._offsets[row] : self._offsets[row + 1]] = cut.reshape(-1)
+        for row, file in enumerate(files):
+            self._fill_row(row, file, pixels)
+
+    def _fill_row(self, row: int, file: str, pixels: UInt8[np.ndarray, " n"]) -> None:
+        region = self._regions[row]
+        cut = read_image(file)[region.top : region.bottom, region.left : region.right]
+        pixels[self._offsets[row] : self._offsets[row + 1]] = cut.reshape(-1)
 
     def _on_disk(self, files: Sequence[str], folder: Path) -> UInt8[np.ndarray, " n"]:
         """The file of exactly these images (by size and time) and regions; written when it is not there."""

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from rpl_data.torch.transforms import Augmentation
 from rpl_data.types import DataError
-from training.detector import DetectorNetwork
-from training.keypoint_training import Network
-from training.runs import Learning, Machine
+from training.options import DetectorNetwork, Learning, Machine, Network
 
 if TYPE_CHECKING:
     from training.pose_evaluation import Judged, PoseScore, TrueObject

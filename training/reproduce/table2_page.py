@@ -45,7 +45,9 @@ def write_page(out: Path, workspace: Path, objects: list[str]) -> Path:
     for name, rows in (("samples", _samples(found)), ("worst", _worst(found))):
         if rows:
             pictures[f"table2_{name}"] = _mosaic(workspace, rows)
-    parts += [section(name, title, _shown(pictures[name])) for name, title in TITLES.items() if name in pictures]
+    parts += [
+        section(name, title, _shown(pictures[name])) for name, title in TITLES.items() if name in pictures
+    ]
     data = {
         "cells": [{**asdict(cell), "score": asdict(cell.score)} for cell in cells],
         "ratios": [asdict(ratio) for ratio in compared],
@@ -159,13 +161,17 @@ def _curves(out: Path, objects: Sequence[str]) -> bytes | None:
     drawn = False
     for source, style in (("OURS", "-"), ("MANUAL", "--")):
         for number, name in enumerate(objects):
-            log = out / source / name / "logs" / "metrics.csv"
-            rows = list(csv.DictReader(log.open())) if log.exists() else []
+            logs = sorted((out / source / name).glob("logs*/metrics.csv"))
+            rows = [row for log in logs for row in csv.DictReader(log.read_text().splitlines())]
             rows = [row for row in rows if row.get("val_pck")]
             epochs = [int(row["epoch"]) + 1 for row in rows]
             for plot, key in zip(plots, ("val_pck", "val_error"), strict=True):
                 plot.plot(
-                    epochs, [float(row[key]) for row in rows], style, color=f"C{number}", label=f"{name} {source}"
+                    epochs,
+                    [float(row[key]) for row in rows],
+                    style,
+                    color=f"C{number}",
+                    label=f"{name} {source}",
                 )
             drawn = drawn or bool(rows)
     plots[0].set(xlabel="epoch", ylabel="PCK within a tenth of the box", ylim=(0, 1.02))
@@ -211,7 +217,9 @@ def _mosaic(workspace: Path, rows: Sequence[Row]) -> bytes:
 
     root = Workspace(workspace).export("coco_truth")
     data = {split: read_coco(root / f"{split}.json") for split in {row[0][0].split for row in rows}}
-    strips = [np.hstack([_tile(root, data[cell.split], cell, judged) for cell, judged in row]) for row in rows]
+    strips = []
+    for row in rows:
+        strips.append(np.hstack([_tile(root, data[cell.split], cell, judged) for cell, judged in row]))
     _, png = cv2.imencode(".png", cv2.cvtColor(np.vstack(strips), cv2.COLOR_RGB2BGR))
     return bytes(png)
 
@@ -246,5 +254,7 @@ def _tile(root: Path, data: Mapping[str, Any], cell: Cell, judged: Judged) -> An
     errors = f"{1e3 * judged.errors.position_m:.0f} mm {np.degrees(judged.errors.orientation_rad):.1f} deg"
     for line, words in enumerate((f"{cell.source} {judged.object}", errors)):
         for color, width in (((0, 0, 0), 3), ((255, 255, 255), 1)):
-            cv2.putText(tile, words, (4, 14 + 16 * line), cv2.FONT_HERSHEY_SIMPLEX, 0.42, color, width, cv2.LINE_AA)
+            cv2.putText(
+                tile, words, (4, 14 + 16 * line), cv2.FONT_HERSHEY_SIMPLEX, 0.42, color, width, cv2.LINE_AA
+            )
     return tile

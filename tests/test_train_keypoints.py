@@ -1,0 +1,272 @@
+"""Training programs end to end on a tiny dataset: presets, resuming, checkpoints, bad input, predictions."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from labelled_scenes import CAMERA, exported
+
+from rpl_data.formats.coco import read_coco, write_coco
+from rpl_data.types import DataError, KeypointModel
+from training.evaluate_pose import evaluate_pose
+from training.keypoint_training import load_keypoints, untrained
+from training.options import DetectorNetwork, Learning, Machine, Network
+from training.predict import predict
+from training.runs import trained_epochs
+from training.train_detector import train_detector
+from training.train_keypoints import main, train_keypoints
+
+CONFIGS = Path(__file__).parent.parent / "training" / "configs"
+WEDGE = KeypointModel(
+    "wedge",
+    ("a", "b", "c", "d", "e"),
+    np.array([[-0.1, -0.1, 0], [0.1, -0.1, 0], [0.1, 0.1, 0.08], [-0.1, 0.1, 0.05], [0, 0, -0.08]]),
+)
+TINY = Network(stacks=1, features=16, levels=2, input_px=32, heatmap_px=8, loss="entropy")
+FAST = Learning(epochs=2, batch=4, optimizer="adam", rate=2e-3, schedule="one_cycle", channels_last=True)
+ONE = Machine(accelerator="cpu", threads=1)
+
+
+@pytest.fixture(scope="module")
+def coco(tmp_path_factory) -> Path:
+    """A wedge in 11 images, 2 of them for validation."""
+    folder = tmp_path_factory.mktemp("train")
+    return exported(folder, models=(WEDGE,), frames=12, val_fraction=0.2)
+
+
+@pytest.fixture(scope="module")
+def run(coco, tmp_path_factory) -> Path:
+    """A finished training."""
+    out = tmp_path_factory.mktemp("run")
+    train_keypoints(coco, out=out, network=TINY, learning=FAST, machine=ONE)
+    return out
+
+
+def edited(coco: Path, place: Path, edit) -> Path:
+    """A copy of a dataset with its training split changed."""
+    shutil.copytree(coco, place)
+    data = read_coco(place / "train.json")
+    edit(data)
+    write_coco(place / "train.json", data)
+    return place
+
+
+def test_run_leaves_checkpoints_and_logs(run):
+    assert trained_epochs(run / "last.ckpt") == 2 and (run / "best.ckpt").exists()
+    rows = list(csv.DictReader((run / "logs" / "metrics.csv").read_text().splitlines()))
+    assert {"train_loss", "val_pck", "val_error", "cpu_s"} <= set(rows[0])
+    assert list((run / "logs").glob("events.out.tfevents.*"))
+
+
+def test_checkpoint_rebuilds_the_network(run):
+    loaded = load_keypoints(run / "last.ckpt")
+    assert loaded.options == TINY and loaded.model.keypoints == WEDGE.keypoints
+    np.testing.assert_array_equal(loaded.model.points_object, WEDGE.points_object)
+    weights = torch.load(run / "last.ckpt", weights_only=True)["state_dict"]
+    for name, value in loaded.state_dict().items():
+        torch.testing.assert_close(value, weights[name])
+
+
+def test_a_run_that_was_cut_off_goes_on(coco, tmp_path, monkeypatch):
+    from training.keypoint_training import KeypointTraining
+
+    options = {"network": TINY, "learning": Learning(epochs=3, batch=4, rate=1e-3), "machine": ONE}
+    step = KeypointTraining.training_step
+
+    def cut(self, batch, number):
+        if self.current_epoch == 2:
+            raise KeyboardInterrupt
+        return step(self, batch, number)
+
+    monkeypatch.setattr(KeypointTraining, "training_step", cut)
+    with pytest.raises((KeyboardInterrupt, SystemExit)):
+        train_keypoints(coco, out=tmp_path, **options)
+    assert trained_epochs(tmp_path / "last.ckpt") == 2
+    monkeypatch.setattr(KeypointTraining, "training_step", step)
+    train_keypoints(coco, out=tmp_path, **options, resume=True)
+    assert trained_epochs(tmp_path / "last.ckpt") == 3
+    logs = [
+        list(csv.DictReader(path.read_text().splitlines())) for path in sorted(tmp_path.glob("logs*/*.csv"))
+    ]
+    assert [[int(row["epoch"]) for row in rows if row["train_loss"]] for rows in logs] == [[0, 1], [2]]
+
+
+def test_paper_preset_takes_a_step(coco, tmp_path, capsys):
+    arguments = ["--config", str(CONFIGS / "keypoints_paper.yaml"), str(coco), "--out", str(tmp_path)]
+    smaller = ["--learning.epochs=1", "--learning.batch=1", "--machine.workers=0", "--validate_every=2"]
+    few = edited(coco, tmp_path / "few", keep_one)
+    arguments[2] = str(few)
+    assert main([*arguments, *smaller]) == 0, capsys.readouterr().err
+    trained = load_keypoints(tmp_path / "last.ckpt")
+    assert trained.options == Network() and len(trained.network.heads) == 2
+
+
+def keep_one(data) -> None:
+    data["annotations"] = data["annotations"][:1]
+
+
+def test_presets_are_understood():
+    from jsonargparse import ArgumentParser
+
+    for name, program in (("keypoints", train_keypoints), ("detector", train_detector)):
+        for preset in ("cpu", "paper"):
+            parser = ArgumentParser()
+            parser.add_function_arguments(program)
+            path = CONFIGS / f"{name}_{preset}.yaml"
+            parsed = parser.parse_path(str(path), defaults=True, _skip_validation=True)
+            assert parsed.learning.epochs > 0
+
+
+# Bad input ----------------------------------------------------------------------------------------
+
+
+def test_unreadable_image_is_named_skipped_and_counted(coco, tmp_path, capsys):
+    place = tmp_path / "coco"
+    shutil.copytree(coco, place)
+    bad = place / read_coco(place / "train.json")["images"][3]["file_name"]
+    bad.unlink()
+    bad.write_bytes(b"no image")
+    for cache in (False, True):
+        train_keypoints(
+            place, out=tmp_path / str(cache), network=TINY, learning=FAST, machine=ONE, cache=cache
+        )
+        said = capsys.readouterr().out
+        assert "left out 2 times" in said and bad.name in said
+        assert trained_epochs(tmp_path / str(cache) / "last.ckpt") == 2
+
+
+def test_loss_that_is_no_number_names_the_batch(coco, tmp_path):
+    module = untrained(WEDGE, TINY, FAST)
+    batch = {"image": torch.full((2, 3, 32, 32), torch.nan), "heatmaps": torch.zeros(2, 5, 8, 8)}
+    batch |= {"weights": torch.ones(2, 5), "image_id": torch.tensor([7, 9])}
+    with pytest.raises(DataError, match=r"epoch 0, batch 4, images 7, 9"):
+        module.training_step((batch, ()), 4)
+
+
+def test_dataset_without_keypoints(coco, tmp_path):
+    def edit(data):
+        data["categories"][0] |= {"keypoints": [], "skeleton": []}
+        data["rpl"]["objects"][0]["points_object"] = []
+        for annotation in data["annotations"]:
+            annotation |= {"keypoints": [], "num_keypoints": 0, "sigma_px": []}
+
+    place = edited(coco, tmp_path / "coco", edit)
+    with pytest.raises(DataError, match="wedge has no keypoints"):
+        train_keypoints(place, out=tmp_path, network=TINY, learning=FAST, machine=ONE)
+
+
+def test_object_never_visible_and_empty_splits(coco, tmp_path):
+    place = edited(coco, tmp_path / "coco", lambda data: data.update(annotations=[]))
+    with pytest.raises(DataError, match="no instance of wedge"):
+        train_keypoints(place, out=tmp_path, network=TINY, learning=FAST, machine=ONE)
+    empty = edited(coco, tmp_path / "empty", lambda data: data.update(annotations=[], images=[]))
+    with pytest.raises(DataError, match="no image"):
+        train_detector(empty, out=tmp_path, learning=FAST, machine=ONE)
+    shutil.copy(coco / "train.json", empty / "train.json")
+    data = read_coco(empty / "val.json")
+    write_coco(empty / "val.json", data | {"images": [], "annotations": []})
+    train_keypoints(empty, out=tmp_path / "unvalidated", network=TINY, learning=FAST, machine=ONE)
+    assert not (tmp_path / "unvalidated" / "best.ckpt").exists()
+
+
+def test_one_keypoint(coco, tmp_path):
+    def edit(data):
+        data["categories"][0] |= {"keypoints": ["a"], "skeleton": []}
+        data["rpl"]["objects"][0]["points_object"] = data["rpl"]["objects"][0]["points_object"][:1]
+        for a in data["annotations"]:
+            a |= {"keypoints": a["keypoints"][:3], "sigma_px": a["sigma_px"][:1]}
+            a["num_keypoints"] = int(a["keypoints"][2] > 0)
+
+    place = edited(coco, tmp_path / "coco", edit)
+    (place / "val.json").unlink()
+    train_keypoints(place, out=tmp_path, network=TINY, learning=FAST, machine=ONE)
+    assert load_keypoints(tmp_path / "last.ckpt").network.heads[0].out_channels == 1
+
+
+def test_checkpoints_of_something_else(coco, run, tmp_path):
+    with pytest.raises(DataError, match="there is no checkpoint"):
+        load_keypoints(tmp_path / "last.ckpt")
+    (tmp_path / "no.ckpt").write_bytes(b"no checkpoint")
+    with pytest.raises(DataError, match="is no checkpoint of"):
+        load_keypoints(tmp_path / "no.ckpt")
+    other = Network(stacks=1, features=32, levels=2, input_px=32, heatmap_px=8, loss="entropy")
+    with pytest.raises(DataError, match="resume with the options"):
+        train_keypoints(coco, out=run, network=other, learning=FAST, machine=ONE, resume=True)
+
+    def four(data):
+        data["categories"][0]["keypoints"] = data["categories"][0]["keypoints"][:4]
+        data["rpl"]["objects"][0]["points_object"] = data["rpl"]["objects"][0]["points_object"][:4]
+        for a in data["annotations"]:
+            a |= {"keypoints": a["keypoints"][:12], "sigma_px": a["sigma_px"][:4]}
+            a["num_keypoints"] = sum(v > 0 for v in a["keypoints"][2::3])
+
+    place = edited(coco, tmp_path / "four", four)
+    (place / "val.json").unlink()
+    with pytest.raises(DataError, match="with 5 keypoints .* with 4"):
+        train_keypoints(place, out=run, network=TINY, learning=FAST, machine=ONE, resume=True)
+
+
+def test_mistakes_are_one_line(tmp_path, capsys):
+    assert main([str(tmp_path / "none"), "--out", str(tmp_path)]) == 1
+    said = capsys.readouterr().err
+    assert said.startswith("train_keypoints: ") and said.count("\n") == 1
+    with pytest.raises(DataError, match="a quarter"):
+        untrained(WEDGE, Network(input_px=100), FAST)
+
+
+# What is done with them ---------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def detector(coco, tmp_path_factory) -> Path:
+    out = tmp_path_factory.mktemp("detector")
+    network = DetectorNetwork(width_px=96, features=32)
+    return train_detector(coco, out=out, network=network, learning=FAST, machine=ONE)
+
+
+def test_predictions(coco, run, detector, tmp_path):
+    camera = [CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy]
+    (tmp_path / "in" / "desk").mkdir(parents=True)
+    for image in sorted((coco / "images" / "desk").iterdir())[:2]:
+        shutil.copy(image, tmp_path / "in" / "desk" / image.name)
+    (tmp_path / "in" / "desk" / "000099.png").write_bytes(b"broken")
+    clicks = tmp_path / "clicks.csv"
+    predict(tmp_path / "in", [run / "last.ckpt"], detector, camera, out=tmp_path / "out", clicks=clicks)
+    entries = json.loads((tmp_path / "out" / "poses.json").read_text())
+    assert len(entries) == 2
+    for entry in entries:
+        for found in entry["objects"]:
+            assert (found["camera_from_object"] is None) == (found["failure"] is not None)
+            assert len(found["keypoints_px"]) == 5
+    assert len(list((tmp_path / "out" / "overlays").rglob("*.jpg"))) == 2
+    assert clicks.read_text().startswith("object,keypoint,scene,frame,u_px,v_px")
+    with pytest.raises(DataError, match="holds no image"):
+        predict(tmp_path / "out" / "overlays" / "none", [run / "last.ckpt"], detector, camera)
+
+
+def test_evaluation_counts_what_is_missing(coco, run, detector, tmp_path, monkeypatch):
+    import training.pose_evaluation as evaluation
+
+    points = np.random.default_rng(0).uniform(-0.1, 0.1, (50, 3))
+    monkeypatch.setattr(evaluation, "surface_points", lambda mesh, count: points)
+    data = read_coco(coco / "train.json")
+    data["rpl"]["objects"][0]["mesh"] = "train.json"  # some file
+    write_coco(tmp_path / "train.json", data)
+    (tmp_path / "images").symlink_to(coco / "images")
+    for crops in ("given", "detected"):
+        out = tmp_path / f"{crops}.json"
+        evaluate_pose(tmp_path, [run / "last.ckpt"], detector, split="train", crops=crops, out=out)
+        found = json.loads(out.read_text())
+        figures = found["figures"]["wedge consensus"]
+        assert figures["instances"] == len(data["annotations"]) and len(found["instances"]) == 2 * len(
+            data["annotations"]
+        )
+        failed = [e for e in found["instances"] if e["found"] != "ok"]
+        assert all(e["position_m"] is None for e in failed)
+        assert figures["failures"] == sum(e["method"] == "consensus" for e in failed)

@@ -1,0 +1,171 @@
+"""Poses of objects in images nobody labelled: `python -m training.predict --help`."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rpl_data.pose import Method, PoseEstimate, PoseFailure
+from rpl_data.types import Click, DataError, Intrinsics
+
+if TYPE_CHECKING:
+    from training.pose_pipeline import PosePipeline, SeenKeypoints
+
+SUFFIXES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp"}
+
+SURE = 0.5
+"""Confidence of a keypoint that is proposed as a click."""
+
+
+def predict(
+    images: Path,
+    keypoints: list[Path],
+    detector: Path,
+    camera: list[float],
+    distortion: list[float] = [],  # noqa: B006 (never changed)
+    out: Path = Path("predictions"),
+    overlays: bool = True,
+    clicks: Path | None = None,
+    method: Method = "consensus",
+) -> None:
+    """Poses of the objects in an image or in all images of a folder.
+
+    Writes poses.json (an entry an image: every object's camera_from_object or why there is none, keypoints,
+    confidences) and, in overlays/, the images with what was found drawn on them.
+
+    Args:
+        images: an image, or a folder; folders in it are looked into.
+        keypoints: checkpoints of train_keypoints, one an object.
+        detector: checkpoint of train_detector.
+        camera: fx fy cx cy in pixels, the centre of the top-left pixel is 0, 0: '[615, 615, 320, 240]'.
+        distortion: OpenCV's coefficients, when the lens has any.
+        out: folder.
+        overlays: write pictures too.
+        clicks: a CSV file for sure keypoints of objects that have a pose, as click proposals for
+            `rpl clicks import --proposed`; an image's folder is its scene, its name its frame's number.
+        method: of PnP.
+    """
+    from rpl_data.files import write_json, write_text
+    from rpl_data.torch.regions import read_image
+    from training.pose_pipeline import load_pipeline
+
+    files = images_of(images)
+    pipeline = load_pipeline(keypoints, detector)
+    entries, proposals, unreadable = [], [], 0
+    for file in files:
+        try:
+            image = read_image(str(file))
+        except DataError as error:
+            print(f"left out: {error}", file=sys.stderr)
+            unreadable += 1
+            continue
+        intrinsics = _intrinsics(camera, distortion, image)
+        found = [(seen, pipeline.pose(seen, intrinsics, method=method)) for seen in pipeline.see(image)]
+        entries.append({"image": str(file), "objects": [_entry(*each) for each in found]})
+        if clicks is not None:
+            proposals += list(proposed(file, found))
+        if overlays:
+            _write_overlay(out / "overlays" / _below(file, images), image, found, pipeline, intrinsics)
+    write_json(out / "poses.json", entries)
+    if clicks is not None:
+        write_text(clicks, clicks_csv(proposals, pipeline))
+    with_pose = sum(entry["camera_from_object"] is not None for e in entries for entry in e["objects"])
+    seen_count = sum(len(entry["objects"]) for entry in entries)
+    print(
+        f"{out / 'poses.json'}: {len(entries)} images ({unreadable} unreadable), {seen_count} objects, "
+        f"{with_pose} with a pose"
+    )
+
+
+def images_of(place: Path) -> list[Path]:
+    """An image, or those in a folder and below, in order.
+
+    Raises:
+        DataError: there is none.
+    """
+    if place.is_file():
+        return [place]
+    files = sorted(path for path in place.rglob("*") if path.suffix.lower() in SUFFIXES)
+    if not files:
+        raise DataError(f"{place} holds no image ({', '.join(sorted(SUFFIXES))}); name an image or a folder")
+    return files
+
+
+def proposed(file: Path, found: Sequence[Any]) -> Iterator[Click]:
+    """Keypoints that are sure and that the pose rests on.
+
+    Raises:
+        DataError: the image's name is not a frame's number.
+    """
+    if not file.stem.isdigit():
+        raise DataError(
+            f"{file}: clicks name frames by number, and this name has none; predict on a folder as "
+            "export/coco/images, where scenes are folders and frames are numbers"
+        )
+    for seen, result in found:
+        if isinstance(result, PoseFailure):
+            continue
+        for keypoint in result.keypoints.tolist():
+            if seen.confidence[keypoint] >= SURE:
+                u, v = seen.positions_px[keypoint].tolist()
+                yield Click(seen.object, keypoint, file.parent.name, int(file.stem), u, v)
+
+
+def clicks_csv(clicks: Sequence[Click], pipeline: PosePipeline) -> str:
+    """As `rpl clicks import` reads it, keypoints by name."""
+    lines = ["object,keypoint,scene,frame,u_px,v_px"]
+    for c in clicks:
+        name = pipeline.networks[c.object].model.keypoints[c.keypoint]
+        lines.append(f"{c.object},{name},{c.scene},{c.frame},{c.u_px:.4f},{c.v_px:.4f}")
+    return "\n".join(lines) + "\n"
+
+
+def _entry(seen: SeenKeypoints, result: PoseEstimate | PoseFailure) -> dict[str, Any]:
+    """An object of an image, JSON-ready; matrices row-major, metres."""
+    solved = isinstance(result, PoseEstimate)
+    return {
+        "object": seen.object,
+        "score": seen.score,
+        "square_box": seen.square_px.tolist(),
+        "camera_from_object": result.camera_from_object.ravel().tolist() if solved else None,
+        "covariance": result.covariance.ravel().tolist() if solved else None,
+        "used_keypoints": result.keypoints.tolist() if solved else [],
+        "failure": None if solved else result.reason,
+        "keypoints_px": seen.positions_px.tolist(),
+        "confidence": seen.confidence.tolist(),
+    }
+
+
+def _intrinsics(camera: Sequence[float], distortion: Sequence[float], image: Any) -> Intrinsics:
+    if len(camera) != 4:
+        raise DataError(f"the camera is fx, fy, cx, cy; got {len(camera)} numbers: {camera}")
+    height, width = image.shape[:2]
+    fx, fy, cx, cy = camera
+    return Intrinsics(fx, fy, cx, cy, width, height, tuple(distortion))
+
+
+def _below(file: Path, images: Path) -> Path:
+    place = file.relative_to(images) if images.is_dir() else Path(file.name)
+    return place.with_suffix(".jpg")
+
+
+def _write_overlay(
+    path: Path, image: Any, found: Sequence[Any], pipeline: PosePipeline, intrinsics: Intrinsics
+) -> None:
+    import cv2
+
+    from rpl_data.files import write_bytes
+    from training.pose_pictures import drawn
+
+    for seen, result in found:
+        pose = None if isinstance(result, PoseFailure) else result.camera_from_object
+        image = drawn(image, seen, pose, intrinsics, pipeline.networks[seen.object].model)
+    write_bytes(path, bytes(cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))[1]))
+
+
+if __name__ == "__main__":
+    from training.train_keypoints import main
+
+    sys.exit(main(program=predict))
