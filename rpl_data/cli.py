@@ -219,6 +219,34 @@ def status(workspace: Path = HERE) -> None:
             print(f"{stage:8s}  {'to run: ' + ', '.join(stale) if stale else 'up to date'}")
 
 
+def annotate(
+    workspace: Path,
+    recipe: Path | None = None,
+    root: Path | None = None,
+    host: str = "127.0.0.1",
+    port: int = 8017,
+) -> None:
+    """Mark keypoints in the browser: opens a page that says what to do next. Ctrl-C ends it.
+
+    Every click is on the disk before the page shows it as saved; end it whenever you like.
+
+    Args:
+        workspace: a folder made by `rpl build` or `rpl import`; with a recipe it may be empty.
+        recipe: read its recordings into the workspace first.
+        root: where the relative paths of the recipe start; the recipe's own folder when left out.
+        host: the address to listen on; any but this machine's own asks for the token in the printed URL.
+        port: where the page is served.
+    """
+    from rpl_data.recipe import load_recipe
+    from rpl_data.serve import place_of, serve
+
+    place = place_of(host, port)
+    if recipe is not None:
+        _run(load_recipe(recipe, root=root), workspace, "clicks", None)
+    print(f"open {place.url}\nend with Ctrl-C", flush=True)
+    serve(workspace, place)
+
+
 def clicks_import(file: Path, workspace: Path = HERE) -> None:
     """Add the clicks of a CSV file; a click on the same keypoint in the same frame is replaced.
 
@@ -254,6 +282,7 @@ COMMANDS: dict[str, Any] = {
     "status": status,
     "check": check,
     "import": import_,
+    "annotate": annotate,
     "clicks": {
         "_help": "Clicks in and out as CSV files.",
         "import": clicks_import,

@@ -1,7 +1,17 @@
 """The append-only log of what a person did to an object's keypoints; the state is its replay.
 
-A line of `clicks.jsonl` is one event. `click` sets (or moves) the mark of a keypoint in a frame,
-`delete` takes it away, `undo` and `redo` walk along the other events, `keypoints` names them.
+A line of `clicks.jsonl` is one event:
+
+- `click` sets (and `move` moves) the mark of a keypoint in a frame, `delete` takes it away;
+- `skip` says that a keypoint is not visible in a scene, `unskip` takes that back, and so does a click;
+- `keypoints` names the keypoints; clicks on those beyond a shorter list are gone;
+- `order` puts keypoints in another order, or leaves some out, and their clicks follow them;
+- `model` gives the keypoints known positions (`points` null: they are to be found again);
+- `grasp` marks where and in which direction to grasp, `crop` cuts the dense model to a box;
+- `batch` is several events that are undone as one;
+- `undo` and `redo` walk along the other events.
+
+Events may carry keys that the replay does not need (`id`, `time_s`).
 """
 
 from __future__ import annotations
@@ -10,22 +20,47 @@ import csv
 import io
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from rpl_data.types import Click, DataError
 
 Event = dict[str, Any]
+Corner = tuple[float, float, float]
 CSV_COLUMNS = ["object", "keypoint", "scene", "frame", "u_px", "v_px"]
+OPS = ("click", "move", "delete", "skip", "unskip", "keypoints", "order", "model", "grasp", "crop", "batch")
+
+
+@dataclass(frozen=True)
+class GraspClicks:
+    """Two clicks in a frame: where to grasp, and a place toward which the grasp's x axis points."""
+
+    scene: str
+    frame: int
+    u_px: float
+    v_px: float
+    toward_u_px: float
+    toward_v_px: float
 
 
 @dataclass(frozen=True)
 class Annotation:
-    """The state of an object's log: its keypoints and at most one click a keypoint and frame."""
+    """The state of an object's log: its keypoints and at most one click a keypoint and frame.
+
+    Attributes:
+        skipped: pairs (keypoint, scene) that a person declared not visible.
+        known_points: positions of the keypoints where they were given, any frame, metres; None where
+            one was not. None as a whole: the positions are found from the clicks.
+        crop_m: lowest and highest corner of the box the dense model is cut to, object frame.
+    """
 
     object: str
     keypoints: tuple[str, ...]
     clicks: tuple[Click, ...]
+    skipped: frozenset[tuple[int, str]] = frozenset()
+    known_points: tuple[Corner | None, ...] | None = None
+    grasp: GraspClicks | None = None
+    crop_m: tuple[Corner, Corner] | None = None
 
 
 def replay(object_name: str, events: Iterable[Event]) -> Annotation:
@@ -34,41 +69,112 @@ def replay(object_name: str, events: Iterable[Event]) -> Annotation:
     Raises:
         DataError: an event that cannot be understood, with its number.
     """
-    keypoints: tuple[str, ...] = ()
-    marks: dict[tuple[int, str, int], Click] = {}
-    for event in _effective(object_name, events):
-        if event["op"] == "keypoints":
-            keypoints = tuple(event["names"])
-            continue
-        key = (event["keypoint"], event["scene"], event["frame"])
-        if event["op"] == "delete":
-            marks.pop(key, None)
-        else:
-            marks[key] = Click(object_name, *key, event["u_px"], event["v_px"])
-    return Annotation(object_name, keypoints, tuple(marks.values()))
+    state = _State(object_name)
+    for event in effective(object_name, events)[0]:
+        try:
+            state.apply(event)
+        except (KeyError, IndexError, TypeError, ValueError) as error:
+            raise DataError(
+                f"clicks of {object_name}: cannot understand {event}: {error!r}; delete the line"
+            ) from error
+    return Annotation(
+        object_name,
+        state.keypoints,
+        tuple(state.marks.values()),
+        frozenset(state.skipped),
+        state.known_points,
+        state.grasp,
+        state.crop_m,
+    )
 
 
-def _effective(object_name: str, events: Iterable[Event]) -> list[Event]:
-    """The events that undo and redo leave standing."""
+def effective(object_name: str, events: Iterable[Event]) -> tuple[list[Event], list[Event]]:
+    """The events that undo and redo leave standing, and those that a redo would bring back, next last.
+
+    Raises:
+        DataError: an unknown event, with its number.
+    """
     done: list[Event] = []
     undone: list[Event] = []
     for number, event in enumerate(events):
-        match event.get("op"):
-            case "undo":
-                if done:
-                    undone.append(done.pop())
-            case "redo":
-                if undone:
-                    done.append(undone.pop())
-            case "click" | "move" | "delete" | "keypoints":
-                done.append(event)
-                undone.clear()
+        op = event.get("op")
+        if op == "undo" and done:
+            undone.append(done.pop())
+        elif op == "redo" and undone:
+            done.append(undone.pop())
+        elif op in OPS:
+            done.append(event)
+            undone.clear()
+        elif op not in ("undo", "redo"):
+            raise DataError(
+                f"clicks of {object_name}, event {number}: unknown op {op!r}; expected "
+                f"{', '.join(OPS)}, undo or redo"
+            )
+    return done, undone
+
+
+@dataclass
+class _State:
+    """What a replay has come to."""
+
+    object: str
+    keypoints: tuple[str, ...] = ()
+    marks: dict[tuple[int, str, int], Click] = field(default_factory=dict)
+    skipped: set[tuple[int, str]] = field(default_factory=set)
+    known_points: tuple[Corner | None, ...] | None = None
+    grasp: GraspClicks | None = None
+    crop_m: tuple[Corner, Corner] | None = None
+
+    def apply(self, event: Event) -> None:
+        match event["op"]:
+            case "batch":
+                for inner in event["events"]:
+                    self.apply(inner)
+            case "click" | "move":
+                key = (event["keypoint"], event["scene"], event["frame"])
+                self.marks[key] = Click(self.object, *key, float(event["u_px"]), float(event["v_px"]))
+                self.skipped.discard(key[:2])
+            case "delete":
+                self.marks.pop((event["keypoint"], event["scene"], event["frame"]), None)
+            case "skip":
+                self.skipped.add((event["keypoint"], event["scene"]))
+            case "unskip":
+                self.skipped.discard((event["keypoint"], event["scene"]))
+            case "keypoints":
+                names = tuple(event["names"])
+                self._renumber({k: k for k in range(len(names))}, names)
+            case "order":
+                order = [int(k) for k in event["order"]]
+                names = tuple(self.keypoints[k] for k in order)
+                self._renumber({old: new for new, old in enumerate(order)}, names)
+            case "model":
+                self.known_points = _corners(event["points"])
+            case "grasp":
+                values = {name: event[name] for name in GraspClicks.__dataclass_fields__}
+                self.grasp = None if event["scene"] is None else GraspClicks(**values)
+            case "crop":
+                low_high = _corners([event["low_m"], event["high_m"]]) if event["low_m"] else None
+                self.crop_m = low_high  # type: ignore[assignment]
             case op:
-                raise DataError(
-                    f"clicks of {object_name}, event {number}: unknown op {op!r}; expected click, move, "
-                    "delete, undo, redo or keypoints"
-                )
-    return done
+                raise DataError(f"clicks of {self.object}: unknown op {op!r} in a batch")
+
+    def _renumber(self, new_of: dict[int, int], names: tuple[str, ...]) -> None:
+        """Give keypoints other numbers; what belongs to those left out is gone."""
+        kept = [c for c in self.marks.values() if c.keypoint in new_of]
+        moved = [Click(c.object, new_of[c.keypoint], c.scene, c.frame, c.u_px, c.v_px) for c in kept]
+        self.marks = {(c.keypoint, c.scene, c.frame): c for c in moved}
+        self.skipped = {(new_of[k], scene) for k, scene in self.skipped if k in new_of}
+        if self.known_points is not None:
+            old_of = {new: old for old, new in new_of.items()}
+            known = dict(enumerate(self.known_points))
+            self.known_points = tuple(known.get(old_of[new]) for new in range(len(names)))
+        self.keypoints = names
+
+
+def _corners(points: Sequence[Sequence[float] | None] | None) -> tuple[Corner | None, ...] | None:
+    if points is None:
+        return None
+    return tuple(None if p is None else (float(p[0]), float(p[1]), float(p[2])) for p in points)
 
 
 def click_event(click: Click) -> Event:

@@ -209,9 +209,9 @@ def _places_in_model(
 ) -> list[Float64[np.ndarray, "_ 3"]]:
     """All hypotheses of each keypoint, brought to the model frame by the scenes as they stand."""
     places: list[list[np.ndarray]] = [[] for _ in range(keypoints)]
-    for group, transform_s in zip(groups, scene_from_model, strict=True):
+    for group, model_from_scene in zip(groups, invert(scene_from_model), strict=True):
         for k, hypotheses in group.items():
-            places[k].extend(transform(invert(transform_s), hypotheses))
+            places[k].extend(transform(model_from_scene, hypotheses))
     return [np.array(p).reshape(-1, 3) for p in places]
 
 

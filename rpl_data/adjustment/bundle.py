@@ -118,18 +118,17 @@ def _residuals(
     in_camera = np.einsum("mij,mj->mi", transforms[:, :3, :3], points) + transforms[:, :3, 3]
     z = np.maximum(in_camera[:, 2:], 0.05)
     lateral_px = (in_camera[:, :2] / z - rays.xy) / rays.pixel_rad[:, None]
-    choice = _candidate_costs(rays, in_camera[:, 2]).argmin(axis=1)[:, None]
-    depth = np.take_along_axis(rays.depths_m, choice, axis=1)[:, 0]
-    sigma = np.take_along_axis(rays.depth_sigmas_m, choice, axis=1)[:, 0]
-    return in_camera, lateral_px, depth, sigma
+    clicks = np.arange(len(rays.depths_m))
+    choice = _candidate_costs(rays.depths_m, rays.depth_sigmas_m, in_camera[:, 2]).argmin(axis=1)
+    return in_camera, lateral_px, rays.depths_m[clicks, choice], rays.depth_sigmas_m[clicks, choice]
 
 
-def _candidate_costs(rays: Rays, z_m: np.ndarray) -> np.ndarray:
-    """What each candidate depth would cost, (M, c); infinite where there is none."""
-    measured = np.isfinite(rays.depths_m)
-    squared = ((rays.depths_m - z_m[:, None]) / rays.depth_sigmas_m) ** 2
+def _candidate_costs(depths_m: np.ndarray, sigmas_m: np.ndarray, z_m: np.ndarray) -> np.ndarray:
+    """What each candidate depth (M, c) would cost at depths z (..., M); infinite where there is none."""
+    squared = ((depths_m - z_m[..., None]) / sigmas_m) ** 2
     let_go = squared / (1 + squared / LET_GO**2)
-    return np.where(measured, let_go + BEHIND * (np.arange(measured.shape[1]) > 0), np.inf)
+    behind = BEHIND * (np.arange(depths_m.shape[1]) > 0)
+    return np.where(np.isfinite(depths_m), let_go + behind, np.inf)
 
 
 def choose_places(
@@ -142,25 +141,27 @@ def choose_places(
 
     The adjustment only slides along a ray to the next candidate depth; this jumps over the hill.
     """
+    camera_from_model = rays.camera_from_scene @ scene_from_model[rays.scene]
     chosen = points_model.copy()
     for k, places in enumerate(places_model):
         own = rays.keypoint == k
-        if not own.any() or not len(places):
-            continue
-        some = Rays(*(column[own] for column in rays))
-        candidates = np.vstack([points_model[k][None], places])
-        costs = [_clicks_cost(some, scene_from_model, place) for place in candidates]
-        chosen[k] = candidates[int(np.argmin(costs))]
+        if own.any() and len(places):
+            candidates = np.vstack([points_model[k][None], places])
+            some = Rays(*(column[own] for column in rays))
+            chosen[k] = candidates[_clicks_costs(some, camera_from_model[own], candidates).argmin()]
     return chosen
 
 
-def _clicks_cost(rays: Rays, scene_from_model: np.ndarray, place: np.ndarray) -> float:
-    """Robust cost of one keypoint's clicks if it were there."""
-    rays = rays._replace(keypoint=np.zeros_like(rays.keypoint))
-    in_camera, lateral_px, _, _ = _residuals(rays, scene_from_model, place[None])
-    squared = ((lateral_px / (2 * CLICK_SIGMA_PX)) ** 2).sum(axis=1)
-    depth = np.minimum(_candidate_costs(rays, in_camera[:, 2]).min(axis=1), LET_GO**2 + BEHIND)
-    return float((squared / (1 + squared / (2 * LET_GO) ** 2) + depth).sum())
+def _clicks_costs(rays: Rays, camera_from_model: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Robust cost of one keypoint's clicks if it were at each of the places."""
+    in_camera = np.einsum("mij,pj->pmi", camera_from_model[:, :3, :3], places) + camera_from_model[:, :3, 3]
+    z = np.maximum(in_camera[..., 2:], 0.05)
+    lateral_px = (in_camera[..., :2] / z - rays.xy) / rays.pixel_rad[:, None]
+    squared = ((lateral_px / (2 * CLICK_SIGMA_PX)) ** 2).sum(axis=2)
+    nearest = _candidate_costs(rays.depths_m, rays.depth_sigmas_m, in_camera[..., 2]).min(axis=2)
+    depth = np.minimum(nearest, LET_GO**2 + BEHIND)
+    costs: np.ndarray = (squared / (1 + squared / (2 * LET_GO) ** 2) + depth).sum(axis=1)
+    return costs
 
 
 def _weighted_system(

@@ -102,10 +102,7 @@ def clicks_steps(context: Context) -> list[Step]:
 def _clicks_step(context: Context, item: ObjectRecipe) -> Step:
     def run(advance: Advance) -> Outcome:
         if item.clicks is None:
-            annotation = context.workspace.load_annotation(item.name)
-            if annotation.keypoints != item.keypoint_names:
-                context.workspace.append_events(item.name, [keypoints_event(item.keypoint_names)])
-            return Outcome()
+            return _name_keypoints(context.workspace, item)
         changed = import_clicks(context.workspace, item, item.clicks)
         return Outcome(
             messages=(f"{item.name}: {changed} clicks changed from {item.clicks}",) if changed else ()
@@ -117,6 +114,17 @@ def _clicks_step(context: Context, item: ObjectRecipe) -> Step:
     }
     sources = stamps(item.clicks) if item.clicks else {}
     return step("clicks", item.name, run, options=options, sources=sources)
+
+
+def _name_keypoints(workspace: Workspace, item: ObjectRecipe) -> Outcome:
+    """Names from the recipe, once: whoever renames or adds keypoints on the page has the last word."""
+    named = workspace.load_annotation(item.name).keypoints
+    if not named:
+        workspace.append_events(item.name, [keypoints_event(item.keypoint_names)])
+    elif named != item.keypoint_names:
+        line = f"{item.name}: the keypoints are those of its clicks, {', '.join(named)}; not the recipe's"
+        return Outcome(messages=(line,))
+    return Outcome()
 
 
 def import_clicks(workspace: Workspace, item: ObjectRecipe, path: Path) -> int:
@@ -142,8 +150,8 @@ def add_clicks(context: Context, path: Path) -> dict[str, int]:
         )
     events = {}
     for item in chosen:
-        names = item.keypoint_names
         annotation = context.workspace.load_annotation(item.name)
+        names = annotation.keypoints or item.keypoint_names
         clicks = clicks_from_csv(text, source=str(path), object_name=item.name, keypoints=names)
         events[item.name] = events_to(annotation, names, [*annotation.clicks, *clicks])
     for name, found in events.items():  # after all of the file was understood

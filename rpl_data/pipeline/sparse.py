@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 
 import numpy as np
 
+from rpl_data.clicklog import Annotation
+from rpl_data.geometry import Transform
 from rpl_data.lift import lift_clicks
 from rpl_data.pipeline.context import Context, step
 from rpl_data.recipe import ObjectRecipe
 from rpl_data.solve import register, solve
 from rpl_data.steps import Advance, Outcome, Step, stamps
-from rpl_data.types import DataError, Observation
+from rpl_data.types import ClickResidual, DataError, KeypointModel, Observation, Solution
 from rpl_data.workspace import Workspace, read_depth_m
 
 
@@ -25,13 +28,7 @@ def _solve_step(context: Context, item: ObjectRecipe) -> Step:
 
     def run(advance: Advance) -> Outcome:
         observations = observe(workspace, item.name)
-        solution = solve(
-            item.name,
-            item.keypoint_names,
-            observations,
-            method=context.recipe.solve.method,
-            skeleton=item.skeleton,
-        )
+        solution = solve_annotation(context, workspace.load_annotation(item.name), observations)
         workspace.save_solution(solution)
         outliers = sum(residual.outlier for residual in solution.residuals)
         lines = [f"{item.name}: {line}" for line in solution.warnings]
@@ -47,6 +44,59 @@ def _solve_step(context: Context, item: ObjectRecipe) -> Step:
         after=["import"],
         outputs=[workspace.solution_file(item.name)],
     )
+
+
+def solve_annotation(
+    context: Context, annotation: Annotation, observations: Sequence[Observation]
+) -> Solution:
+    """The solution of some clicks of an object: its model found, or placed where it is known.
+
+    Raises:
+        DataError: the clicks do not tie the scenes, or do not place the known model.
+    """
+    item = next(item for item in context.objects if item.name == annotation.object)
+    names = annotation.keypoints or item.keypoint_names
+    skeleton = _by_name(item, names)
+    if annotation.known_points is not None:
+        return place_known(annotation, observations, skeleton)
+    return solve(item.name, names, observations, method=context.recipe.solve.method, skeleton=skeleton)
+
+
+def _by_name(item: ObjectRecipe, names: Sequence[str]) -> list[tuple[int, int]]:
+    """The skeleton of the recipe in the numbers of the log, which may have been put in another order."""
+    number = {name: k for k, name in enumerate(names)}
+    pairs = [(item.keypoint_names[a], item.keypoint_names[b]) for a, b in item.skeleton]
+    return [(number[a], number[b]) for a, b in pairs if a in number and b in number]
+
+
+def place_known(
+    annotation: Annotation, observations: Sequence[Observation], skeleton: Sequence[tuple[int, int]] = ()
+) -> Solution:
+    """A known model placed in every clicked scene (paper III-F); its origin moves to its centroid.
+
+    The covariance is that of the clicks about the model, the same for all keypoints: how good a given
+    model is cannot be known.
+
+    Raises:
+        DataError: a scene has too few clicks, or none that fit.
+    """
+    given = annotation.known_points or ()
+    rows = [given[k] if k < len(given) else None for k in range(len(annotation.keypoints))]
+    points = np.array([(np.nan,) * 3 if row is None else row for row in rows])
+    model = KeypointModel(
+        annotation.object, annotation.keypoints, points - np.nanmean(points, axis=0), tuple(skeleton)
+    )
+    places: dict[str, Transform] = {}
+    residuals: dict[tuple[int, str, int], ClickResidual] = {}
+    for scene in sorted({o.click.scene for o in observations}):
+        mine = [o for o in observations if o.click.scene == scene]
+        places[scene], found = register(model, mine)
+        residuals |= {(r.click.keypoint, r.click.scene, r.click.frame): r for r in found}
+    errors_m = [r.error_m for r in residuals.values() if r.error_m is not None and not r.outlier]
+    sigma_m = max(float(np.sqrt(np.mean(np.square(errors_m)))) if errors_m else 0.0, 1e-3)
+    covariance = np.where(model.known[:, None, None], sigma_m**2 * np.eye(3), np.nan)
+    ordered = [residuals[o.click.keypoint, o.click.scene, o.click.frame] for o in observations]
+    return Solution(model, covariance, places, tuple(ordered))
 
 
 def register_step(context: Context, object_name: str, scene: str) -> Step:

@@ -1,0 +1,145 @@
+"""Actions of a page: checked before they enter the log, so that the log can always be replayed."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from rpl_data.annotate.scenes import SceneStore
+from rpl_data.clicklog import OPS, Annotation, Event
+from rpl_data.types import Click, DataError
+
+MOST_KEYPOINTS = 200
+MOST_NAME = 40
+LOCAL = {"click", "move", "delete", "skip", "unskip", "grasp", "crop"}
+"""What stays right when another person did something of the same kind meanwhile."""
+
+
+def checked(action: dict[str, Any], annotation: Annotation, scenes: SceneStore) -> Event:
+    """The event of an action, with nothing else in it.
+
+    Raises:
+        DataError: it is none, or names a keypoint, scene, frame or pixel that is not there.
+    """
+    op = action.get("op")
+    if op in ("undo", "redo"):
+        return {"op": op}
+    if op not in OPS:
+        raise DataError(f"unknown action {op!r}")
+    try:
+        return {"op": op, **_CHECKS[op](action, annotation, scenes)}
+    except (KeyError, TypeError, OverflowError) as error:
+        raise DataError(f"the action {op} is incomplete: {error!r}") from error
+
+
+def _click(action: dict[str, Any], annotation: Annotation, scenes: SceneStore) -> Event:
+    place = _delete(action, annotation, scenes)
+    u_px, v_px = _finite(action["u_px"]), _finite(action["v_px"])
+    scenes.refuse_outside(
+        Click(annotation.object, place["keypoint"], place["scene"], place["frame"], u_px, v_px)
+    )
+    return {**place, "u_px": u_px, "v_px": v_px}
+
+
+def _delete(action: dict[str, Any], annotation: Annotation, scenes: SceneStore) -> Event:
+    return {**_skip(action, annotation, scenes), "frame": int(action["frame"])}
+
+
+def _skip(action: dict[str, Any], annotation: Annotation, scenes: SceneStore) -> Event:
+    return {"keypoint": _keypoint(action["keypoint"], annotation), "scene": str(action["scene"])}
+
+
+def _keypoints(action: dict[str, Any], annotation: Annotation, scenes: SceneStore) -> Event:
+    return {"names": checked_names(action["names"])}
+
+
+def _order(action: dict[str, Any], annotation: Annotation, scenes: SceneStore) -> Event:
+    order = [_keypoint(k, annotation) for k in action["order"]]
+    if not order or len(set(order)) < len(order):
+        raise DataError("an order must name at least one keypoint, and none twice")
+    return {"order": order}
+
+
+def _model(action: dict[str, Any], annotation: Annotation, scenes: SceneStore) -> Event:
+    if action["points"] is None:
+        return {"points": None}
+    points = [None if p is None else [_finite(x) for x in p] for p in action["points"]]
+    if any(p is not None and len(p) != 3 for p in points):
+        raise DataError("a point of a model has three coordinates")
+    return {"points": points, "source": str(action.get("source", ""))[:200]}
+
+
+def _grasp(action: dict[str, Any], annotation: Annotation, scenes: SceneStore) -> Event:
+    names = ("u_px", "v_px", "toward_u_px", "toward_v_px")
+    if action["scene"] is None:
+        return {"scene": None, "frame": 0, **dict.fromkeys(names, 0.0)}
+    values = {name: _finite(action[name]) for name in names}
+    scene, frame = str(action["scene"]), int(action["frame"])
+    for u, v in (("u_px", "v_px"), ("toward_u_px", "toward_v_px")):
+        scenes.refuse_outside(Click(annotation.object, 0, scene, frame, values[u], values[v]))
+    return {"scene": scene, "frame": frame, **values}
+
+
+def _crop(action: dict[str, Any], annotation: Annotation, scenes: SceneStore) -> Event:
+    if action["low_m"] is None:
+        return {"low_m": None, "high_m": None}
+    low, high = ([_finite(x) for x in action[name]] for name in ("low_m", "high_m"))
+    if len(low) != 3 or len(high) != 3 or any(a >= b for a, b in zip(low, high, strict=True)):
+        raise DataError("a crop box needs three coordinates each way, the low ones below the high ones")
+    return {"low_m": low, "high_m": high}
+
+
+def _batch(action: dict[str, Any], annotation: Annotation, scenes: SceneStore) -> Event:
+    """Checked one after another; a list of names counts for what follows it."""
+    events: list[Event] = []
+    for inner in action["events"]:
+        if inner.get("op") in ("undo", "redo", "batch"):
+            raise DataError("a batch holds no undo, redo or batch")
+        event = checked(inner, annotation, scenes)
+        if event["op"] == "keypoints":
+            annotation = Annotation(annotation.object, tuple(event["names"]), annotation.clicks)
+        events.append(event)
+    return {"events": events}
+
+
+_CHECKS = {
+    "click": _click,
+    "move": _click,
+    "delete": _delete,
+    "skip": _skip,
+    "unskip": _skip,
+    "keypoints": _keypoints,
+    "order": _order,
+    "model": _model,
+    "grasp": _grasp,
+    "crop": _crop,
+    "batch": _batch,
+}
+
+
+def checked_names(names: Any) -> list[str]:
+    """Names of keypoints, trimmed; DataError when empty, too long, too many or twice the same."""
+    found = [str(name).strip() for name in names]
+    if not 1 <= len(found) <= MOST_KEYPOINTS:
+        raise DataError(f"an object has 1 to {MOST_KEYPOINTS} keypoints, not {len(found)}")
+    for name in found:
+        if not name or len(name) > MOST_NAME or not name.isprintable():
+            raise DataError(f"{name!r} is no name for a keypoint: 1 to {MOST_NAME} printable characters")
+    if len(set(found)) < len(found):
+        double = next(name for name in found if found.count(name) > 1)
+        raise DataError(f"two keypoints would be called {double!r}; choose another name")
+    return found
+
+
+def _keypoint(value: Any, annotation: Annotation) -> int:
+    number = int(value)
+    if not 0 <= number < len(annotation.keypoints):
+        raise DataError(f"{annotation.object} has no keypoint number {number}; it has fewer now")
+    return number
+
+
+def _finite(value: Any) -> float:
+    number = float(value)
+    if not math.isfinite(number):
+        raise DataError(f"{value!r} is not a finite number")
+    return number

@@ -1,0 +1,116 @@
+"""What a person should do next, in one line and with the place to do it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from rpl_data.annotate.live import FEWEST, Live
+from rpl_data.clicklog import Annotation
+
+ENOUGH = FEWEST + 1
+"""Clicks a scene: three place it, the fourth checks them."""
+UNSURE_M = 0.004
+"""A keypoint less certain than this wants another click."""
+
+
+@dataclass(frozen=True)
+class Advice:
+    """The next step.
+
+    Attributes:
+        scene, frame, keypoint: where; None where it does not matter.
+        action: what the page offers to do: `add` a keypoint, or make the `label`s.
+    """
+
+    text: str
+    scene: str | None = None
+    frame: int | None = None
+    keypoint: int | None = None
+    action: Literal["add", "label"] | None = None
+
+
+def next_step(annotation: Annotation, live: Live, scenes: Sequence[str]) -> Advice:
+    """The first of: mend a bad click, mark what is missing scene by scene, sharpen, make the labels."""
+    if not annotation.keypoints:
+        return Advice("name the object's keypoints: corners, screws, spouts", action="add")
+    return (
+        _bad_click(annotation, live)
+        or _open_scene(annotation, live, scenes)
+        or _unsure(annotation, live)
+        or Advice(
+            "every scene is placed and every keypoint known: make the dense model and the labels",
+            action="label",
+        )
+    )
+
+
+def _bad_click(annotation: Annotation, live: Live) -> Advice | None:
+    bad = [r for r in live.solution.residuals if r.outlier] if live.solution else []
+    if not bad:
+        return None
+    worst = max(bad, key=lambda residual: residual.error_px)
+    where = f"scene {worst.click.scene}, frame {worst.click.frame}"
+    name = annotation.keypoints[worst.click.keypoint]
+    text = f"look at the click on {name} in {where}: {worst.reason}. Drag it to its place, or delete it (Del)"
+    return Advice(text, worst.click.scene, worst.click.frame, worst.click.keypoint)
+
+
+def _open_scene(annotation: Annotation, live: Live, scenes: Sequence[str]) -> Advice | None:
+    """The first scene in which a keypoint is wanted: to place the scene, or to know the keypoint."""
+    seen_in: dict[int, set[str]] = {k: set() for k in range(len(annotation.keypoints))}
+    for click in annotation.clicks:
+        seen_in[click.keypoint].add(click.scene)
+    known = {k for k, p in enumerate(annotation.known_points or ()) if p is not None}
+    for scene in scenes:
+        here = [k for k, seen in seen_in.items() if scene in seen]
+        open_ = [k for k in seen_in if k not in here and (k, scene) not in annotation.skipped]
+        if known:
+            wanted = [k for k in open_ if k in known] if len(here) < ENOUGH else []
+        else:
+            wanted = _wanted(scene, here, open_, seen_in, live)
+        if wanted:
+            return Advice(_asking(annotation, scene, here, wanted[0], live), scene, None, wanted[0])
+        if scene in live.loose:
+            return Advice(f"scene {scene}: {live.loose[scene]}", scene)
+    return None
+
+
+def _wanted(
+    scene: str, here: Sequence[int], open_: Sequence[int], seen_in: dict[int, set[str]], live: Live
+) -> list[int]:
+    """Keypoints to mark in a scene: those that tie it to others first, then those seen in one scene only."""
+    elsewhere = [k for k in open_ if seen_in[k]]
+    placed = live.solution is not None and scene in live.solution.scene_from_object
+    tied = placed and len(here) >= ENOUGH
+    once = [k for k in open_ if len(seen_in[k]) < 2]
+    return once if tied else (elsewhere or list(open_))
+
+
+def _asking(annotation: Annotation, scene: str, here: Sequence[int], keypoint: int, live: Live) -> str:
+    name, count = annotation.keypoints[keypoint], len(annotation.keypoints)
+    if not annotation.clicks:
+        return f"scene {scene}: in a sharp frame (★), click exactly on keypoint {name} of {annotation.object}"
+    why = f" ({live.loose[scene]})" if scene in live.loose and here else ""
+    done = f"{len(here)} of {count} are{why}"
+    return f"scene {scene}: mark keypoint {name}, {done}; not visible here? skip it (S)"
+
+
+def _unsure(annotation: Annotation, live: Live) -> Advice | None:
+    """The keypoint known worst, when another click would help much."""
+    if live.solution is None or annotation.known_points is not None:
+        return None
+    variances = np.trace(live.solution.covariance, axis1=1, axis2=2) / 3
+    if not np.isfinite(variances).any() or np.nanmax(variances) < UNSURE_M**2:
+        return None
+    worst = int(np.nanargmax(variances))
+    scenes = sorted(live.solution.scene_from_object)
+    clicked = [c.scene for c in annotation.clicks if c.keypoint == worst]
+    scene = min(scenes, key=clicked.count)
+    name, sigma_mm = annotation.keypoints[worst], 1e3 * float(np.sqrt(variances[worst]))
+    known = f"keypoint {name} is known to ±{sigma_mm:.0f} mm only"
+    text = f"{known}: mark it in one more frame, seen from another side"
+    return Advice(text, scene, None, worst)

@@ -1,0 +1,123 @@
+"""What stands before every request: who may ask, from which page, and how much may be sent.
+
+The page can change and write files, so another web page open in the same browser must not be able to
+use it: requests with a foreign Host (DNS rebinding), a foreign Origin, or that another site caused are
+refused. Beyond this machine a secret token is asked for as well.
+"""
+
+from __future__ import annotations
+
+import hmac
+from dataclasses import dataclass
+from http.cookies import SimpleCookie
+from urllib.parse import parse_qs
+
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.responses import PlainTextResponse, RedirectResponse, Response
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from rpl_data.annotate.work import Place
+
+COOKIE = "rpl_token"
+MOST_BYTES = 64 * 2**20
+"""A large mesh; nothing longer is read."""
+POLICY = (
+    "default-src 'self'; img-src 'self' data: blob:; style-src 'self' 'unsafe-inline'; "
+    "script-src 'self'; connect-src 'self'; object-src 'none'; base-uri 'none'; frame-ancestors 'none'"
+)
+"""Nothing is loaded from anywhere else; plotly styles its elements inline."""
+
+
+class Guard:
+    """ASGI middleware that lets only the page itself through."""
+
+    def __init__(self, app: ASGIApp, place: Place) -> None:
+        self.app = app
+        self.place = place
+        port = place.port
+        names = {place.host} if place.token else {"127.0.0.1", "localhost", "[::1]"}
+        anywhere = place.host in ("0.0.0.0", "::")  # then the token alone decides
+        self.hosts = None if anywhere else {f"{name}:{port}" for name in names}
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Refuse, or pass on."""
+        if scope["type"] != "http":
+            if scope["type"] == "lifespan":
+                await self.app(scope, receive, send)
+            return
+        headers = Headers(scope=scope)
+        refusal = self._refusal(scope, headers)
+        if refusal is not None:
+            await refusal(scope, receive, send)
+            return
+        body = _Body(receive)
+        await self.app(scope, body, _with_policy(send, body))
+
+    def _refusal(self, scope: Scope, headers: Headers) -> Response | None:
+        host, origin = headers.get("host", ""), headers.get("origin")
+        if self.hosts is not None and host not in self.hosts:
+            return _no(403, f"this page is not served as {host!r}; open {self.place.url}")
+        if origin is not None and origin != f"http://{host}":
+            return _no(403, f"a page of {origin!r} may not use this one")
+        navigates = headers.get("sec-fetch-mode") == "navigate" and scope["method"] == "GET"
+        if headers.get("sec-fetch-site") in ("cross-site", "same-site") and not navigates:
+            return _no(403, "another site may not use this page")
+        length = headers.get("content-length", "0")
+        if not length.isdigit() or int(length) > MOST_BYTES:
+            return _no(413, f"too much: at most {MOST_BYTES // 2**20} MB are taken")
+        return self._without_token(scope, headers)
+
+    def _without_token(self, scope: Scope, headers: Headers) -> Response | None:
+        """The refusal when the token is wrong; the first visit trades it for a cookie."""
+        token = self.place.token
+        if token is None:
+            return None
+        shown = parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[0]
+        if hmac.compare_digest(shown.encode(), token.encode()):
+            if scope["path"] != "/":
+                return None
+            answer = RedirectResponse("/", 303)
+            answer.set_cookie(COOKIE, token, httponly=True, samesite="strict")
+            return answer
+        kept = SimpleCookie(headers.get("cookie", "")).get(COOKIE)
+        if kept is not None and hmac.compare_digest(kept.value.encode(), token.encode()):
+            return None
+        return _no(403, "the token is missing or wrong; open the address that `rpl annotate` printed")
+
+
+def _no(status: int, why: str) -> Response:
+    return PlainTextResponse(f"refused: {why}", status)
+
+
+class _TooLong(Exception):
+    """More bytes came than are taken."""
+
+
+@dataclass
+class _Body:
+    """Counts the bytes of a body; beyond the limit it is cut off with an error, which is answered by 413."""
+
+    receive: Receive
+    got: int = 0
+
+    async def __call__(self) -> Message:
+        message = await self.receive()
+        self.got += len(message.get("body", b""))
+        if self.got > MOST_BYTES:
+            raise _TooLong
+        return message
+
+
+def _with_policy(send: Send, body: _Body) -> Send:
+    async def adding(message: Message) -> None:
+        if message["type"] == "http.response.start":
+            if body.got > MOST_BYTES:
+                message["status"] = 413
+            headers = MutableHeaders(scope=message)
+            headers["Content-Security-Policy"] = POLICY
+            headers["X-Content-Type-Options"] = "nosniff"
+            headers["Referrer-Policy"] = "no-referrer"
+            headers["Cross-Origin-Resource-Policy"] = "same-origin"
+        await send(message)
+
+    return adding

@@ -1,0 +1,95 @@
+"""Pictures for the page, no larger than it needs them."""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+
+import cv2
+import numpy as np
+from jaxtyping import UInt8
+
+from rpl_data.annotate.scenes import SceneStore
+from rpl_data.types import ColorImage, DataError, DepthImage, Frame
+from rpl_data.workspace import read_color
+
+WIDTHS = (96, 160, 320, 640, 960, 1280, 1920)
+"""Widths that are made; a request is served the next larger one, so that they can be cached."""
+KEPT_BYTES = 48 * 2**20
+QUALITY = 90
+JPEG_SUFFIXES = (".jpg", ".jpeg")
+REDUCTIONS = {8: cv2.IMREAD_REDUCED_COLOR_8, 4: cv2.IMREAD_REDUCED_COLOR_4, 2: cv2.IMREAD_REDUCED_COLOR_2}
+
+
+class PictureStore:
+    """JPEG files of frames; the last used ones are kept."""
+
+    def __init__(self, scenes: SceneStore) -> None:
+        self._scenes = scenes
+        self._kept: OrderedDict[tuple[str, int, int], bytes] = OrderedDict()
+        self._bytes = 0
+        self._lock = threading.Lock()
+
+    def jpeg(self, scene: str, frame: int, width_px: int) -> bytes:
+        """The frame at least that wide (the whole image for 0), as JPEG; edges stay edges."""
+        key = (scene, frame, width_px)
+        with self._lock:
+            if key in self._kept:
+                self._kept.move_to_end(key)
+                return self._kept[key]
+        content = self._make(scene, frame, width_px)
+        with self._lock:
+            if key not in self._kept:
+                self._kept[key] = content
+                self._bytes += len(content)
+            while self._bytes > KEPT_BYTES:
+                self._bytes -= len(self._kept.popitem(last=False)[1])
+        return content
+
+    def _make(self, scene: str, frame: int, width_px: int) -> bytes:
+        posed = self._scenes.get(scene)
+        source, full_px = posed.frame(frame), posed.scene.intrinsics.width
+        width = next((w for w in WIDTHS if w >= width_px), full_px) if width_px else full_px
+        if width >= full_px and source.color.suffix.lower() in JPEG_SUFFIXES and source.color.exists():
+            return source.color.read_bytes()
+        return encoded(resized(_read(source, full_px, width), width))
+
+    def stamp(self, scene: str, frame: int) -> str:
+        """Changes when the image file does."""
+        path = self._scenes.get(scene).frame(frame).color
+        try:
+            status = path.stat()
+        except OSError as error:
+            raise DataError(f"cannot read {path}: {error.strerror}") from error
+        return f'"{status.st_mtime_ns:x}-{status.st_size:x}"'
+
+
+def _read(source: Frame, full_px: int, width_px: int) -> ColorImage:
+    """The image; a JPEG decoded at a half, a quarter or an eighth when that is still wide enough."""
+    if source.color.suffix.lower() in JPEG_SUFFIXES:
+        for reduction, flag in REDUCTIONS.items():
+            if full_px // reduction >= width_px:
+                image = cv2.imread(str(source.color), flag)
+                if image is not None:
+                    return np.ascontiguousarray(image[:, :, ::-1])
+    return read_color(source)
+
+
+def resized(image: ColorImage, width_px: int) -> UInt8[np.ndarray, "h w 3"]:
+    """The image that wide, never enlarged."""
+    if width_px >= image.shape[1]:
+        return image
+    height_px = max(1, round(image.shape[0] * width_px / image.shape[1]))
+    return cv2.resize(image, (width_px, height_px), interpolation=cv2.INTER_AREA).astype(np.uint8)
+
+
+def encoded(image: ColorImage, suffix: str = ".jpg") -> bytes:
+    """The image as a file."""
+    options = [cv2.IMWRITE_JPEG_QUALITY, QUALITY] if suffix == ".jpg" else []
+    _, content = cv2.imencode(suffix, image[:, :, ::-1], options)
+    return content.tobytes()
+
+
+def depth_units(depth_m: DepthImage, metres_per_unit: float) -> bytes:
+    """Depth as it was stored: 16-bit little-endian rows, 0 = none."""
+    return np.rint(depth_m / metres_per_unit).clip(0, 65535).astype("<u2").tobytes()

@@ -1,0 +1,148 @@
+"""The result after every click: as much as the clicks tie, and what keeps the rest from it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float64
+
+from rpl_data.adjustment.rigidity import describe_loose, generic_points, loose_scenes
+from rpl_data.annotate.scenes import SceneStore
+from rpl_data.clicklog import Annotation
+from rpl_data.geometry import transform
+from rpl_data.lift import lift
+from rpl_data.types import Click, DataError, Observation, Solution
+
+Solve = Callable[[Annotation, Sequence[Observation]], Solution]
+FEWEST = 3
+"""Clicks a scene; fewer tie nothing."""
+
+
+@dataclass(frozen=True)
+class Live:
+    """What the clicks say now.
+
+    Attributes:
+        solution: of the scenes that are tied; None when there is none yet.
+        loose: what is missing, by scene; scenes without clicks are not in it.
+        problem: why there is no solution of scenes that should be tied; empty when all is well.
+        seconds: what solving took.
+    """
+
+    solution: Solution | None
+    loose: Mapping[str, str] = field(default_factory=dict)
+    problem: str = ""
+    seconds: float = 0.0
+
+    def lifted(self, observations: Sequence[Observation]) -> list[tuple[Click, Float64[np.ndarray, "3"]]]:
+        """Clicks of scenes that have no place yet, in the scene frame, at the nearest measured depth."""
+        placed = self.solution.scene_from_object if self.solution else {}
+        return [
+            (o.click, transform(o.scene_from_camera, o.depths_m[0] * o.ray_camera))
+            for o in observations
+            if o.click.scene not in placed and len(o.depths_m)
+        ]
+
+
+class Lifter:
+    """Clicks with depth; a click is lifted once."""
+
+    def __init__(self, scenes: SceneStore) -> None:
+        self.scenes = scenes
+        self._kept: dict[tuple[str, int, float, float], Observation] = {}
+
+    def observations(self, clicks: Sequence[Click]) -> list[Observation]:
+        """One a click, in order."""
+        found = {self._key(click): self._kept.get(self._key(click)) or self._lift(click) for click in clicks}
+        self._kept = {**found} if len(found) > 5000 else self._kept | found
+        return [_of(found[self._key(click)], click) for click in clicks]
+
+    def _lift(self, click: Click) -> Observation:
+        posed = self.scenes.get(click.scene)
+        posed.frame(click.frame)
+        pose = posed.trajectory.at(click.frame)
+        depth_m = self.scenes.depth_m(click.scene, click.frame)
+        return lift(click, posed.scene.intrinsics, pose, depth_m)
+
+    def _key(self, click: Click) -> tuple[str, int, float, float]:
+        return click.scene, click.frame, click.u_px, click.v_px
+
+
+def _of(observation: Observation, click: Click) -> Observation:
+    return Observation(
+        click,
+        observation.ray_camera,
+        observation.scene_from_camera,
+        observation.depths_m,
+        observation.depth_sigmas_m,
+        observation.pixel_rad,
+    )
+
+
+def solve_live(annotation: Annotation, observations: Sequence[Observation], solve: Solve) -> Live:
+    """Solve the scenes that the clicks tie together; never raises for what more clicks will mend."""
+    started = time.perf_counter()
+    if annotation.known_points is not None:
+        return _solve_known(annotation, observations, solve, started)
+    tied, loose = tied_scenes(annotation.keypoints, observations)
+    problem = ""
+    while tied:
+        chosen = [o for o in observations if o.click.scene in tied]
+        try:
+            solution = solve(annotation, chosen)
+            return Live(solution, loose, problem, time.perf_counter() - started)
+        except DataError as error:
+            problem = problem or str(error).removeprefix(f"object {annotation.object}: ")
+            worst = min(
+                tied, key=lambda scene: len({o.click.keypoint for o in chosen if o.click.scene == scene})
+            )
+            tied.remove(worst)
+            loose[worst] = problem
+    return Live(None, loose, problem, time.perf_counter() - started)
+
+
+def _solve_known(
+    annotation: Annotation, observations: Sequence[Observation], solve: Solve, started: float
+) -> Live:
+    """With a known model every scene is placed by itself: one that cannot be does not keep others back."""
+    loose: dict[str, str] = {}
+    placed: list[Observation] = []
+    for scene in sorted({o.click.scene for o in observations}):
+        mine = [o for o in observations if o.click.scene == scene]
+        try:
+            solve(annotation, mine)
+            placed += mine
+        except DataError as error:
+            loose[scene] = str(error).removeprefix(f"object {annotation.object}, ")
+    solution = solve(annotation, placed) if placed else None
+    return Live(solution, loose, "", time.perf_counter() - started)
+
+
+def tied_scenes(
+    keypoints: Sequence[str], observations: Sequence[Observation]
+) -> tuple[list[str], dict[str, str]]:
+    """Scenes whose pattern of clicks ties them, and what the others lack."""
+    seen: dict[str, set[int]] = {}
+    for o in observations:
+        seen.setdefault(o.click.scene, set()).add(o.click.keypoint)
+    enough = sorted(scene for scene, clicked in seen.items() if len(clicked) >= FEWEST)
+    loose = {
+        scene: f"{len(clicked)} of at least {FEWEST} keypoints clicked"
+        for scene, clicked in seen.items()
+        if scene not in enough
+    }
+    tied = list(enough)
+    while len(tied) > 1:
+        clicked = np.array([[k in seen[scene] for k in range(len(keypoints))] for scene in tied])
+        untied = loose_scenes(generic_points(len(keypoints)), clicked)
+        if not untied:
+            break
+        for line, s in zip(
+            describe_loose(untied, clicked, tied, keypoints).splitlines(), untied, strict=True
+        ):
+            loose[tied[s]] = line.removeprefix(f"scene {tied[s]} ")
+        tied = [scene for s, scene in enumerate(tied) if s not in untied]
+    return tied, loose

@@ -1,0 +1,151 @@
+"""What the server tells the page, JSON-ready."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from rpl_data.annotate.advice import next_step
+from rpl_data.annotate.live import FEWEST, Live
+from rpl_data.annotate.log import Revision
+from rpl_data.annotate.scenes import PosedScene
+from rpl_data.annotate.session import Result
+from rpl_data.clicklog import Event
+from rpl_data.overlay import keypoint_color
+from rpl_data.records import numbers, rows_to_json
+from rpl_data.types import ClickResidual, Solution
+
+Json = dict[str, Any]
+
+
+def scene_payload(posed: PosedScene) -> Json:
+    """A scene without its frames."""
+    camera = posed.scene.intrinsics
+    return {
+        "name": posed.scene.name,
+        "width": camera.width,
+        "height": camera.height,
+        "camera": [camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion],
+        "metres_per_unit": posed.scene.metres_per_unit,
+        "registered": posed.scene.registered,
+        "frames": len(posed.frames),
+        "without_pose": len(posed.scene.frames) - len(posed.frames),
+    }
+
+
+def object_payload(revision: Revision) -> Json:
+    """The state of an object's log."""
+    annotation = revision.annotation
+    count = len(annotation.keypoints)
+    grasp = annotation.grasp
+    return {
+        "object": annotation.object,
+        "revision": revision.number,
+        "keypoints": [
+            {"name": name, "color": "#{:02x}{:02x}{:02x}".format(*keypoint_color(k, count))}
+            for k, name in enumerate(annotation.keypoints)
+        ],
+        "clicks": [
+            {"keypoint": c.keypoint, "scene": c.scene, "frame": c.frame, "u_px": c.u_px, "v_px": c.v_px}
+            for c in annotation.clicks
+        ],
+        "skipped": sorted(annotation.skipped),
+        "known_model": annotation.known_points is not None,
+        "grasp": None if grasp is None else {**vars(grasp)},
+        "crop_m": annotation.crop_m,
+        "undo": described(revision.undo, annotation.keypoints),
+        "redo": described(revision.redo, annotation.keypoints),
+    }
+
+
+def described(event: Event | None, keypoints: tuple[str, ...]) -> str | None:
+    """An action in words, for the buttons that take it back."""
+    if event is None:
+        return None
+    number = event.get("keypoint")
+    name = keypoints[number] if number is not None and number < len(keypoints) else ""
+    words = {
+        "click": f"the click on {name}",
+        "move": f"moving {name}",
+        "delete": f"deleting the click on {name}",
+        "skip": f"skipping {name}",
+        "unskip": f"no longer skipping {name}",
+        "keypoints": "the list of keypoints",
+        "order": "the order of the keypoints",
+        "model": "the known model",
+        "grasp": "the grasp",
+        "crop": "the crop box",
+        "batch": "several changes at once",
+    }
+    return words[event["op"]]
+
+
+def result_payload(result: Result, scenes: Sequence[str]) -> Json:
+    """The solution of a revision, how well it fits every scene and click, and what to do next."""
+    revision, live = result.revision, result.live
+    solution = live.solution
+    return {
+        "revision": revision.number,
+        "problem": live.problem,
+        "seconds": round(live.seconds, 4),
+        "loose": dict(live.loose),
+        "warnings": [] if solution is None else list(solution.warnings),
+        "points_m": None if solution is None else rows_to_json(solution.model.points_object, 7),
+        "sigma_mm": [] if solution is None else _sigmas_mm(solution),
+        "scene_from_object": {}
+        if solution is None
+        else {name: numbers(matrix, 9) for name, matrix in solution.scene_from_object.items()},
+        "skeleton": [] if solution is None else [list(pair) for pair in solution.model.skeleton],
+        "clicks": [] if solution is None else [_residual(r) for r in solution.residuals],
+        "scenes": _scenes(revision, live),
+        "lifted": [
+            {"keypoint": click.keypoint, "scene": click.scene, "point_m": numbers(point, 6)}
+            for click, point in result.lifted
+        ],
+        "next": asdict(next_step(revision.annotation, live, scenes)),
+    }
+
+
+def _sigmas_mm(solution: Solution) -> list[float | None]:
+    deviations = 1e3 * np.sqrt(np.trace(solution.covariance, axis1=1, axis2=2) / 3)
+    return [round(float(s), 2) if math.isfinite(s) else None for s in deviations]
+
+
+def _residual(residual: ClickResidual) -> Json:
+    click = residual.click
+    return {
+        "keypoint": click.keypoint,
+        "scene": click.scene,
+        "frame": click.frame,
+        "error_px": round(residual.error_px, 3),
+        "error_mm": None if residual.error_m is None else round(1e3 * residual.error_m, 3),
+        "depth_state": residual.depth_state,
+        "outlier": residual.outlier,
+        "reason": residual.reason,
+    }
+
+
+def _scenes(revision: Revision, live: Live) -> dict[str, Json]:
+    """A scene with clicks: how many keypoints, whether it is tied, and its errors."""
+    annotation, found = revision.annotation, {}
+    residuals = live.solution.residuals if live.solution else ()
+    for scene in sorted({click.scene for click in annotation.clicks}):
+        mine = [r for r in residuals if r.click.scene == scene]
+        metres = [r.error_m for r in mine if r.error_m is not None and not r.outlier]
+        clicked = {click.keypoint for click in annotation.clicks if click.scene == scene}
+        bad = sum(r.outlier for r in mine)
+        placed = live.solution is not None and scene in live.solution.scene_from_object
+        state = "bad" if bad else "tied" if placed else "few" if len(clicked) < FEWEST else "loose"
+        found[scene] = {
+            "state": state,
+            "clicked": len(clicked),
+            "bad": bad,
+            "error_mm": round(1e3 * float(np.sqrt(np.mean(np.square(metres)))), 2) if metres else None,
+            "error_px": round(float(np.median([r.error_px for r in mine])), 2) if mine else None,
+            "text": live.loose.get(scene, ""),
+        }
+    return found

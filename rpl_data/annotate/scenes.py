@@ -1,0 +1,82 @@
+"""Scenes as the page needs them: a few parsed at a time, depth of the last frames kept."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from jaxtyping import Float32
+
+from rpl_data.geometry import to_quaternion_xyzw
+from rpl_data.types import Click, DataError, DepthImage, Frame, Scene, Trajectory
+from rpl_data.workspace import Workspace, read_depth_m
+
+SCENES_KEPT = 6
+"""A scene of 9,000 frames takes some 20 MB."""
+DEPTHS_KEPT = 8
+
+
+@dataclass(frozen=True)
+class PosedScene:
+    """A scene, its trajectory, and the frames that have a pose, by index."""
+
+    scene: Scene
+    trajectory: Trajectory
+    frames: dict[int, Frame]
+
+    def frame(self, index: int) -> Frame:
+        """The frame with that index; DataError when it is not there or has no pose."""
+        if index not in self.frames:
+            raise DataError(f"scene {self.scene.name} has no frame {index} with a camera pose")
+        return self.frames[index]
+
+
+class SceneStore:
+    """Reads scenes and depth of a workspace and keeps what was used last."""
+
+    def __init__(self, workspace: Workspace) -> None:
+        self.workspace = workspace
+        self.get = lru_cache(SCENES_KEPT)(self._get)
+        self._depth = lru_cache(DEPTHS_KEPT)(self._read_depth)
+
+    def names(self) -> list[str]:
+        """Scenes of the workspace."""
+        return self.workspace.scene_names()
+
+    def depth_m(self, scene: str, frame: int) -> DepthImage:
+        """Depth of a frame, metres; not to be changed."""
+        return self._depth(scene, frame)
+
+    def _get(self, name: str) -> PosedScene:
+        if name not in self.workspace.scene_names():
+            raise DataError(f"there is no scene {name!r}")
+        scene = self.workspace.load_scene(name)
+        trajectory = self.workspace.load_trajectory(scene)
+        posed = set(trajectory.frames.tolist())
+        return PosedScene(scene, trajectory, {f.index: f for f in scene.frames if f.index in posed})
+
+    def _read_depth(self, scene: str, frame: int) -> DepthImage:
+        posed = self.get(scene)
+        return read_depth_m(posed.scene, posed.frame(frame))
+
+    def refuse_outside(self, click: Click) -> None:
+        """DataError when a click is in no frame of ours or outside its image."""
+        posed = self.get(click.scene)
+        posed.frame(click.frame)
+        size = posed.scene.intrinsics
+        if not (-0.5 <= click.u_px < size.width - 0.5 and -0.5 <= click.v_px < size.height - 0.5):
+            raise DataError(
+                f"({click.u_px:.2f}, {click.v_px:.2f}) px is outside the image of "
+                f"{size.width} x {size.height} px; click on the image"
+            )
+
+
+def poses_table(posed: PosedScene) -> Float32[np.ndarray, "n 8"]:
+    """A row a posed frame: index, translation (m) and quaternion x y z w of `scene_from_camera`."""
+    rows = [
+        (index, *pose[:3, 3], *to_quaternion_xyzw(pose))
+        for index, pose in zip(posed.trajectory.frames, posed.trajectory.scene_from_camera, strict=True)
+        if int(index) in posed.frames
+    ]
+    return np.array(rows, dtype=np.float32).reshape(-1, 8)

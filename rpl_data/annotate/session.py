@@ -1,0 +1,97 @@
+"""Everything the server remembers: logs, scenes, results, and who listens for changes."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from rpl_data.annotate.actions import checked_names
+from rpl_data.annotate.images import PictureStore
+from rpl_data.annotate.live import Lifter, Live, solve_live
+from rpl_data.annotate.log import ObjectLog, Revision
+from rpl_data.annotate.news import News
+from rpl_data.annotate.scenes import SceneStore
+from rpl_data.annotate.suggest import Suggestion, suggest_frames
+from rpl_data.annotate.work import Work
+from rpl_data.types import Click, DataError
+from rpl_data.workspace import Workspace
+
+
+@dataclass(frozen=True)
+class Result:
+    """The result of a revision, and the clicks lifted where there is none yet."""
+
+    revision: Revision
+    live: Live
+    lifted: tuple[tuple[Click, Float64[np.ndarray, "3"]], ...]
+
+
+class Session:
+    """One workspace, open for annotation."""
+
+    def __init__(self, workspace: Workspace, work: Work) -> None:
+        self.workspace, self.work = workspace, work
+        self.scenes = SceneStore(workspace)
+        self.pictures = PictureStore(self.scenes)
+        self.news = News()
+        self._lifter = Lifter(self.scenes)
+        self._logs: dict[str, ObjectLog] = {}
+        self._results: dict[str, Result] = {}
+        self._suggestions: dict[tuple[str, str, bool], list[Suggestion]] = {}
+        self._solving = threading.Lock()
+
+    def objects(self) -> list[str]:
+        """Names, in the order of the recipe."""
+        return self.work.objects()
+
+    def log(self, name: str) -> ObjectLog:
+        """The log of an object; DataError when there is no such object."""
+        if name not in self._logs:
+            if name not in self.objects():
+                raise DataError(f"there is no object {name!r}")
+            self._logs.setdefault(name, ObjectLog(self.workspace, name, self.scenes))
+        return self._logs[name]
+
+    def add_object(self, name: str, keypoints: Sequence[str]) -> None:
+        """A new object with named keypoints."""
+        if not name.replace("_", "").replace("-", "").isalnum() or len(name) > 60:
+            raise DataError(f"{name!r} is no name for an object: letters, digits, - and _, at most 60")
+        if name in self.objects():
+            raise DataError(f"there is an object {name} already")
+        names = checked_names(keypoints)
+        if len(names) < 3:
+            raise DataError("an object needs at least 3 keypoints")
+        self.work.add_object(name, names)
+        self.news.tell("objects", name)
+
+    def act(self, name: str, actions: Sequence[dict[str, object]], *, seen: int) -> Revision:
+        """Save actions, tell the other pages."""
+        revision = self.log(name).append(actions, seen=seen)
+        self.news.tell("object", name, revision.number)
+        return revision
+
+    def result(self, name: str) -> Result:
+        """What the clicks say now; solved once a revision."""
+        log = self.log(name)
+        with self._solving:
+            revision = log.now()
+            kept = self._results.get(name)
+            if kept is None or kept.revision.number != revision.number:
+                observations = self._lifter.observations(revision.annotation.clicks)
+                live = solve_live(revision.annotation, observations, self.work.solve)
+                kept = self._results[name] = Result(revision, live, tuple(live.lifted(observations)))
+        return kept
+
+    def suggestions(self, name: str, scene: str) -> list[Suggestion]:
+        """Frames of a scene worth marking; seen from around the object once it has a place there."""
+        solution = self.result(name).live.solution
+        place = None if solution is None else solution.scene_from_object.get(scene)
+        key = name, scene, place is not None
+        if key not in self._suggestions:
+            centre = None if place is None else place[:3, 3]
+            self._suggestions[key] = suggest_frames(self.scenes.get(scene), centre)
+        return self._suggestions[key]

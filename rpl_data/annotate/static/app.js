@@ -1,0 +1,135 @@
+// The page: loads the workspace, joins the parts, and keeps the address bar at the place one is at.
+
+import { get, post } from "./api.js";
+import * as canvas from "./canvas.js";
+import { ask } from "./dom.js";
+import { openScene } from "./frames.js";
+import * as keypoints from "./keypoints.js";
+import * as keys from "./keys.js";
+import * as log from "./log.js";
+import * as loupe from "./loupe.js";
+import { listen } from "./news.js";
+import * as next from "./next.js";
+import * as results from "./results.js";
+import * as scenes from "./scenes.js";
+import { app, change, frame, onChange } from "./store.js";
+import * as timeline from "./timeline.js";
+
+const by = (id) => document.getElementById(id);
+
+async function start() {
+  setUpTheme();
+  for (const part of [timeline, keypoints, scenes, results, next, keys]) part.setUp();
+  canvas.setUp({ place: keypoints.place, move: keypoints.move });
+  onChange(() => { canvas.draw(); loupe.draw(); drawHead(); rememberPlace(); });
+  setUpButtons();
+  await open();
+  listen();
+}
+
+// The workspace, at the place the address names.
+async function open() {
+  const workspace = await get("/api/workspace");
+  const place = new URLSearchParams(location.hash.slice(1));
+  change({ workspace });
+  const object = workspace.objects.includes(place.get("object")) ? place.get("object") : workspace.objects[0];
+  const scene = workspace.scenes.includes(place.get("scene")) ? place.get("scene") : workspace.scenes[0];
+  const index = place.has("frame") ? Number(place.get("frame")) : null;
+  if (object === undefined || scene === undefined) throw new Error("this workspace has no object or no scene");
+  const loading = log.load(object);
+  await openScene(scene, index, { keypoint: Number(place.get("keypoint") || 0) });
+  await loading;
+}
+
+export async function openObject(name) {
+  change({ state: null, result: null, next: null, dense: null, keypoint: 0 });
+  await log.load(name);
+}
+
+function rememberPlace() {
+  if (!app.state || frame() === null) return;
+  const place = new URLSearchParams({ object: app.state.object, scene: app.scene, frame: frame(), keypoint: app.keypoint });
+  if (location.hash !== `#${place}`) history.replaceState(null, "", `#${place}`);
+}
+
+function drawHead() {
+  by("workspace").textContent = app.workspace?.name || "rpl annotate";
+  const objects = app.workspace?.objects || [], select = by("object");
+  if (select.options.length !== objects.length) select.replaceChildren(...objects.map((name) => new Option(name, name)));
+  if (app.state) select.value = app.state.object;
+  const saved = by("saved");
+  saved.textContent = app.offline ? `connection lost · ${app.waiting} not saved` : app.waiting ? `saving ${app.waiting} …` : "all saved";
+  saved.className = app.offline ? "bad" : app.waiting ? "warn" : "good";
+  for (const name of ["undo", "redo"]) {
+    by(name).disabled = !app.state?.[name];
+    by(name).title = app.state?.[name] ? `${name} ${app.state[name]}` : `nothing to ${name}`;
+  }
+  by("alert").hidden = !app.alert;
+  by("brightness").value = app.brightness;
+  by("show-model").checked = app.showModel;
+  by("show-mask").checked = app.showMask;
+  for (const tab of document.querySelectorAll("#views button")) tab.setAttribute("aria-selected", tab.dataset.view === app.view);
+  for (const view of document.querySelectorAll(".view")) view.hidden = view.id !== app.view;
+}
+
+onChange(() => {
+  if (!app.alert) return;
+  const again = app.alert.again ? [button("Try again", log.sendAgain)] : [];
+  by("alert").replaceChildren(Object.assign(document.createElement("span"), { textContent: app.alert.text }),
+    ...again, button("Close", () => change({ alert: null })));
+});
+
+function button(text, does) {
+  const made = Object.assign(document.createElement("button"), { textContent: text });
+  made.addEventListener("click", does);
+  return made;
+}
+
+function setUpButtons() {
+  const on = (id, does, event = "click") => by(id).addEventListener(event, does);
+  on("undo", keys.undo);
+  on("redo", keys.redo);
+  on("zoom-in", () => canvas.zoomBy(1.5, ...canvas.cursorOnScreen()));
+  on("zoom-out", () => canvas.zoomBy(1 / 1.5, ...canvas.cursorOnScreen()));
+  on("zoom-fit", canvas.fit);
+  on("brightness", (event) => change({ brightness: Number(event.target.value) }), "input");
+  on("show-model", (event) => change({ showModel: event.target.checked }), "change");
+  on("show-mask", (event) => change({ showMask: event.target.checked }), "change");
+  on("object", (event) => openObject(event.target.value), "change");
+  on("new-object", newObject);
+  for (const tab of document.querySelectorAll("#views button")) tab.addEventListener("click", () => change({ view: tab.dataset.view }));
+}
+
+async function newObject() {
+  const answer = await ask("Another object in these scenes", [
+    { label: "name", value: "" },
+    { label: "keypoints: how many, or their names with commas between", value: "8" },
+  ]);
+  if (!answer) return;
+  const [name, wanted] = answer, count = Number(wanted);
+  const names = Number.isInteger(count) ? Array.from({ length: count }, (_, k) => String(k)) : wanted.split(",").map((n) => n.trim());
+  try {
+    const { objects } = await post("/api/objects", { name, keypoints: names });
+    change({ workspace: { ...app.workspace, objects } });
+    await openObject(name);
+  } catch (error) {
+    log.alertOnce(error.message);
+  }
+}
+
+function setUpTheme() {
+  const dark = matchMedia("(prefers-color-scheme: dark)");
+  const use = (name) => { document.documentElement.dataset.theme = name; change({}); };
+  const kept = () => localStorage.getItem("rpl-theme");
+  use(kept() || (dark.matches ? "dark" : "light"));
+  dark.addEventListener("change", () => kept() || use(dark.matches ? "dark" : "light"));
+  const turn = () => {
+    const name = document.documentElement.dataset.theme === "dark" ? "light" : "dark";
+    localStorage.setItem("rpl-theme", name);
+    use(name);
+  };
+  by("theme").addEventListener("click", turn);
+  keys.addKeys([[["t"], "light or dark", turn]]);
+}
+
+start().catch((error) => log.alertOnce(`The page could not be loaded: ${error.message}`));

@@ -1,0 +1,175 @@
+// The image and what is marked on it: zoom at the cursor, pan, click, drag. Screen and image are tied by
+// x = (u + 0.5) * zoom + left: (0, 0) is the centre of the top-left pixel.
+
+import { fetchNeighbours, picture, wantedWidth } from "./frames.js";
+import { drawMarks, markAt } from "./marks.js";
+import { app, change, clicksIn, frame, poses, scene } from "./store.js";
+
+const pictureCanvas = document.getElementById("picture");
+const marksCanvas = document.getElementById("marks");
+const stage = document.getElementById("stage");
+const MOST_ZOOM = 64, STILL_PX = 4;
+
+export const view = { zoom: 1, left: 0, top: 0, fitted: true };
+let shownScene = null, placing = () => {}, moving = () => {}, drag = null, last = null;
+
+export const toScreen = ([u, v]) => [(u + 0.5) * view.zoom + view.left, (v + 0.5) * view.zoom + view.top];
+export const toImage = (x, y) => [(x - view.left) / view.zoom - 0.5, (y - view.top) / view.zoom - 0.5];
+
+// place(u, v) puts the selected keypoint there; move(click, u, v) moves a mark.
+export function setUp({ place, move }) {
+  placing = place;
+  moving = move;
+  new ResizeObserver(() => resize()).observe(stage);
+  marksCanvas.addEventListener("wheel", wheel, { passive: false });
+  marksCanvas.addEventListener("pointerdown", down);
+  marksCanvas.addEventListener("pointermove", move_);
+  marksCanvas.addEventListener("pointerup", up);
+  marksCanvas.addEventListener("pointercancel", () => (drag = null));
+  marksCanvas.addEventListener("pointerleave", () => drag || change({ cursor: null }));
+  marksCanvas.addEventListener("contextmenu", (event) => event.preventDefault());
+}
+
+function resize() {
+  const ratio = window.devicePixelRatio || 1;
+  for (const canvas of [pictureCanvas, marksCanvas]) {
+    canvas.width = Math.round(stage.clientWidth * ratio);
+    canvas.height = Math.round(stage.clientHeight * ratio);
+  }
+  if (view.fitted) fit(); else change({});
+}
+
+// The whole image.
+export function fit() {
+  if (!scene() || !stage.clientWidth) return;
+  const { width, height } = scene();
+  view.zoom = Math.min(stage.clientWidth / width, stage.clientHeight / height);
+  view.left = (stage.clientWidth - width * view.zoom) / 2;
+  view.top = (stage.clientHeight - height * view.zoom) / 2;
+  view.fitted = true;
+  change({});
+}
+
+// Zoom by a factor; what is under (x, y) stays there.
+export function zoomBy(factor, x, y) {
+  const zoom = Math.min(MOST_ZOOM, Math.max(0.1, view.zoom * factor));
+  view.left = x - (x - view.left) * (zoom / view.zoom);
+  view.top = y - (y - view.top) * (zoom / view.zoom);
+  view.zoom = zoom;
+  view.fitted = false;
+  change({});
+}
+
+// Where keys zoom and place: the cursor when it is on the image, else the middle.
+export function cursorOnScreen() {
+  return app.cursor ? toScreen([app.cursor.u, app.cursor.v]) : [stage.clientWidth / 2, stage.clientHeight / 2];
+}
+
+// Move the cursor by screen pixels, as the arrow keys do; the view follows it.
+export function nudge(dx, dy) {
+  const [x, y] = cursorOnScreen();
+  const [u, v] = toImage(x + dx, y + dy);
+  const [inside_u, inside_v] = [clamp(u, scene().width), clamp(v, scene().height)];
+  const [sx, sy] = toScreen([inside_u, inside_v]);
+  view.left -= Math.max(0, sx - stage.clientWidth + 20) + Math.min(0, sx - 20);
+  view.top -= Math.max(0, sy - stage.clientHeight + 20) + Math.min(0, sy - 20);
+  change({ cursor: { u: inside_u, v: inside_v } });
+}
+
+const clamp = (value, size) => Math.min(size - 0.501, Math.max(-0.5, value));
+export const isInside = (u, v) => u >= -0.5 && v >= -0.5 && u < scene().width - 0.5 && v < scene().height - 0.5;
+
+function position(event) {
+  const box = marksCanvas.getBoundingClientRect();
+  return [event.clientX - box.left, event.clientY - box.top];
+}
+
+function wheel(event) {
+  event.preventDefault();
+  const pixels = event.deltaMode === 1 ? event.deltaY * 30 : event.deltaY;
+  zoomBy(Math.exp(-Math.max(-300, Math.min(300, pixels)) * 0.0025), ...position(event));
+}
+
+function down(event) {
+  if (!scene() || drag) return;
+  marksCanvas.setPointerCapture(event.pointerId);
+  const [x, y] = position(event);
+  const mark = event.button === 0 ? markAt(x, y) : null;
+  if (mark) change({ keypoint: mark.keypoint });
+  drag = { x, y, left: view.left, top: view.top, mark, button: event.button, moved: false };
+}
+
+function move_(event) {
+  if (!scene()) return;
+  const [x, y] = position(event);
+  if (drag) {
+    drag.moved ||= Math.hypot(x - drag.x, y - drag.y) >= STILL_PX;
+    if (drag.moved && drag.mark) return change({ dragged: dragged(x, y), cursor: cursor(...draggedTo(x, y)) });
+    if (drag.moved) Object.assign(view, { left: drag.left + x - drag.x, top: drag.top + y - drag.y, fitted: false });
+  }
+  change({ cursor: cursor(...toImage(x, y)) });
+}
+
+const cursor = (u, v) => (isInside(u, v) ? { u, v } : null);
+
+// A dragged mark keeps its distance from the pointer.
+function draggedTo(x, y) {
+  const { u_px, v_px } = drag.mark;
+  return [
+    clamp(u_px + (x - drag.x) / view.zoom, scene().width),
+    clamp(v_px + (y - drag.y) / view.zoom, scene().height),
+  ];
+}
+
+function dragged(x, y) {
+  const [u_px, v_px] = draggedTo(x, y);
+  return { ...drag.mark, u_px, v_px };
+}
+
+function up(event) {
+  if (!drag) return;
+  const [x, y] = position(event), done = drag;
+  if (done.moved && done.mark) moving(done.mark, ...draggedTo(x, y));
+  drag = null;
+  change({ dragged: null });
+  if (done.moved || done.button !== 0 || done.mark) return;
+  const [u, v] = toImage(done.x, done.y);
+  if (isInside(u, v)) placing(u, v);
+}
+
+// Draw everything. The last picture stays until the next one has come.
+export function draw() {
+  if (!scene() || frame() === null || app.view !== "mark") return;
+  if (shownScene !== app.scene) {
+    shownScene = app.scene;
+    last = null;
+    fit();
+  }
+  const entry = picture(app.scene, frame(), wantedWidth(view.zoom), () => change({}));
+  if (entry.ready) {
+    last = entry;
+    fetchNeighbours(wantedWidth(view.zoom));
+  }
+  drawPicture(entry);
+  drawMarks(marksCanvas, app.dragged);
+}
+
+function drawPicture(entry) {
+  const ratio = window.devicePixelRatio || 1, context = pictureCanvas.getContext("2d");
+  pictureCanvas.style.filter = app.brightness === 1 ? "" : `brightness(${app.brightness})`;
+  pictureCanvas.dataset.frame = entry.ready ? `${app.scene}/${frame()}` : "";
+  context.setTransform(ratio, 0, 0, ratio, 0, 0);
+  context.clearRect(0, 0, stage.clientWidth, stage.clientHeight);
+  const shown = entry.ready ? entry : last;
+  if (entry.failed) {
+    context.fillStyle = "#fff";
+    context.fillText("this picture cannot be read", 20, 30);
+  } else if (shown) {
+    context.imageSmoothingEnabled = view.zoom < 4;
+    context.imageSmoothingQuality = "high";
+    context.drawImage(shown.image, view.left, view.top, scene().width * view.zoom, scene().height * view.zoom);
+  }
+}
+
+export const currentPicture = () => last;
+export const clicksHere = () => (poses() ? clicksIn(app.scene, frame()) : []);

@@ -1,0 +1,39 @@
+// Elements and dialogs.
+
+export function element(tag, properties = {}, ...children) {
+  const { style, ...rest } = properties;
+  const made = Object.assign(document.createElement(tag), rest);
+  if (style) made.style.cssText = style;
+  made.append(...children);
+  return made;
+}
+
+const dialog = document.getElementById("dialog");
+
+// Show content in the dialog; resolves with its returnValue when it is closed.
+export function show(...content) {
+  dialog.replaceChildren(...content);
+  dialog.returnValue = "";
+  dialog.showModal();
+  return new Promise((resolve) => dialog.addEventListener("close", () => resolve(dialog.returnValue), { once: true }));
+}
+
+export const closeDialog = (value = "") => dialog.close(value);
+
+// Ask for some texts; null when cancelled, else their values in order.
+export async function ask(title, fields) {
+  const inputs = fields.map(({ label, value, rows }) => {
+    const input = element(rows ? "textarea" : "input", { value: value ?? "", ariaLabel: label });
+    return { input, line: element("label", {}, `${label} `, input) };
+  });
+  const form = element("form", { method: "dialog" },
+    element("b", { textContent: title }),
+    ...inputs.map(({ line }) => line),
+    element("div", { className: "row" },
+      element("button", { className: "primary", value: "ok", textContent: "OK" }),
+      element("button", { value: "", textContent: "Cancel", type: "button", onclick: () => dialog.close("") })));
+  const answer = show(form);
+  (inputs[0]?.input || form.querySelector("button")).focus();
+  inputs[0]?.input.select?.();
+  return (await answer) === "ok" ? inputs.map(({ input }) => input.value.trim()) : null;
+}

@@ -1,0 +1,99 @@
+// Scenes, poses and pictures, fetched when they are first needed.
+
+import { binary, get, picturePath, scenePath } from "./api.js";
+import { app, change, frame, poses, rowOf, scene } from "./store.js";
+
+const MOST_PICTURES = 48;
+const pictures = new Map(); // address -> {image, ready}
+
+// Open a scene at a frame (the one it was left at, or its middle, when none is said).
+const leftAt = {};
+export async function openScene(name, index = null, part = {}) {
+  if (app.scene !== null) leftAt[app.scene] = app.row;
+  await ensureScene(name);
+  const row = index !== null ? rowOf(name, index) : leftAt[name] ?? app.poses[name].index.length >> 1;
+  change({ ...part, scene: name, row });
+}
+
+async function ensureScene(name) {
+  if (app.poses[name]) return;
+  const [details, buffer] = await Promise.all([get(scenePath(name)), binary(`${scenePath(name)}/poses`)]);
+  const table = new Float32Array(buffer);
+  const index = Int32Array.from({ length: table.length / 8 }, (_, row) => table[8 * row]);
+  app.scenes[name] = details;
+  app.poses[name] = { index, table };
+}
+
+export function goToRow(row) {
+  const count = poses()?.index.length || 0;
+  if (count) change({ row: Math.max(0, Math.min(count - 1, row)) });
+}
+
+// A picture of a frame; `ready` is set once it can be drawn. `then` is called when it has come.
+export function picture(sceneName, index, width, then) {
+  const address = picturePath(sceneName, index, width);
+  let entry = pictures.get(address);
+  if (entry) {
+    pictures.delete(address);
+    pictures.set(address, entry); // used last
+    if (then && !entry.ready) entry.waiting.push(then);
+    return entry;
+  }
+  const image = new Image();
+  entry = { image, ready: false, failed: false, waiting: then ? [then] : [] };
+  image.decoding = "async";
+  image.onload = () => done(entry, true);
+  image.onerror = () => done(entry, false);
+  image.src = address;
+  pictures.set(address, entry);
+  while (pictures.size > MOST_PICTURES) pictures.delete(pictures.keys().next().value);
+  return entry;
+}
+
+function done(entry, ready) {
+  entry.ready = ready;
+  entry.failed = !ready;
+  for (const then of entry.waiting.splice(0)) then();
+}
+
+// The width to ask for: what the screen shows, 0 = the whole image.
+export function wantedWidth(zoom) {
+  const pixels = scene().width * zoom * (window.devicePixelRatio || 1);
+  return pixels >= scene().width ? 0 : [320, 640, 960, 1280, 1920].find((w) => w >= pixels) || 0;
+}
+
+// Neighbours are fetched while one looks at a frame.
+let resting = null;
+export function fetchNeighbours(width) {
+  clearTimeout(resting);
+  const [name, row, rows] = [app.scene, app.row, poses().index];
+  resting = setTimeout(() => {
+    for (const step of [1, -1, 2]) {
+      if (app.scene === name && app.row === row && rows[row + step] !== undefined)
+        picture(name, rows[row + step], width);
+    }
+  }, 150);
+}
+
+// Depth -----------------------------------------------------------------------------------------------
+
+const depths = new Map(); // "scene/frame" -> Uint16Array | null while it comes
+let asked = null;
+
+// The depth image of the current frame, as stored; null until it is here.
+export function depthNow(then) {
+  const key = `${app.scene}/${frame()}`;
+  if (depths.has(key)) return depths.get(key);
+  asked?.abort();
+  asked = new AbortController();
+  depths.set(key, null);
+  binary(`${scenePath(app.scene)}/frames/${frame()}.depth`, asked.signal).then(
+    (buffer) => {
+      depths.set(key, new Uint16Array(buffer));
+      while (depths.size > 12) depths.delete(depths.keys().next().value);
+      then();
+    },
+    () => depths.delete(key),
+  );
+  return null;
+}

@@ -1,0 +1,93 @@
+// Everything by keyboard, and the sheet that lists it.
+
+import { cursorOnScreen, fit, nudge, zoomBy } from "./canvas.js";
+import { element, show, closeDialog } from "./dom.js";
+import { goToRow } from "./frames.js";
+import * as keypoints from "./keypoints.js";
+import * as scenes from "./scenes.js";
+import * as timeline from "./timeline.js";
+import { act } from "./log.js";
+import { app, change, poses } from "./store.js";
+
+const brighter = (by) => change({ brightness: Math.round(10 * Math.max(0.4, Math.min(3, app.brightness + by))) / 10 });
+const placeAtCursor = () => app.cursor && keypoints.place(app.cursor.u, app.cursor.v);
+export const undo = () => app.state?.undo && act({ op: "undo" });
+export const redo = () => app.state?.redo && act({ op: "redo" });
+
+// [keys, what it does, function]; keys as `keyOf` writes them.
+const KEYS = [
+  [["ArrowLeft", "ArrowRight", "ArrowUp", "ArrowDown"], "move the cursor by 1 screen pixel (Shift: 10, Ctrl: ¼)", null],
+  [["Enter"], "mark the selected keypoint at the cursor", placeAtCursor],
+  [["Delete", "Backspace"], "delete the selected keypoint's mark", keypoints.remove],
+  [["1 … 9"], "select keypoint 1 … 9", null],
+  [["j", "k"], "next, previous keypoint", (key) => keypoints.select(app.keypoint + (key === "j" ? 1 : -1))],
+  [["s"], "skip: not visible in this scene", keypoints.skip],
+  [["a"], "add a keypoint", keypoints.add],
+  [["F2"], "rename the keypoint", keypoints.rename],
+  [["Alt+ArrowUp", "Alt+ArrowDown"], "move the keypoint up or down the list", (key) => keypoints.shift(key === "Alt+ArrowUp" ? -1 : 1)],
+  [["Ctrl+z"], "undo", undo],
+  [["Ctrl+y", "Ctrl+Shift+z"], "redo", redo],
+  [[",", "."], "previous, next frame", (key) => goToRow(app.row + (key === "." ? 1 : -1))],
+  [["<", ">"], "10 frames back, on", (key) => goToRow(app.row + (key === ">" ? 10 : -10))],
+  [["Home", "End"], "first, last frame", (key) => goToRow(key === "Home" ? 0 : poses().index.length)],
+  [["[", "]"], "previous, next suggested or clicked frame", (key) => timeline.jump(key === "]" ? 1 : -1)],
+  [["r"], "a frame at random", timeline.random],
+  [["p"], "play, stop", timeline.play],
+  [["PageUp", "PageDown"], "previous, next scene", (key) => scenes.step(key === "PageDown" ? 1 : -1)],
+  [["+", "="], "zoom in at the cursor", () => zoomBy(1.25, ...cursorOnScreen())],
+  [["-"], "zoom out", () => zoomBy(0.8, ...cursorOnScreen())],
+  [["0"], "the whole image", fit],
+  [["b", "Shift+b"], "brighter, darker", (key) => brighter(key === "b" ? 0.2 : -0.2)],
+  [["m"], "show or hide the model", () => change({ showModel: !app.showModel })],
+  [["l"], "show or hide the mask (of the labels)", () => change({ showMask: !app.showMask })],
+];
+
+// Other parts of the page add theirs.
+export function addKeys(more) {
+  KEYS.push(...more);
+}
+
+const modifiers = (event) =>
+  `${event.ctrlKey || event.metaKey ? "Ctrl+" : ""}${event.altKey ? "Alt+" : ""}`;
+
+function keyOf(event) {
+  const letter = /^[a-z]$/i.test(event.key);
+  const shift = event.shiftKey && letter ? "Shift+" : "";
+  return modifiers(event) + shift + (letter ? event.key.toLowerCase() : event.key);
+}
+
+export function setUp() {
+  addKeys([[["?"], "this sheet", sheet]]);
+  document.getElementById("help").addEventListener("click", sheet);
+  document.addEventListener("keydown", press);
+}
+
+function press(event) {
+  if (document.querySelector("dialog[open]") || event.isComposing) return;
+  const typing = event.target.matches("input:not([type=checkbox]):not([type=range]), textarea, select");
+  if (typing) return;
+  const key = keyOf(event), arrow = /^(Ctrl\+)?Arrow/.test(key), onButton = event.target.matches("button, input");
+  if (key === "Enter" && onButton) return; // it presses the button
+  if (arrow && (event.target.matches("input[type=range]") || app.view !== "mark")) return;
+  const does = arrow ? () => arrowKey(event) : /^[1-9]$/.test(key) ? () => pick(Number(key) - 1) : KEYS.find(([keys, , f]) => f && keys.includes(key))?.[2];
+  if (!does) return;
+  event.preventDefault();
+  does(key);
+}
+
+const pick = (k) => k < app.state.keypoints.length && keypoints.select(k);
+
+function arrowKey(event) {
+  const size = event.shiftKey ? 10 : event.ctrlKey ? 0.25 : 1;
+  const [dx, dy] = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] }[event.key];
+  nudge(dx * size, dy * size);
+}
+
+function sheet() {
+  const lines = KEYS.map(([keys, text]) =>
+    element("p", {}, element("span", {}, ...keys.flatMap((k) => [element("kbd", { textContent: k.replace("Arrow", "") }), " "])), text));
+  const mouse = "Mouse: click marks the selected keypoint, drag a mark to move it, drag the image to pan, wheel zooms.";
+  show(element("b", { textContent: "Keys" }), element("p", { textContent: mouse }),
+    element("div", { className: "columns" }, ...lines),
+    element("button", { className: "primary", textContent: "Close (Esc)", onclick: () => closeDialog() }));
+}

@@ -1,0 +1,47 @@
+// What happens elsewhere: other tabs and people, jobs, and whether the server is still there.
+
+import { get } from "./api.js";
+import * as log from "./log.js";
+import { app, change } from "./store.js";
+
+const SILENCE_MS = 25000; // the server says something every 10 s
+const hears = {
+  object: async (name, revision) => {
+    if (name === app.state?.object && revision > app.state.revision && !app.waiting) await log.load(name);
+  },
+  objects: async () => change({ workspace: await get("/api/workspace") }),
+};
+
+// Other parts of the page listen too.
+export function onNews(kind, does) {
+  hears[kind] = does;
+}
+
+export function listen() {
+  const stream = new EventSource("/api/news");
+  let silence = null;
+  const alive = () => {
+    clearTimeout(silence);
+    silence = setTimeout(() => { stream.close(); change({ offline: true }); listen(); }, SILENCE_MS);
+  };
+  alive();
+  stream.onmessage = async ({ data }) => {
+    alive();
+    const [kind, ...what] = JSON.parse(data);
+    if (app.offline) change({ offline: false });
+    if (kind === "hello") await caughtUp(); else await hears[kind]?.(...what);
+  };
+  stream.onerror = () => {
+    change({ offline: true });
+    if (stream.readyState === EventSource.CLOSED) {
+      clearTimeout(silence);
+      setTimeout(listen, 1000);
+    }
+  };
+}
+
+// After a lost connection: send what waits, and take what others did.
+async function caughtUp() {
+  if (app.waiting) await log.sendAgain();
+  else if (app.state) await log.load(app.state.object).catch((error) => log.alertOnce(error.message));
+}

@@ -1,0 +1,56 @@
+// What the page knows; panels are drawn again after a change.
+
+export const app = {
+  workspace: null, // {name, scenes, objects}
+  scenes: {}, // details by name, once asked for
+  poses: {}, // by scene: {index: Int32Array, table: Float32Array of 8 a row}
+  state: null, // the object's log as the server told it, with what is on its way there
+  result: null, // of the last revision that was solved
+  suggestions: {}, // by scene: [{frame, why}]
+  next: null, // {text, scene, frame, keypoint, view, action}
+  scene: null, row: 0, keypoint: 0, view: "mark",
+  cursor: null, // {u, v} in image pixels
+  showModel: true, showMask: false, brightness: 1,
+  waiting: 0, offline: false, job: null, fresh: {},
+};
+
+const listeners = [];
+let planned = false;
+
+export function onChange(listener) {
+  listeners.push(listener);
+}
+
+export function change(part) {
+  Object.assign(app, part);
+  if (planned) return;
+  planned = true;
+  queueMicrotask(() => {
+    planned = false;
+    for (const listener of listeners) listener(app);
+  });
+}
+
+export const scene = () => app.scenes[app.scene] || null;
+export const poses = () => app.poses[app.scene] || null;
+export const frame = () => (poses() ? poses().index[app.row] : null);
+
+// The row of a frame in its scene; the nearest one when that frame has no pose.
+export function rowOf(sceneName, index) {
+  const rows = app.poses[sceneName]?.index || [];
+  let low = 0, high = rows.length - 1;
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    if (rows[middle] < index) low = middle + 1; else high = middle;
+  }
+  return low;
+}
+
+export const clicksIn = (sceneName, frameIndex) =>
+  (app.state?.clicks || []).filter((c) => c.scene === sceneName && (frameIndex == null || c.frame === frameIndex));
+
+export const residualOf = (click) =>
+  app.result?.clicks.find((r) => r.keypoint === click.keypoint && r.scene === click.scene && r.frame === click.frame);
+
+export const isSkipped = (keypoint, sceneName) =>
+  (app.state?.skipped || []).some(([k, s]) => k === keypoint && s === sceneName);

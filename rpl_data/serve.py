@@ -1,0 +1,99 @@
+"""`rpl annotate`: the annotation page, joined with the stages it can run."""
+
+from __future__ import annotations
+
+import ipaddress
+import secrets
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from rpl_data.annotate import Place, Work
+from rpl_data.annotate.work import Tell
+from rpl_data.build import Progress, build, context_of, recipe_of, save_recipe, stale_steps
+from rpl_data.pipeline.sparse import solve_annotation
+from rpl_data.recipe import ObjectRecipe
+from rpl_data.solve import register
+from rpl_data.types import DataError
+from rpl_data.workspace import Workspace
+
+
+def place_of(host: str, port: int) -> Place:
+    """Where to listen; a token is made up for every address but this machine's own."""
+    try:
+        local = host == "localhost" or ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        local = False
+    if not 1 <= port <= 65535:
+        raise DataError(f"there is no port {port}; choose one from 1024 to 65535")
+    return Place(host, port, None if local else secrets.token_urlsafe(18))
+
+
+def work_of(workspace: Workspace) -> Work:
+    """The stages, for the page of a workspace."""
+    context_of(workspace)  # says what is wrong before the page opens
+    return Work(
+        solve=lambda annotation, observations: solve_annotation(
+            context_of(workspace), annotation, observations
+        ),
+        register=register,
+        objects=lambda: context_of(workspace).object_names,
+        add_object=lambda name, keypoints: _add_object(workspace, name, keypoints),
+        run=lambda stage, tell: _run(workspace, stage, tell),
+        fresh=lambda: _fresh(workspace),
+    )
+
+
+def _add_object(workspace: Workspace, name: str, keypoints: Sequence[str]) -> None:
+    """Write the object into the workspace's recipe; a twin's own objects are written out with it."""
+    context = context_of(workspace)
+    new = ObjectRecipe(name, tuple(keypoints))
+    recipe = replace(context.recipe, scenes=context.scene_sources, objects=(*context.objects, new))
+    save_recipe(recipe, workspace)
+    build(recipe, workspace, until="clicks", workers=1)
+
+
+def _run(workspace: Workspace, stage: str, tell: Tell) -> list[str]:
+    lines: list[str] = []
+
+    def told(progress: Progress) -> None:
+        tell(f"{progress.stage} {progress.item}".strip(), progress.done, progress.total)
+        if progress.state == "ran":
+            lines.extend(progress.outcome.messages)
+
+    build(recipe_of(workspace), workspace, until=stage, tell=told)
+    return lines
+
+
+def _fresh(workspace: Workspace) -> dict[str, bool]:
+    found = stale_steps(recipe_of(workspace), workspace)
+    return {stage: bool(steps) and all(holds for _, holds in steps) for stage, steps in found.items()}
+
+
+def serve(workspace: Path, place: Place, *, ready: bool = False) -> None:
+    """Serve the page until Ctrl-C.
+
+    Raises:
+        DataError: this is no workspace, or the address cannot be listened on.
+    """
+    import socket
+
+    import uvicorn
+
+    from rpl_data.annotate.server import make_app
+    from rpl_data.annotate.session import Session
+
+    root = Workspace(workspace)
+    app = make_app(Session(root, work_of(root)), place)
+    family = socket.AF_INET6 if ":" in place.host else socket.AF_INET
+    try:
+        taken = socket.create_server((place.host, place.port), family=family)
+    except OSError as error:
+        raise DataError(
+            f"cannot listen on {place.host} port {place.port}: {error.strerror or error}; "
+            "another page may be open already; choose another --port"
+        ) from error
+    config = uvicorn.Config(
+        app, log_level="warning", access_log=False, timeout_graceful_shutdown=1, ws="none"
+    )
+    uvicorn.Server(config).run(sockets=[taken])

@@ -1,0 +1,104 @@
+"""Driving the page: the server as a process, places in the image, what was saved."""
+
+from __future__ import annotations
+
+import signal
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+from pathlib import Path
+
+from playwright.sync_api import Page, expect
+
+from rpl_data.workspace import Workspace
+
+SHOWN = '#picture[data-frame]:not([data-frame=""])'
+"""The picture, once a frame is drawn on it."""
+
+
+class Server:
+    """`rpl annotate` in a process of its own."""
+
+    def __init__(self, workspace: Path) -> None:
+        self.workspace = workspace
+        with socket.create_server(("127.0.0.1", 0)) as free:
+            self.port = free.getsockname()[1]
+        self.url = f"http://127.0.0.1:{self.port}/"
+        self.start()
+
+    def start(self) -> None:
+        command = [
+            sys.executable,
+            "-m",
+            "rpl_data.cli",
+            "annotate",
+            str(self.workspace),
+            "--port",
+            str(self.port),
+        ]
+        self.process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
+        for _ in range(300):
+            try:
+                urllib.request.urlopen(self.url, timeout=5).close()
+                return
+            except OSError:
+                assert self.process.poll() is None, "the server ended"
+                time.sleep(0.1)
+        raise AssertionError("the server did not answer")
+
+    def kill(self) -> None:
+        self.process.send_signal(signal.SIGKILL)
+        self.process.wait()
+
+
+def is_ours(url: str, server: Server) -> bool:
+    return url.startswith((server.url, "data:", "blob:"))
+
+
+def view(page: Page) -> dict[str, float]:
+    """Zoom, and where the image's corner is in the page."""
+    return page.evaluate(
+        """async () => {
+            const { view } = await import("/static/canvas.js");
+            const box = document.getElementById("marks").getBoundingClientRect();
+            return { zoom: view.zoom, x: box.x + view.left, y: box.y + view.top };
+        }"""
+    )
+
+
+def zoom_to(page: Page, zoom: float, u: float, v: float) -> None:
+    """Zoom at a pixel with the wheel until the page says that it is enough, then exactly."""
+    page.mouse.move(*on_page(page, u, v))
+    while view(page)["zoom"] < zoom:
+        page.mouse.wheel(0, -120)
+        page.wait_for_timeout(30)
+    x, y = on_page(page, u, v)
+    page.evaluate(
+        """async ([zoom, x, y]) => {
+            const { view, zoomBy } = await import("/static/canvas.js");
+            const box = document.getElementById("marks").getBoundingClientRect();
+            zoomBy(zoom / view.zoom, x - box.x, y - box.y);
+        }""",
+        [zoom, x, y],
+    )
+
+
+def on_page(page: Page, u: float, v: float) -> tuple[float, float]:
+    at = view(page)
+    return (u + 0.5) * at["zoom"] + at["x"], (v + 0.5) * at["zoom"] + at["y"]
+
+
+def saved(page: Page) -> None:
+    expect(page.locator("#saved")).to_have_text("all saved")
+
+
+def clicks(server: Server) -> dict[tuple[int, str, int], tuple[float, float]]:
+    annotation = Workspace(server.workspace).load_annotation("carton")
+    return {(c.keypoint, c.scene, c.frame): (c.u_px, c.v_px) for c in annotation.clicks}
+
+
+def place(page: Page, u: float, v: float) -> None:
+    page.mouse.click(*on_page(page, u, v))
+    saved(page)
