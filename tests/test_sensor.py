@@ -196,7 +196,7 @@ def hurried() -> Film:
 
 def test_a_lag_takes_the_depth_from_where_the_camera_was(hurried: Film) -> None:
     late = hurried.shoot(6)
-    in_time = hurried.renderer.render(hurried.table_from_camera[4], rng=np.random.default_rng(0))
+    in_time = hurried.renderer.render(hurried.table_from_camera[4])
     np.testing.assert_allclose(late.depth_m, in_time.depth_m, atol=1e-5)
     assert np.abs(late.depth_m - late.perfect.depth_m).max() > 0.01
 

@@ -78,10 +78,10 @@ class Film:
     def shoot(self, frame: int) -> Shot:
         """Render a frame; the same spec, scene and frame give the same pixels."""
         rng = np.random.default_rng([self.spec.seed, self.number, 1, frame])
-        perfect = self.renderer.render(self.table_from_camera[frame], rng=rng)
+        perfect = self.renderer.render(self.table_from_camera[frame])
         older = perfect
         if self.spec.sensor.lag_frames:
-            older = self.renderer.render(self.table_from_imager[frame], rng=rng)
+            older = self.renderer.render(self.table_from_imager[frame])
         view = PerfectView(older.depth_m, older.cos_incidence, older.albedo, older.shininess)
         sensor, intrinsics = self.spec.sensor, self.spec.intrinsics
         view = shifted(view, sensor.shift_px)

@@ -1,12 +1,14 @@
 """Exact images of a scene of a twin: colour, depth, which thing every pixel shows.
 
-Rays by `rpl_data.raycast`, shading in numpy: texture, a lamp with a soft shadow, light from the room,
-a highlight. Colour is anti-aliased where surfaces end; depth and masks are those of the pixel centres.
+Rays by `rpl_data.raycast`, shading in numpy. Colour is anti-aliased where surfaces end; depth and masks
+are those of the pixel centres.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -14,14 +16,20 @@ from jaxtyping import Bool, Float32, Float64, Int64
 
 from rpl_data.geometry import Transform, invert, project, transform
 from rpl_data.raycast import Hits, RayScene, pixel_rays, rays_in_object
+from rpl_data.twin.light import TO_LINEAR, shaded, to_srgb
+from rpl_data.twin.picture import Picture
 from rpl_data.twin.scene import TwinScene
 from rpl_data.types import ColorImage, DepthImage, Intrinsics
 
-GAMMA = 2.2
-TO_LINEAR = (np.arange(256, dtype=np.float32) / 255) ** np.float32(GAMMA)
-FROM_LINEAR = np.round(255 * (np.arange(4096) / 4095) ** (1 / GAMMA)).astype(np.uint8)
 SKIN_M = 5e-4
 """Shadow rays start this far above the surface, so that it does not shadow itself."""
+NEAR_M = 0.2
+"""What stands nearer than this keeps the light of the room away."""
+TILE = 8
+"""Every pixel of a square of 8 x 8 sends its shadow rays another way; the mean over a square is smooth
+(interleaved sampling, Keller & Heidrich, 2001)."""
+CORNERS = ((-0.125, -0.375), (0.375, -0.125), (0.125, 0.375), (-0.375, 0.125))
+"""Where in an edge pixel its four rays go: a rotated grid."""
 
 
 @dataclass(frozen=True)
@@ -45,14 +53,21 @@ class Rendered:
 
 
 @dataclass(frozen=True)
-class _Shaded:
-    """Colour (linear light) and geometry of some rays."""
+class _Seen:
+    """What some rays met, before any light is worked out.
 
-    linear: Float32[np.ndarray, "n 3"]
+    Attributes:
+        view: unit vectors to the camera.
+        seen: share of the lamp and of the room that is not hidden.
+    """
+
     hits: Hits
+    points: Float32[np.ndarray, "n 3"]
+    view: Float32[np.ndarray, "n 3"]
+    albedo: Float32[np.ndarray, "n 3"]
+    normals: Float32[np.ndarray, "n 3"]
+    gloss: Float32[np.ndarray, " n"]
     cos_incidence: Float32[np.ndarray, " n"]
-    albedo: Float32[np.ndarray, " n"]
-    shininess: Float32[np.ndarray, " n"]
 
 
 class Renderer:
@@ -62,29 +77,31 @@ class Renderer:
         self.intrinsics = intrinsics
         self._surfaces = scene.surfaces
         self._light = scene.light
-        self._rays = RayScene([surface.mesh for surface in scene.surfaces])
-        self._alone = [RayScene([surface.mesh]) for surface in scene.surfaces[: len(scene.table_from_object)]]
-        self._linear_textures = [TO_LINEAR[surface.texture] for surface in scene.surfaces]
+        self._rays = RayScene([surface.mesh for surface in scene.surfaces], threads=1)
+        objects = scene.surfaces[: len(scene.table_from_object)]
+        self._alone = [RayScene([surface.mesh], threads=1) for surface in objects]
+        self._pictures = [Picture.of(surface) for surface in scene.surfaces]
         size = {"width": intrinsics.width, "height": intrinsics.height}
-        self._directions = pixel_rays(intrinsics, left_px=0, top_px=0, **size)
+        directions = pixel_rays(intrinsics, left_px=0, top_px=0, **size)
+        self._directions = directions.astype(np.float32)
 
-    def render(self, table_from_camera: Transform, *, rng: np.random.Generator) -> Rendered:
-        """The image from there; `rng` only places the samples of shadow and anti-aliasing."""
+    def render(self, table_from_camera: Transform) -> Rendered:
+        """The image from there."""
         shape = self._directions.shape[:2]
-        shaded = self._shade(self._directions, table_from_camera, rng, shape)
-        thing = shaded.hits.mesh_id.reshape(shape)
-        depth_m = np.where(np.isfinite(shaded.hits.t), shaded.hits.t, np.float32(0)).reshape(shape)
-        linear = shaded.linear.reshape(*shape, 3)
-        edges = _edges(thing, shaded.hits.normals.reshape(*shape, 3), depth_m)
-        self._smooth(linear, edges, table_from_camera, rng)
-        color = FROM_LINEAR[(linear * 4095).clip(0, 4095).astype(np.int32)]
+        seen = self._look(self._directions, table_from_camera)
+        unhidden = self._unhidden(seen, shape)
+        linear = self._shaded(seen, unhidden.reshape(-1, 2)).reshape(*shape, 3)
+        thing = seen.hits.mesh_id.reshape(shape)
+        depth_m = np.where(np.isfinite(seen.hits.t), seen.hits.t, np.float32(0)).reshape(shape)
+        edges = _edges(thing, seen.hits.normals.reshape(*shape, 3), depth_m)
+        self._smooth_edges(linear, edges, thing, unhidden, table_from_camera)
         return Rendered(
-            color,
+            to_srgb(linear),
             depth_m.astype(np.float32),
             thing,
-            shaded.cos_incidence.reshape(shape),
-            shaded.albedo.reshape(shape),
-            shaded.shininess.reshape(shape),
+            seen.cos_incidence.reshape(shape),
+            seen.albedo.mean(axis=1).reshape(shape),
+            seen.gloss.reshape(shape),
         )
 
     def full_mask(self, object_number: int, table_from_camera: Transform) -> Bool[np.ndarray, "height width"]:
@@ -113,147 +130,161 @@ class Renderer:
         rays = np.hstack([np.broadcast_to(origin, to_point.shape), to_point * (1 - tolerance_m / length)])
         return ~self._rays.occluded(rays.astype(np.float32), far=1.0)
 
-    # Shading --------------------------------------------------------------------------------------
+    # What rays meet ---------------------------------------------------------------------------------
 
-    def _shade(
-        self,
-        directions_camera: Float64[np.ndarray, "*shape 3"],
-        table_from_camera: Transform,
-        rng: np.random.Generator,
-        image_shape: tuple[int, int] | None,
-    ) -> _Shaded:
-        """Light along rays; `image_shape` where they are a whole image (shadows are then smoothed)."""
+    def _look(
+        self, directions_camera: Float32[np.ndarray, "*shape 3"], table_from_camera: Transform
+    ) -> _Seen:
         rays = rays_in_object(directions_camera, invert(table_from_camera))
         hits = self._rays.cast(rays)
-        albedo, normals, gloss = self._surface_at(hits)
-        view = -rays[:, 3:] / np.linalg.norm(rays[:, 3:], axis=1, keepdims=True)
-        points = rays[:, :3] + np.where(np.isfinite(hits.t), hits.t, 0)[:, None] * rays[:, 3:]
-        cos_incidence = np.abs(np.einsum("nk,nk->n", hits.normals, view))
-        lit, highlight = self._lamp(points, hits, normals, view, rng, image_shape)
-        sky = self._light.ambient * (0.75 + 0.25 * normals[:, 2])
-        color = self._light.color.astype(np.float32)
-        linear = albedo * (sky[:, None] + lit[:, None] * color) + (gloss * highlight)[:, None] * color
-        return _Shaded(
-            linear.astype(np.float32), hits, cos_incidence.astype(np.float32), albedo.mean(axis=1), gloss
-        )
+        distance = np.where(np.isfinite(hits.t), hits.t, np.float32(0))
+        points = rays[:, :3] + distance[:, None] * rays[:, 3:]
+        view = rays[:, 3:] * (-1 / np.sqrt(np.einsum("nk,nk->n", rays[:, 3:], rays[:, 3:])))[:, None]
+        cos = np.abs(np.einsum("nk,nk->n", hits.normals, view))
+        footprint_m = distance / np.float32(self.intrinsics.fx) / np.sqrt(cos.clip(0.05))
+        return _Seen(hits, points, view, *self._materials(hits, footprint_m), cos)
 
-    def _surface_at(
-        self, hits: Hits
+    def _materials(
+        self, hits: Hits, footprint_m: Float32[np.ndarray, " n"]
     ) -> tuple[Float32[np.ndarray, "n 3"], Float32[np.ndarray, "n 3"], Float32[np.ndarray, " n"]]:
         """Albedo, shading normal and gloss where rays met surfaces."""
         albedo = np.zeros((len(hits.t), 3), np.float32)
         normals = np.zeros((len(hits.t), 3), np.float32)
         normals[:, 2] = 1
         gloss = np.zeros(len(hits.t), np.float32)
+        order = np.argsort(hits.mesh_id.astype(np.int16), kind="stable")  # surface by surface
+        bounds = np.searchsorted(hits.mesh_id[order], np.arange(len(self._surfaces) + 1))
         for number, surface in enumerate(self._surfaces):
-            here = np.flatnonzero(hits.mesh_id == number)
+            here = order[bounds[number] : bounds[number + 1]]
             if len(here):
                 weights = np.column_stack([1 - hits.uv[here].sum(axis=1), hits.uv[here]])
                 corners = hits.triangle_id[here]
                 uv = np.einsum("nc,nck->nk", weights, surface.corner_uv[corners])
-                albedo[here] = _sample(self._linear_textures[number], uv)
+                picture = self._pictures[number]
+                albedo[here] = TO_LINEAR[picture.at(uv, footprint_m[here] * picture.texels_per_m[corners])]
                 smooth = np.einsum("nc,nck->nk", weights, surface.corner_normals[corners])
                 normals[here] = smooth / np.linalg.norm(smooth, axis=1, keepdims=True)
                 gloss[here] = surface.gloss[corners]
         return albedo, normals, gloss
 
-    def _lamp(
-        self,
-        points: Float32[np.ndarray, "n 3"],
-        hits: Hits,
-        normals: Float32[np.ndarray, "n 3"],
-        view: Float32[np.ndarray, "n 3"],
-        rng: np.random.Generator,
-        image_shape: tuple[int, int] | None,
-    ) -> tuple[Float32[np.ndarray, " n"], Float32[np.ndarray, " n"]]:
-        """Diffuse light and highlight (Blinn, SIGGRAPH 1977) of the lamp, shadow included."""
-        light = self._light
-        to_lamp = light.position_m.astype(np.float32) - points
-        distance = np.linalg.norm(to_lamp, axis=1)
-        to_lamp /= distance[:, None]
-        facing = np.einsum("nk,nk->n", normals, to_lamp).clip(0)
-        facing[hits.mesh_id < 0] = 0
-        reference_m = np.float32(np.linalg.norm(light.position_m))
-        falloff = np.float32(light.strength) * np.square(reference_m / distance)
-        shadow = self._shadow(points, hits, facing > 0, rng)
-        if image_shape is not None:
-            shadow = _smoothed_shadow(
-                shadow.reshape(image_shape), np.where(facing > 0, hits.mesh_id, -1).reshape(image_shape)
-            )
-        half = to_lamp + view
-        half /= np.linalg.norm(half, axis=1, keepdims=True)
-        shine = np.einsum("nk,nk->n", normals, half).clip(0)
-        for _ in range(5):  # to the 32nd power
-            shine = shine * shine
-        return facing * falloff * shadow, shine * falloff * shadow * (facing > 0)
+    def _shaded(self, seen: _Seen, unhidden: Float32[np.ndarray, "n 2"]) -> Float32[np.ndarray, "n 3"]:
+        return shaded(
+            self._light,
+            albedo=seen.albedo,
+            gloss=seen.gloss,
+            points=seen.points,
+            normals=seen.normals,
+            view=seen.view,
+            lamp_seen=unhidden[:, 0],
+            room_seen=unhidden[:, 1],
+        )
 
-    def _shadow(
-        self,
-        points: Float32[np.ndarray, "n 3"],
-        hits: Hits,
-        turned: Bool[np.ndarray, " n"],
-        rng: np.random.Generator,
-    ) -> Float32[np.ndarray, " n"]:
-        """1 where one random point of the lamp is seen, 0 where not."""
-        shadow = np.zeros(len(points), np.float32)
-        where = np.flatnonzero(turned)
-        offset = rng.standard_normal((len(where), 3), dtype=np.float32)
-        offset *= np.float32(self._light.radius_m) / np.linalg.norm(offset, axis=1, keepdims=True)
-        lamp = self._light.position_m.astype(np.float32) + offset
-        start = points[where] + np.float32(SKIN_M) * hits.normals[where]
-        shadow[where] = ~self._rays.occluded(np.hstack([start, lamp - start]), far=1.0)
-        return shadow
+    # Shadows ----------------------------------------------------------------------------------------
 
-    def _smooth(
+    def _unhidden(self, seen: _Seen, shape: tuple[int, int]) -> Float32[np.ndarray, "height width 2"]:
+        """Share of the lamp and of the room that each pixel sees.
+
+        The pixels take turns, as on a chessboard: one asks for the lamp, the next for the room.
+        """
+        sample, asks_lamp = _tiled(shape)
+        hits, met = seen.hits, seen.hits.mesh_id >= 0
+        outward = hits.normals * np.sign(np.einsum("nk,nk->n", hits.normals, seen.view))[:, None]
+        start = seen.points + np.float32(SKIN_M) * outward
+        reach = np.float32(NEAR_M) * (outward + sample)  # Lambert's cosine
+        lamp = self._light.position_m.astype(np.float32) + np.float32(self._light.radius_m) * sample
+        reach[asks_lamp] = (lamp - start)[asks_lamp]
+        free = np.zeros(len(met), np.float32)
+        free[met] = ~self._rays.occluded(np.hstack([start, reach])[met], far=1.0)
+        asked = np.column_stack([asks_lamp, ~asks_lamp]).astype(np.float32)
+        return _tile_means(free, asked, hits.mesh_id.reshape(shape))
+
+    # Edges ------------------------------------------------------------------------------------------
+
+    def _smooth_edges(
         self,
         linear: Float32[np.ndarray, "height width 3"],
         edges: Bool[np.ndarray, "height width"],
+        thing: Int64[np.ndarray, "height width"],
+        unhidden: Float32[np.ndarray, "height width 2"],
         table_from_camera: Transform,
-        rng: np.random.Generator,
     ) -> None:
         """Replace the colour of edge pixels by the mean over four rays through each, in place."""
         rows, columns = np.nonzero(edges)
         if not len(rows):
             return
-        total = np.zeros((len(rows), 3), np.float32)
-        for du, dv in ((-0.125, -0.375), (0.375, -0.125), (0.125, 0.375), (-0.375, 0.125)):
-            directions = self._directions[rows, columns].copy()
-            directions[:, 0] += du / self.intrinsics.fx
-            directions[:, 1] += dv / self.intrinsics.fy
-            total += self._shade(directions, table_from_camera, rng, None).linear.clip(0, 1)
-        linear[rows, columns] = total / 4
+        offsets = np.array(CORNERS, np.float32) / [self.intrinsics.fx, self.intrinsics.fy]
+        directions = np.repeat(self._directions[rows, columns][None], len(CORNERS), axis=0)
+        directions[..., :2] += offsets[:, None].astype(np.float32)
+        seen = self._look(directions, table_from_camera)
+        near = np.stack(
+            [
+                _of_neighbours(thing, unhidden, rows, columns, part)
+                for part in seen.hits.mesh_id.reshape(len(CORNERS), -1)
+            ]
+        )
+        light = self._shaded(seen, near.reshape(-1, 2)).clip(0, 1)
+        linear[rows, columns] = light.reshape(len(CORNERS), -1, 3).mean(axis=0)
 
 
-def _sample(
-    texture: Float32[np.ndarray, "h w 3"], uv: Float32[np.ndarray, "n 2"]
-) -> Float32[np.ndarray, "n 3"]:
-    """The texture at positions, bilinear."""
-    height, width = texture.shape[:2]
-    x = (uv[:, 0] * width - 0.5).clip(0, width - 1).astype(np.float32)
-    y = (uv[:, 1] * height - 0.5).clip(0, height - 1).astype(np.float32)
-    rows = -(-len(x) // 1024)  # cv2.remap wants an image, no side of it over 32,767
-    x, y = (np.resize(axis, (rows, 1024)) for axis in (x, y))
-    picked = cv2.remap(texture, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    sampled: Float32[np.ndarray, "n 3"] = picked.reshape(-1, 3)[: len(uv)]
-    return sampled
+@lru_cache(maxsize=2)
+def _tiled(shape: tuple[int, int]) -> tuple[Float32[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:
+    """The point of the unit sphere that each pixel takes, and whether it asks for the lamp."""
+    count = TILE * TILE // 2
+    z = 1 - (np.arange(count) + 0.5) * 2 / count
+    turn = np.arange(count) * np.pi * (3 - np.sqrt(5))  # Fibonacci lattice: even on the sphere
+    points = np.stack([np.cos(turn) * np.sqrt(1 - z**2), np.sin(turn) * np.sqrt(1 - z**2), z], -1)
+    lamp = np.indices((TILE, TILE)).sum(axis=0) % 2 == 0
+    rng, tile = np.random.default_rng(0), np.zeros((TILE, TILE), np.int64)
+    tile[lamp], tile[~lamp] = rng.permutation(count), rng.permutation(count)
+    rows, columns = np.indices(shape) % TILE
+    return points.astype(np.float32)[tile[rows, columns].ravel()], lamp[rows, columns].ravel()
 
 
-def _smoothed_shadow(
-    shadow: Float32[np.ndarray, "height width"],
-    group: Int64[np.ndarray, "height width"],
-    *,
-    width_px: int = 7,
-) -> Float32[np.ndarray, " n"]:
-    """The mean of the samples around each pixel, over pixels of the same group only."""
-    smooth = np.zeros_like(shadow)
-    for number in np.unique(group[group >= 0]):
-        rows, columns = np.nonzero(group == number)
-        part = np.s_[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
-        mask = (group[part] == number).astype(np.float32)
-        total = cv2.blur(shadow[part] * mask, (width_px, width_px))
-        weight = cv2.blur(mask, (width_px, width_px))
-        np.divide(total, weight, out=smooth[part], where=mask > 0)
-    return smooth.ravel()
+def _of_neighbours(
+    thing: Int64[np.ndarray, "height width"],
+    values: Float32[np.ndarray, "height width 2"],
+    rows: Int64[np.ndarray, " n"],
+    columns: Int64[np.ndarray, " n"],
+    wanted: Int64[np.ndarray, " n"],
+) -> Float32[np.ndarray, "n 2"]:
+    """The values of the pixel, or of the first pixel beside it, that shows the wanted thing; else 1."""
+    found = np.ones((len(rows), 2), np.float32)
+    open_ = np.ones(len(rows), dtype=bool)
+    for dv, du in ((0, 0), (0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1)):
+        v = (rows + dv).clip(0, thing.shape[0] - 1)
+        u = (columns + du).clip(0, thing.shape[1] - 1)
+        here = open_ & (thing[v, u] == wanted)
+        found[here] = values[v[here], u[here]]
+        open_ &= ~here
+    return found
+
+
+def _tile_means(
+    values: Float32[np.ndarray, " n"],
+    asked: Float32[np.ndarray, "n 2"],
+    thing: Int64[np.ndarray, "height width"],
+) -> Float32[np.ndarray, "height width 2"]:
+    """Two means over the tile around each pixel, over pixels of the same thing that were asked."""
+    sums = np.concatenate([asked * values[:, None], asked], axis=1).reshape(*thing.shape, 4)
+    smooth = np.ones((*thing.shape, 2), np.float32)
+    for part, mask in _parts(thing):
+        total = cv2.blur(sums[part] * mask[..., None], (TILE + 1, TILE + 1))[mask]
+        smooth[part][mask] = total[:, :2] / np.maximum(total[:, 2:], 1e-6)
+    return smooth
+
+
+def _parts(
+    thing: Int64[np.ndarray, "height width"],
+) -> Iterator[tuple[tuple[slice, slice], Bool[np.ndarray, "_ _"]]]:
+    """The box around every thing, and its pixels in it."""
+    order = np.argsort(thing.ravel().astype(np.int16), kind="stable")
+    numbers, first = np.unique(thing.ravel()[order], return_index=True)
+    for number, pixels in zip(numbers, np.split(order, first[1:]), strict=True):
+        if number >= 0:
+            columns = pixels % thing.shape[1]
+            top, bottom = pixels[0] // thing.shape[1], pixels[-1] // thing.shape[1] + 1
+            part = np.s_[top:bottom, columns.min() : columns.max() + 1]
+            yield part, thing[part] == number
 
 
 def _edges(

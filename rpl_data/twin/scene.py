@@ -12,23 +12,13 @@ from scipy.spatial.transform import Rotation
 
 from rpl_data.geometry import Transform, rigid
 from rpl_data.twin import surfaces, textures
+from rpl_data.twin.light import TO_LINEAR, Light
 from rpl_data.twin.objects import TwinObject
 from rpl_data.twin.surfaces import Surface
 
 TABLE_SIZE_M = (1.10, 0.80, 0.03)
 FLOOR_M = -0.74
 ROOM_M = 5.0
-
-
-@dataclass(frozen=True)
-class Light:
-    """A lamp above the table and the light the room throws back."""
-
-    position_m: Float64[np.ndarray, "3"]
-    radius_m: float
-    strength: float
-    ambient: float
-    color: Float64[np.ndarray, "3"]
 
 
 @dataclass(frozen=True)
@@ -67,16 +57,27 @@ def compose(
     taken = [(pose[:2, 3], _footprint_m(thing.vertices)) for pose, thing in zip(poses, things, strict=True)]
     for _ in range(clutter):
         things.extend(_clutter(rng, taken))
-    light = Light(
-        position_m=np.array([*rng.uniform(-0.8, 0.8, 2), rng.uniform(1.3, 1.8)]),
-        radius_m=0.12,
-        strength=rng.uniform(0.75, 0.95),
-        ambient=rng.uniform(0.28, 0.42),
-        color=np.array([1.0, rng.uniform(0.93, 1.0), rng.uniform(0.82, 1.0)]),
-    )
+    furniture = _furniture(rng, number)
+    light = _light(rng, furniture[0])
     centre = np.concatenate([thing.vertices for thing in things[: len(objects)]])
     target = (centre.min(axis=0) + centre.max(axis=0)) / 2
-    return TwinScene((*things, *_furniture(rng, number)), tuple(poses), light, target)
+    return TwinScene((*things, *furniture), tuple(poses), light, target)
+
+
+def _light(rng: np.random.Generator, table: Surface) -> Light:
+    """A warm lamp over the table, a window on some side, and what the table throws back."""
+    turn, rise = rng.uniform(0, 2 * np.pi), rng.uniform(0.25, 0.6)
+    day = rng.uniform(0.1, 0.35)
+    return Light(
+        position_m=np.array([*rng.uniform(-0.8, 0.8, 2), rng.uniform(1.3, 1.8)]),
+        radius_m=rng.uniform(0.06, 0.16),
+        strength=rng.uniform(0.85, 1.05) - 1.2 * day,
+        ambient=rng.uniform(0.25, 0.38),
+        color=np.array([1.0, rng.uniform(0.90, 1.0), rng.uniform(0.72, 0.98)]),
+        window=np.array([np.cos(turn) * np.cos(rise), np.sin(turn) * np.cos(rise), np.sin(rise)]),
+        daylight=day,
+        below=TO_LINEAR[table.texture[::8, ::8]].mean(axis=(0, 1)).astype(float),
+    )
 
 
 GIVE = 0.003

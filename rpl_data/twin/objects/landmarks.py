@@ -1,0 +1,122 @@
+"""Points of a mesh that a person would click: corners and edges of its shape and of what is printed on it."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float64, Int64
+from scipy.spatial import cKDTree
+
+from rpl_data.raycast import RayScene
+from rpl_data.twin.surfaces import Surface
+from rpl_data.types import DataError
+
+NEIGHBOURHOOD = 0.04
+"""Radius in which corners are looked for, as a share of the mesh's diagonal; also how far they are apart."""
+OPEN = 0.45
+"""Share of all directions a landmark is seen from; half is a flat surface, less is a hollow."""
+DIRECTIONS = 200
+
+
+def landmark_points(surface: Surface, count: int) -> Float64[np.ndarray, "count 3"]:
+    """Vertices on corners, open to view and well spread.
+
+    What stands out is where the surface faces many ways, or where print has a corner. Of the points that
+    stand out most, each next one is far from those before it.
+
+    Raises:
+        DataError: the mesh has fewer such points.
+    """
+    vertices = np.unique(surface.vertices[np.unique(surface.triangles)].round(6), axis=0)
+    radius_m = NEIGHBOURHOOD * float(np.linalg.norm(np.ptp(vertices, axis=0)))
+    salience = _salience(surface, vertices, radius_m)
+    peaks = _peaks(vertices, salience, radius_m)
+    peaks = peaks[_openness(surface, vertices[peaks]) > OPEN][: max(6 * count, 20)]
+    if len(peaks) < count:
+        raise DataError(f"the mesh shows only {len(peaks)} corners or edges; ask for fewer than {count}")
+    return _far_and_salient(vertices[peaks], salience[peaks], count)
+
+
+def _salience(
+    surface: Surface, points: Float64[np.ndarray, "n 3"], radius_m: float
+) -> Float64[np.ndarray, " n"]:
+    """How much each point is a corner of the shape and of the print; 1 = as much as the best of either."""
+    a, b, c = (surface.vertices[surface.triangles[:, i]] for i in range(3))
+    near = cKDTree((a + b + c) / 3).query_ball_point(points, radius_m)
+    shape = _eigenvalues(_normal_scatter(a, b, c), near)
+    print_ = _eigenvalues(_print_scatter(surface, a, b, c), near)
+    faces = shape.sum(axis=1) + 1e-15
+    corner = (shape[:, 1] + 2 * shape[:, 0]) / faces  # three ways count more than two
+    marked = np.sqrt(print_[:, 1] / faces)
+    salience: Float64[np.ndarray, " n"] = corner / corner.max() + marked / max(float(marked.max()), 1e-9)
+    return salience
+
+
+def _normal_scatter(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> Float64[np.ndarray, "m 3 3"]:
+    """Normal times normal, by area: normal voting (Medioni, Lee & Tang, 2000)."""
+    normals = np.cross(b - a, c - a)
+    length = np.linalg.norm(normals, axis=1) + 1e-15
+    scatter: Float64[np.ndarray, "m 3 3"] = normals[:, :, None] * normals[:, None] / length[:, None, None]
+    return scatter
+
+
+def _print_scatter(
+    surface: Surface, a: np.ndarray, b: np.ndarray, c: np.ndarray
+) -> Float64[np.ndarray, "m 3 3"]:
+    """Gradient times gradient of the brightness, by area: the structure tensor of Harris (1988)."""
+    colors = surface.mesh.colors
+    grey = np.zeros(len(surface.vertices)) if colors is None else colors.mean(axis=1) / 255
+    values = grey[surface.triangles]
+    normal = np.cross(b - a, c - a)
+    area = np.linalg.norm(normal, axis=1)[:, None] + 1e-15
+    normal = normal / area
+    gradient = (
+        values[:, :1] * np.cross(normal, c - b)
+        + values[:, 1:2] * np.cross(normal, a - c)
+        + values[:, 2:] * np.cross(normal, b - a)
+    ) / area
+    scatter: Float64[np.ndarray, "m 3 3"] = gradient[:, :, None] * gradient[:, None] * area[..., None]
+    return scatter
+
+
+def _eigenvalues(scatter: Float64[np.ndarray, "m 3 3"], near: np.ndarray) -> Float64[np.ndarray, "n 3"]:
+    """Of the sum around each point, ascending."""
+    sums = np.stack([scatter[rows].sum(axis=0) if rows else np.zeros((3, 3)) for rows in near])
+    values: Float64[np.ndarray, "n 3"] = np.linalg.eigvalsh(sums).clip(0)
+    return values
+
+
+def _peaks(
+    points: Float64[np.ndarray, "n 3"], salience: Float64[np.ndarray, " n"], radius_m: float
+) -> Int64[np.ndarray, " k"]:
+    """Numbers of the points more salient than any within the radius, the most salient first."""
+    tree, free = cKDTree(points), np.ones(len(points), dtype=bool)
+    kept = []
+    for number in np.argsort(-salience):
+        if free[number]:
+            kept.append(int(number))
+            free[tree.query_ball_point(points[number], radius_m)] = False
+    return np.array(kept, dtype=np.int64)
+
+
+def _openness(surface: Surface, points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:
+    """The share of all directions from which each point is seen."""
+    rays = RayScene([surface.mesh], threads=1)
+    turn = np.arange(DIRECTIONS) * np.pi * (3 - np.sqrt(5))  # Fibonacci lattice: even on the sphere
+    rise = 1 - (np.arange(DIRECTIONS) + 0.5) * 2 / DIRECTIONS
+    out = np.stack([np.cos(turn) * np.sqrt(1 - rise**2), np.sin(turn) * np.sqrt(1 - rise**2), rise], -1)
+    start = points[:, None] + 1e-3 * out[None]
+    beams = np.concatenate([start, np.broadcast_to(out, start.shape)], axis=-1).reshape(-1, 6)
+    blocked = rays.occluded(beams.astype(np.float32), far=10.0)
+    seen: Float64[np.ndarray, " n"] = 1 - blocked.reshape(len(points), -1).mean(axis=1)
+    return seen
+
+
+def _far_and_salient(
+    points: Float64[np.ndarray, "n 3"], salience: Float64[np.ndarray, " n"], count: int
+) -> Float64[np.ndarray, "count 3"]:
+    """Each next point is far from those before it; of equally far ones the more salient is taken."""
+    chosen = [int(np.argmax(np.linalg.norm(points - points.mean(axis=0), axis=1) * salience))]
+    while len(chosen) < count:
+        apart = np.linalg.norm(points[:, None] - points[chosen][None], axis=-1).min(axis=1)
+        chosen.append(int(np.argmax(apart * np.sqrt(salience))))
+    return points[chosen]
