@@ -19,25 +19,26 @@ HANDLE_XZ_M = [(0.036, 0.078), (0.056, 0.080), (0.071, 0.070), (0.073, 0.048), (
 HANDLE_RADIUS_M = 0.0055
 PICTURE, PANEL = (4, 38, 15, 58), (7, 14, 12, 26)
 GLAZE = (206, 214, 216)
-DOT_M = 0.008
+INNER_MARK = (11, 40, 15, 52)
+"""Below the rim on the inside, where a camera from above looks in."""
 
 
 def cup() -> TwinObject:
-    """A mug, 95 mm high; landmarks on handle, picture, word panel and a dot on its floor."""
+    """A mug, 95 mm high; landmarks on handle, picture, word panel and a mark inside."""
     outer = surfaces.lathe_grid(surfaces.smooth_path(OUTER_RZ_M, 21), columns=COLUMNS)
     inner = surfaces.lathe_grid(surfaces.smooth_path(INNER_RZ_M, 20), columns=COLUMNS)
     path = surfaces.smooth_path(HANDLE_XZ_M, 25)
     handle = surfaces.tube_grid(path, [HANDLE_RADIUS_M] * len(path), columns=24)
     rng = np.random.default_rng(31)
-    glaze, red = prints.moulded(rng, 256, 256, GLAZE, rough=0.06), np.full((64, 64, 3), RED, np.uint8)
-    atlas, (print_rect, glaze_rect, dot_rect) = textures.pack([_print(outer, rng), glaze, red])
+    glaze, inside = (prints.moulded(rng, 256, width, GLAZE, rough=0.06) for width in (256, 768))
+    prints.panel(inside, inner, INNER_MARK, RED)
+    atlas, (print_rect, glaze_rect, inside_rect) = textures.pack([_print(outer, rng), glaze, inside])
     rim = surfaces.lathe_grid(RIM_RZ_M, columns=COLUMNS)
     bottom = surfaces.lathe_grid([(0.0345, 0.0), (0.031, 0.002), (0.0, 0.002)], columns=COLUMNS)
-    dot = surfaces.lathe_grid([(0.0, 0.0062), (DOT_M, 0.0062)], columns=24)
     parts = [
         surfaces.patch(outer, print_rect, gloss=0.45),
-        *(surfaces.patch(grid, glaze_rect, gloss=0.45) for grid in (inner, rim, bottom, handle)),
-        surfaces.patch(dot, dot_rect, gloss=0.45),
+        surfaces.patch(inner, inside_rect, gloss=0.45),
+        *(surfaces.patch(grid, glaze_rect, gloss=0.45) for grid in (rim, bottom, handle)),
     ]
     lines = [
         ("picture_top_left", "picture_top_right"),
@@ -47,10 +48,10 @@ def cup() -> TwinObject:
         ("handle_top", "handle_out"),
         ("handle_out", "handle_bottom"),
     ]
-    return assembled("cup", surfaces.joined(parts, atlas), _landmarks(outer, handle, dot), lines)
+    return assembled("cup", surfaces.joined(parts, atlas), _landmarks(outer, inner, handle), lines)
 
 
-def _landmarks(outer: Grid, handle: Grid, dot: Grid) -> dict[str, list[float]]:
+def _landmarks(outer: Grid, inner: Grid, handle: Grid) -> dict[str, list[float]]:
     skin = handle.reshape(-1, 3)
     top, left, bottom, right = PICTURE
     return {
@@ -63,7 +64,7 @@ def _landmarks(outer: Grid, handle: Grid, dot: Grid) -> dict[str, list[float]]:
         "picture_bottom_right": outer[bottom, right].tolist(),
         "panel_top_left": outer[PANEL[0], PANEL[1]].tolist(),
         "panel_bottom_right": outer[PANEL[2], PANEL[3]].tolist(),
-        "inner_dot": dot[0, 0].tolist(),
+        "inner_mark": inner[INNER_MARK[2], INNER_MARK[1]].tolist(),
     }
 
 

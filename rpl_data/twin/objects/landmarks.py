@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Bool, Float64, Int64
 from scipy.spatial import cKDTree
 
 from rpl_data.raycast import RayScene
@@ -14,6 +14,8 @@ NEIGHBOURHOOD = 0.04
 """Radius in which corners are looked for, as a share of the mesh's diagonal; also how far they are apart."""
 OPEN = 0.45
 """Share of all directions a landmark is seen from; half is a flat surface, less is a hollow."""
+CONTRAST = 0.5
+"""A step of brightness, both ways, that stands out as much as the sharpest corner of the shape."""
 DIRECTIONS = 200
 
 
@@ -21,7 +23,7 @@ def landmark_points(surface: Surface, count: int) -> Float64[np.ndarray, "count 
     """Vertices on corners, open to view and well spread.
 
     What stands out is where the surface faces many ways, or where print has a corner. Of the points that
-    stand out most, each next one is far from those before it.
+    stand out most those are taken that are far from one another and leave no side without any.
 
     Raises:
         DataError: the mesh has fewer such points.
@@ -30,24 +32,26 @@ def landmark_points(surface: Surface, count: int) -> Float64[np.ndarray, "count 
     radius_m = NEIGHBOURHOOD * float(np.linalg.norm(np.ptp(vertices, axis=0)))
     salience = _salience(surface, vertices, radius_m)
     peaks = _peaks(vertices, salience, radius_m)
-    peaks = peaks[_openness(surface, vertices[peaks]) > OPEN][: max(6 * count, 20)]
-    if len(peaks) < count:
-        raise DataError(f"the mesh shows only {len(peaks)} corners or edges; ask for fewer than {count}")
-    return _far_and_salient(vertices[peaks], salience[peaks], count)
+    seen = _seen_from(surface, vertices[peaks])
+    clear = np.flatnonzero(seen.mean(axis=1) > OPEN)[: max(6 * count, 20)]
+    if len(clear) < count:
+        raise DataError(f"the mesh shows only {len(clear)} corners or edges; ask for fewer than {count}")
+    points = vertices[peaks[clear]]
+    return points[_chosen(points, salience[peaks[clear]], seen[clear], count)]
 
 
 def _salience(
     surface: Surface, points: Float64[np.ndarray, "n 3"], radius_m: float
 ) -> Float64[np.ndarray, " n"]:
-    """How much each point is a corner of the shape and of the print; 1 = as much as the best of either."""
+    """How much each point is a corner of the shape, 0 to 1, and of the print, 0 to 1."""
     a, b, c = (surface.vertices[surface.triangles[:, i]] for i in range(3))
     near = cKDTree((a + b + c) / 3).query_ball_point(points, radius_m)
     shape = _eigenvalues(_normal_scatter(a, b, c), near)
     print_ = _eigenvalues(_print_scatter(surface, a, b, c), near)
     faces = shape.sum(axis=1) + 1e-15
     corner = (shape[:, 1] + 2 * shape[:, 0]) / faces  # three ways count more than two
-    marked = np.sqrt(print_[:, 1] / faces)
-    salience: Float64[np.ndarray, " n"] = corner / corner.max() + marked / max(float(marked.max()), 1e-9)
+    marked = (np.sqrt(print_[:, 1] / faces) * radius_m / CONTRAST).clip(0, 1)
+    salience: Float64[np.ndarray, " n"] = corner / corner.max() + marked
     return salience
 
 
@@ -98,25 +102,28 @@ def _peaks(
     return np.array(kept, dtype=np.int64)
 
 
-def _openness(surface: Surface, points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:
-    """The share of all directions from which each point is seen."""
+def _seen_from(surface: Surface, points: Float64[np.ndarray, "n 3"]) -> Bool[np.ndarray, "n directions"]:
+    """From which directions, even on the sphere, each point is seen."""
     rays = RayScene([surface.mesh], threads=1)
-    turn = np.arange(DIRECTIONS) * np.pi * (3 - np.sqrt(5))  # Fibonacci lattice: even on the sphere
+    turn = np.arange(DIRECTIONS) * np.pi * (3 - np.sqrt(5))  # Fibonacci lattice
     rise = 1 - (np.arange(DIRECTIONS) + 0.5) * 2 / DIRECTIONS
     out = np.stack([np.cos(turn) * np.sqrt(1 - rise**2), np.sin(turn) * np.sqrt(1 - rise**2), rise], -1)
     start = points[:, None] + 1e-3 * out[None]
     beams = np.concatenate([start, np.broadcast_to(out, start.shape)], axis=-1).reshape(-1, 6)
-    blocked = rays.occluded(beams.astype(np.float32), far=10.0)
-    seen: Float64[np.ndarray, " n"] = 1 - blocked.reshape(len(points), -1).mean(axis=1)
-    return seen
+    return ~rays.occluded(beams.astype(np.float32), far=10.0).reshape(len(points), -1)
 
 
-def _far_and_salient(
-    points: Float64[np.ndarray, "n 3"], salience: Float64[np.ndarray, " n"], count: int
-) -> Float64[np.ndarray, "count 3"]:
-    """Each next point is far from those before it; of equally far ones the more salient is taken."""
-    chosen = [int(np.argmax(np.linalg.norm(points - points.mean(axis=0), axis=1) * salience))]
-    while len(chosen) < count:
+def _chosen(
+    points: Float64[np.ndarray, "n 3"],
+    salience: Float64[np.ndarray, " n"],
+    seen: Bool[np.ndarray, "n directions"],
+    count: int,
+) -> list[int]:
+    """Each next point stands out, is far from those before it, and is seen from where few of them are."""
+    chosen: list[int] = []
+    apart = np.linalg.norm(points - points.mean(axis=0), axis=1)
+    for _ in range(count):
+        wanted = 1 / (1 + seen[chosen].sum(axis=0)) ** 2
+        chosen.append(int(np.argmax(apart * salience * (seen @ wanted))))
         apart = np.linalg.norm(points[:, None] - points[chosen][None], axis=-1).min(axis=1)
-        chosen.append(int(np.argmax(apart * np.sqrt(salience))))
-    return points[chosen]
+    return chosen
