@@ -37,7 +37,8 @@ def landmark_points(surface: Surface, count: int) -> Float64[np.ndarray, "count 
     if len(clear) < count:
         raise DataError(f"the mesh shows only {len(clear)} corners or edges; ask for fewer than {count}")
     points = vertices[peaks[clear]]
-    return points[_chosen(points, salience[peaks[clear]], seen[clear], count)]
+    best: Float64[np.ndarray, "count 3"] = points[_chosen(points, salience[peaks[clear]], seen[clear], count)]
+    return best
 
 
 def _salience(
