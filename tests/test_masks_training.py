@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from jsonargparse import ArgumentParser
 from labelled_scenes import exported
 from torchvision.models import resnet18
 from torchvision.models.detection import maskrcnn_resnet50_fpn
@@ -19,8 +18,9 @@ from rpl_data.torch.instances import InstanceDataset
 from rpl_data.torch.transforms import Augmentation
 from rpl_data.types import DataError
 from training.mask_crops import SMALLEST_PX, SquareCrops, random_square
+from training.mask_settings import Settings, learning_rate, load_settings
 from training.masks import ModelConfig, build_model, load_segmenter, load_weights, train_body, with_norm
-from training.train_masks import CHECKPOINT, Settings, learning_rate, train
+from training.train_masks import CHECKPOINT, train
 
 ROOT = Path(__file__).parent.parent
 SMALL = ModelConfig(
@@ -38,10 +38,7 @@ def coco(tmp_path_factory):
 
 
 def preset(name):
-    parser = ArgumentParser()
-    parser.add_argument("--settings", type=Settings)
-    parsed = parser.parse_path(ROOT / f"training/configs/masks_{name}.yaml")
-    return parser.instantiate(parsed).settings
+    return load_settings(ROOT / f"training/configs/masks_{name}.yaml")
 
 
 def losses_of(out):
@@ -135,6 +132,14 @@ def test_broken_weights_are_refused(tmp_path):
         load_weights(model, SMALL, str(tmp_path / "broken.pth"))
     with pytest.raises(DataError, match="does not exist"):
         load_weights(model, SMALL, str(tmp_path / "absent.pth"))
+
+
+def test_settings_that_are_none(tmp_path):
+    (tmp_path / "typo.yaml").write_text("settings: {epoch: 3}")
+    with pytest.raises(DataError, match="epoch"):
+        load_settings(tmp_path / "typo.yaml")
+    with pytest.raises(DataError, match="does not exist"):
+        load_settings(tmp_path / "absent.yaml")
 
 
 @pytest.mark.parametrize("wrong", [{"size_px": 100}, {"rois": 0}])

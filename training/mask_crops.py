@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch.utils.data import DataLoader, Dataset, Sampler
 
-from rpl_data.torch.instances import InstanceDataset, InstanceSample, collate, warp_instances
+from rpl_data.torch.instances import InstanceDataset, InstanceSample, collate, warp_pixels
 from rpl_data.torch.transforms import Affine, Augmentation, crop_from_square
 
 SMALLEST_PX = 2
@@ -36,13 +36,13 @@ class SquareCrops(Dataset[InstanceSample]):
 
     def __getitem__(self, row: int) -> InstanceSample:
         """This epoch's crop of an image."""
-        image, target = self.images[row]
+        pixels, target = self.images.read(row)
         rng = np.random.default_rng((self._seed, self.epoch, row))
         crop_from_image = random_square(
-            image.shape[-1], image.shape[-2], self._augmentation, rng, size_px=self._size_px
+            pixels.shape[1], pixels.shape[0], self._augmentation, rng, size_px=self._size_px
         )
-        return warp_instances(
-            image,
+        return warp_pixels(
+            pixels,
             target,
             crop_from_image,
             size=(self._size_px, self._size_px),

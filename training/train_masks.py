@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import logging
-import math
 import sys
 import time
-from dataclasses import asdict, dataclass, field, replace
+import warnings
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import cv2
 import pytorch_lightning as lightning
@@ -19,11 +19,10 @@ from torch import Tensor
 from torch.utils.data import DataLoader
 
 from rpl_data.torch.instances import InstanceSample, InstanceTarget
-from rpl_data.torch.transforms import Augmentation
 from rpl_data.types import DataError
 from training.mask_crops import SquareCrops, crop_loader
+from training.mask_settings import Settings, comparable, learning_rate
 from training.masks import (
-    ModelConfig,
     build_model,
     description,
     load_weights,
@@ -35,48 +34,6 @@ from training.masks import (
 log = logging.getLogger(__name__)
 CHECKPOINT = "last.ckpt"
 Batch = tuple[list[Tensor], list[InstanceTarget]]
-
-
-@dataclass(frozen=True)
-class Settings:
-    """A training run; the defaults are the paper's, as in configs/masks_paper.yaml.
-
-    Attributes:
-        weights: `scratch`, `imagenet`, or the path of trained weights.
-        epochs: passes over the images, the first `head_epochs` of them with the ResNet frozen.
-        batch: images a step.
-        optimizer: `sgd` with momentum 0.9, or `adamw`.
-        rate: learning rate; reached after `warmup_steps`, and falling linearly to 0 over the last `cooldown`
-            of the epochs.
-        clip: largest norm of the gradient; 0 = any.
-        workers: processes that load images; 0 = none but this.
-        precision: Lightning's: 32-true, bf16-mixed, 16-mixed.
-        accelerator: Lightning's: auto, cpu, gpu.
-    """
-
-    model: ModelConfig = field(default_factory=ModelConfig)
-    augmentation: Augmentation = field(default_factory=lambda: Augmentation(shift=0.0, rotation_deg=10.0))
-    weights: str = "imagenet"
-    epochs: int = 40
-    head_epochs: int = 20
-    batch: int = 2
-    optimizer: Literal["sgd", "adamw"] = "sgd"
-    rate: float = 1e-3
-    weight_decay: float = 1e-4
-    warmup_steps: int = 500
-    cooldown: float = 0.25
-    clip: float = 5.0
-    seed: int = 0
-    workers: int = 2
-    precision: Literal["32-true", "bf16-mixed", "16-mixed"] = "32-true"
-    accelerator: Literal["auto", "cpu", "gpu"] = "auto"
-
-    def __post_init__(self) -> None:
-        """Refuse what cannot be run."""
-        if min(self.epochs, self.batch) < 1 or not 0 <= self.head_epochs <= self.epochs:
-            raise DataError("expected epochs and batch of at least 1, and 0 <= head_epochs <= epochs")
-        if not 0 <= self.cooldown <= 1 or self.rate <= 0:
-            raise DataError("expected a cooldown of 0 to 1 and a rate above 0")
 
 
 class MaskTraining(lightning.LightningModule):
@@ -99,7 +56,9 @@ class MaskTraining(lightning.LightningModule):
         """All parameters from the start; those of a frozen ResNet have no gradient."""
         settings, parameters = self.settings, self.model.parameters()
         if settings.optimizer == "adamw":
-            return torch.optim.AdamW(parameters, lr=settings.rate, weight_decay=settings.weight_decay)
+            return torch.optim.AdamW(
+                parameters, lr=settings.rate, weight_decay=settings.weight_decay, fused=True
+            )
         return torch.optim.SGD(
             parameters, lr=settings.rate, momentum=0.9, weight_decay=settings.weight_decay, nesterov=True
         )
@@ -153,21 +112,7 @@ class MaskTraining(lightning.LightningModule):
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """What is needed to build the network again, and to refuse to resume another run."""
         checkpoint["masks"] = description(self.settings.model, tuple(self.crops.images.names))
-        checkpoint["settings"] = _comparable(self.settings)
-
-
-def learning_rate(settings: Settings, step: int, steps_an_epoch: int) -> float:
-    """Of a step: rising, constant, falling."""
-    rise = min(1.0, (step + 1) / settings.warmup_steps) if settings.warmup_steps else 1.0
-    left = 1 - step / (settings.epochs * steps_an_epoch)
-    fall = min(1.0, left / settings.cooldown) if settings.cooldown else 1.0
-    return settings.rate * rise * max(fall, 0.0)
-
-
-def _comparable(settings: Settings) -> dict[str, Any]:
-    """What must not change when a run is resumed; where and how long it runs may."""
-    free = ("epochs", "workers", "accelerator")
-    return {key: value for key, value in asdict(settings).items() if key not in free}
+        checkpoint["settings"] = comparable(self.settings)
 
 
 @dataclass(frozen=True)
@@ -196,6 +141,7 @@ def train(settings: Settings, data: Path, out: Path, *, until: int | None = None
     Raises:
         DataError: the data or weights cannot be read, `out` holds another run, or a loss is not finite.
     """
+    _quiet()
     settings = replace(settings, model=with_norm(settings.model, settings.weights))
     module = MaskTraining(settings, data)
     checkpoint = out / CHECKPOINT
@@ -232,9 +178,16 @@ def _trainer(settings: Settings, out: Path, epochs: int) -> lightning.Trainer:
     )
 
 
+def _quiet() -> None:
+    """Silence what Lightning says at every start; its other warnings stay."""
+    logging.getLogger("pytorch_lightning.utilities.rank_zero").setLevel(logging.WARNING)
+    warnings.filterwarnings("ignore", message=".*Checkpoint directory .* exists and is not empty")
+    warnings.filterwarnings("ignore", message=".*LeafSpec.*is deprecated")
+
+
 def _check_same_run(checkpoint: Path, module: MaskTraining) -> None:
     found = read_file(checkpoint)
-    wanted = _comparable(module.settings)
+    wanted = comparable(module.settings)
     names = list(module.crops.images.names)
     if found["settings"] != wanted or found["masks"]["names"] != names:
         changed = [key for key in wanted if found["settings"].get(key) != wanted[key]] or ["classes"]
@@ -261,14 +214,8 @@ def main(
     if threads is not None:
         torch.set_num_threads(threads)
     done = train(settings, data, out)
-    share = done.seconds_waiting / done.seconds if math.isfinite(done.seconds) and done.seconds else 0.0
+    share = done.seconds_waiting / done.seconds
     print(f"{done.checkpoint}: {done.epochs} epochs, {done.seconds:.0f} s, {share:.1%} of it loading images")
-
-
-def quiet() -> None:
-    """Lightning's advertisements off; its warnings stay."""
-    for name in ("pytorch_lightning.utilities.rank_zero", "lightning.pytorch.utilities.rank_zero"):
-        logging.getLogger(name).setLevel(logging.WARNING)
 
 
 def run() -> int:

@@ -19,9 +19,11 @@ from rpl_data.torch.regions import read_image
 from rpl_data.torch.transforms import (
     Affine,
     Augmentation,
+    Image,
     jittered,
     moved,
     random_crop_from_square,
+    warped,
     warped_smoothly,
 )
 
@@ -91,12 +93,17 @@ class InstanceDataset(Dataset[InstanceSample]):
 
     def __getitem__(self, row: int) -> InstanceSample:
         """An image and its target."""
+        pixels, target = self.read(row)
+        image = tv_tensors.Image(to_unit_range(pixels))
+        return (image, target) if self._transforms is None else self._transforms(image, target)
+
+    def read(self, row: int) -> tuple[Image, InstanceTarget]:
+        """An image as it is in its file (RGB) and its target; no transforms."""
         if get_worker_info() is not None:
             cv2.setNumThreads(0)  # as in KeypointDataset
         entry = self._images[row]
-        image = tv_tensors.Image(to_unit_range(read_image(str(self._folder / entry["file_name"]))))
         target = _target(entry, self._annotations[entry["id"]], self._most_keypoints)
-        return (image, target) if self._transforms is None else self._transforms(image, target)
+        return read_image(str(self._folder / entry["file_name"])), target
 
 
 def collate(batch: Sequence[InstanceSample]) -> tuple[list[Tensor], list[InstanceTarget]]:
@@ -156,6 +163,19 @@ def warp_instances(
     target: InstanceTarget,
     out_from_image: Affine,
     *,
+    augmentation: Augmentation | None = None,
+    rng: np.random.Generator | None = None,
+) -> InstanceSample:
+    """`warp_pixels` of an image that is a tensor already (float32, 0 to 1); its size stays."""
+    pixels = (image.permute(1, 2, 0).numpy() * 255).round().astype(np.uint8)
+    return warp_pixels(pixels, target, out_from_image, augmentation=augmentation, rng=rng)
+
+
+def warp_pixels(
+    pixels: Image,
+    target: InstanceTarget,
+    out_from_image: Affine,
+    *,
     size: tuple[int, int] | None = None,
     smallest_px: int = 1,
     augmentation: Augmentation | None = None,
@@ -170,13 +190,12 @@ def warp_instances(
         smallest_px: instances whose box is narrower or lower than this leave the target.
         augmentation, rng: colours are changed when both are given.
     """
-    width, height = size or (image.shape[-1], image.shape[-2])
-    pixels = (image.permute(1, 2, 0).numpy() * 255).round().astype(np.uint8)
+    width, height = size or (pixels.shape[1], pixels.shape[0])
     pixels = warped_smoothly(pixels, out_from_image, size=(width, height))
     if augmentation is not None and rng is not None:
         pixels = jittered(pixels, augmentation, rng)
     white = target["masks"].numpy() * np.uint8(255)
-    masks = [warped_smoothly(mask, out_from_image, size=(width, height)) > 127 for mask in white]
+    masks = [warped(mask, out_from_image, size=(width, height)) > 127 for mask in white]
     edges = {row: _box(mask) for row, mask in enumerate(masks) if mask.any()}
     kept = [row for row, (x0, y0, x1, y1) in edges.items() if min(x1 - x0, y1 - y0) >= smallest_px]
     stacked = np.array([masks[row] for row in kept], dtype=np.uint8).reshape(-1, height, width)

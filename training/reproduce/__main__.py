@@ -8,11 +8,17 @@ from typing import Any
 
 from rpl_data.types import DataError
 from training.reproduce.curves import curves
+from training.reproduce.segmentation import segmentation
 from training.reproduce.table1 import table1
 from training.reproduce.table2 import table2
 
 HELP = "The paper's experiments: numbers beside the paper's, as JSON and as a page."
-COMMANDS: dict[str, Any] = {"table1": table1, "table2": table2, "curves": curves}
+COMMANDS: dict[str, Any] = {
+    "table1": table1,
+    "table2": table2,
+    "segmentation": segmentation,
+    "curves": curves,
+}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -1,0 +1,104 @@
+"""Mask R-CNN: 8 images overfitted, cost of a step a preset, share of loading.
+
+One core: python tests/bench/bench_masks.py [DATA], DATA a folder with train.json that `rpl export` wrote
+(workspaces/demo/export/coco of `make demo` when left out).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import resource
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import torch
+
+from rpl_data.torch.transforms import Augmentation
+from training.evaluate_masks import evaluate
+from training.mask_crops import SquareCrops
+from training.mask_settings import Settings, load_settings
+from training.masks import build_model, load_segmenter, with_norm
+from training.train_masks import train
+
+ROOT = Path(__file__).parents[2]
+CONFIGS = ROOT / "training/configs"
+
+
+def some_images(data: Path, count: int, folder: Path) -> Path:
+    """A train.json of `count` images spread over `data`, all of which show an object."""
+    content = json.loads((data / "train.json").read_text())
+    shown = {annotation["image_id"] for annotation in content["annotations"]}
+    images = [image for image in content["images"] if image["id"] in shown]
+    images = images[:: max(1, len(images) // count)][:count]
+    kept = {image["id"] for image in images}
+    content["annotations"] = [a for a in content["annotations"] if a["image_id"] in kept]
+    content["images"] = [{**i, "file_name": str((data / i["file_name"]).resolve())} for i in images]
+    (folder / "train.json").write_text(json.dumps(content))
+    return folder
+
+
+def overfit(data: Path, epochs: int) -> None:
+    """Train on 8 images until they are known by heart."""
+    still = Augmentation(scale=0.0, shift=0.0, rotation_deg=0.0, gain=0.0, offset=0.0)
+    settings = replace(load_settings(CONFIGS / "masks_cpu.yaml"), augmentation=still, epochs=epochs, batch=2)
+    with tempfile.TemporaryDirectory() as place:
+        folder = some_images(data, 8, Path(place))
+        start = time.process_time()
+        done = train(settings, folder, Path(place) / "run")
+        score = evaluate(load_segmenter(done.checkpoint), folder / "train.json")
+    print(
+        f"8 images, {epochs} epochs: box AP50 {score.box_ap50:.3f}, mask AP50 {score.mask_ap50:.3f} "
+        f"(asked 1.0), mean IoU {score.mean_iou:.3f} (asked 0.9); {time.process_time() - start:.0f} CPU s"
+    )
+
+
+def step_cost(name: str, settings: Settings, data: Path, steps: int) -> float:
+    """CPU seconds an image of the best of `steps` training steps; prints it with the share of loading."""
+    settings = replace(settings, model=with_norm(settings.model, "scratch"))
+    torch.manual_seed(0)
+    crops = SquareCrops(data / "train.json", settings.model.size_px, settings.augmentation, seed=0)
+    model = build_model(settings.model, len(crops.images.names) - 1)
+    optimizer = torch.optim.SGD(model.parameters(), lr=1e-4)
+    loading, training = [], []
+    for step in range(steps):
+        start = time.process_time()
+        batch = [crops[(step * settings.batch + n) % len(crops)] for n in range(settings.batch)]
+        loaded = time.process_time()
+        loss = sum(model([image for image, _ in batch], [target for _, target in batch]).values())
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        loading.append((loaded - start) / settings.batch)
+        training.append((time.process_time() - loaded) / settings.batch)
+    peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    cost, load = min(training), min(loading)
+    print(
+        f"{name:28s} {cost:6.3f} CPU s an image, loading {1e3 * load:4.1f} ms = {load / (cost + load):.1%} "
+        f"(asked < 5 %); loss {float(loss):.2f}; peak memory of the process so far {peak_mb:.0f} MB"
+    )
+    return cost
+
+
+def main() -> None:
+    """Print everything."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("data", type=Path, nargs="?", default=ROOT / "workspaces/demo/export/coco")
+    parser.add_argument("--epochs", type=int, default=60, help="of the overfitting")
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    cv2.setNumThreads(1)
+    cpu, paper = (load_settings(CONFIGS / f"masks_{name}.yaml") for name in ("cpu", "paper"))
+    wide = replace(cpu.model, size_px=192, channels=256, hidden=1024, proposals=2000, rois=512)
+    ours = step_cost("cpu preset", cpu, options.data, 5)
+    base = step_cost("ResNet-18, 192 px, full width", replace(cpu, model=wide, batch=2), options.data, 2)
+    print(f"the cpu preset costs {base / ours:.1f} times less an image than torchvision's sizes at 192 px")
+    step_cost("paper preset", replace(paper, batch=1), options.data, 2)
+    overfit(options.data, options.epochs)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,210 @@
+"""The segmentation figure: Mask R-CNN trained on our masks and on true ones, both tested on true ones."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rpl_data.files import read_json, write_json
+from rpl_data.formats.coco import read_coco
+from rpl_data.types import DataError
+
+if TYPE_CHECKING:
+    from training.mask_scores import SplitScore
+    from training.mask_settings import Settings
+
+OURS, MANUAL = "OURS", "MANUAL"
+"""The paper's names for training on generated and on true labels."""
+PRESET = Path(__file__).parents[1] / "configs" / "masks_cpu.yaml"
+ROUND_EPOCHS = 1
+"""Epochs of one source before it is the other's turn."""
+RESERVE = 0.1
+"""Share of the budget kept for the last evaluation."""
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where a run stands; kept in progress.json.
+
+    Attributes:
+        epochs: that both sources have been trained. plan: how many it shall be.
+        seconds: on the clock. cpu_seconds: of the processor.
+        history: mean IoU on val of [OURS, MANUAL] after each round: [epoch, ours, manual].
+    """
+
+    epochs: int = 0
+    plan: int = 0
+    seconds: float = 0.0
+    cpu_seconds: float = 0.0
+    history: list[list[float | None]] = field(default_factory=list)
+
+
+def segmentation(
+    workspace: Path,
+    out: Path = Path("runs/segmentation"),
+    preset: Path = PRESET,
+    budget_minutes: float = 90.0,
+    threads: int | None = None,
+) -> None:
+    """Mean IoU per class of Mask R-CNN trained on OURS and on MANUAL labels (the paper's figure).
+
+    Both are trained on the same images for the same number of epochs, in turns, and tested on the true masks
+    of val (random frames, as in the paper) and of test (scenes that training never saw). Interrupt it when
+    you like and run it again: it goes on. After every round the figure is drawn from what there is.
+
+    Args:
+        workspace: a built workspace whose truth is known.
+        out: folder for segmentation.json, segmentation.html, the figure and both runs.
+        preset: settings of the training, as training/configs/masks_cpu.yaml and masks_paper.yaml hold them.
+        budget_minutes: on the clock; when the preset's epochs do not fit, both sources get as many as do.
+        threads: processor cores to use; as many as there are when left out.
+    """
+    import torch
+
+    from training.mask_settings import load_settings
+
+    if threads is not None:
+        torch.set_num_threads(threads)
+    sources = sources_of(workspace)
+    settings = load_settings(preset)
+    progress = _load_progress(out, settings)
+    while progress.epochs < progress.plan:
+        progress = train_round(sources, settings, progress, out, budget_s=60 * budget_minutes)
+        print(_line(progress), flush=True)
+    splits = [name for name in ("val", "test") if read_coco(sources[MANUAL] / f"{name}.json")["images"]]
+    scores = score_sources(sources, out, splits)
+    print(write_figure(sources, scores, progress, settings, out))
+
+
+def sources_of(workspace: Path) -> dict[str, Path]:
+    """Folders of the COCO files of both sources; the true ones are made when they are not there.
+
+    Raises:
+        DataError: the truth is not known, or the two do not have the same training images.
+    """
+    from rpl_data.build import context_of
+    from rpl_data.pipeline.products import export_truth
+    from rpl_data.workspace import Workspace
+
+    place = Workspace(workspace)
+    sources = {OURS: place.export("coco"), MANUAL: place.export("coco_truth")}
+    if not (sources[OURS] / "train.json").exists():
+        raise DataError(f"{sources[OURS]} has no train.json; build the workspace first with `rpl build`")
+    if not (sources[MANUAL] / "train.json").exists():
+        export_truth(context_of(place))
+    names = [
+        [image["file_name"] for image in read_coco(f / "train.json")["images"]] for f in sources.values()
+    ]
+    if names[0] != names[1]:
+        raise DataError(
+            f"{sources[OURS]} and {sources[MANUAL]} have other training images; run "
+            "`rpl export --labels truth` again"
+        )
+    return sources
+
+
+# Training -----------------------------------------------------------------------------------------
+
+
+def train_round(
+    sources: Mapping[str, Path], settings: Settings, progress: Progress, out: Path, *, budget_s: float
+) -> Progress:
+    """A few epochs of both sources, their scores on val, and how many epochs the budget leaves in all."""
+    from training.train_masks import train
+
+    clock, cpu = time.perf_counter(), time.process_time()
+    until = min(progress.epochs + ROUND_EPOCHS, progress.plan)
+    for name, data in sources.items():
+        train(replace(settings, epochs=progress.plan), data, out / name.lower(), until=until)
+    scores = score_sources(sources, out, ["val"])
+    means = [score.mean_iou for score in scores["val"].values()]
+    progress = Progress(
+        epochs=until,
+        plan=progress.plan,
+        seconds=progress.seconds + time.perf_counter() - clock,
+        cpu_seconds=progress.cpu_seconds + time.process_time() - cpu,
+        history=[*progress.history, [until, *means]],
+    )
+    progress = replace(progress, plan=replanned(progress, settings, budget_s=budget_s))
+    write_json(out / "progress.json", asdict(progress))
+    write_figure(sources, scores, progress, settings, out)
+    return progress
+
+
+def _line(progress: Progress) -> str:
+    epoch, *means = progress.history[-1]
+    pairs = zip((OURS, MANUAL), means, strict=True)
+    found = ", ".join(f"{name} {'-' if mean is None else f'{mean:.3f}'}" for name, mean in pairs)
+    return f"epoch {epoch} of {progress.plan}: mean IoU on val {found}; {progress.seconds / 60:.1f} min"
+
+
+def _load_progress(out: Path, settings: Settings) -> Progress:
+    if not (out / "progress.json").exists():
+        return Progress(plan=settings.epochs)
+    return Progress(**read_json(out / "progress.json"))
+
+
+def replanned(progress: Progress, settings: Settings, *, budget_s: float) -> int:
+    """How many epochs there shall be, given how long those so far took.
+
+    Until the learning rate begins to fall the plan may grow again, since nothing depended on it yet.
+    """
+    an_epoch_s = progress.seconds / progress.epochs
+    fitting = progress.epochs + int((budget_s * (1 - RESERVE) - progress.seconds) / an_epoch_s)
+    falling = progress.epochs > (1 - settings.cooldown) * progress.plan
+    return max(progress.epochs, min(fitting, progress.plan if falling else settings.epochs))
+
+
+# Scores -------------------------------------------------------------------------------------------
+
+
+def score_sources(
+    sources: Mapping[str, Path], out: Path, splits: list[str]
+) -> dict[str, dict[str, SplitScore]]:
+    """For each split the scores of both networks, against the true masks."""
+    from training.evaluate_masks import evaluate
+    from training.masks import load_segmenter
+    from training.train_masks import CHECKPOINT
+
+    scores: dict[str, dict[str, SplitScore]] = {split: {} for split in splits}
+    for name in sources:
+        folder = out / name.lower()
+        segmenter = load_segmenter(folder / CHECKPOINT)
+        for split in splits:
+            scores[split][name] = evaluate(segmenter, sources[MANUAL] / f"{split}.json", folder)
+    return scores
+
+
+def write_figure(
+    sources: Mapping[str, Path],
+    scores: Mapping[str, Mapping[str, SplitScore]],
+    progress: Progress,
+    settings: Settings,
+    out: Path,
+) -> Path:
+    """segmentation.json, segmentation.html and segmentation.png; the path of the page comes back."""
+    from training.reproduce.results import write_results
+    from training.reproduce.segmentation_page import bars, sections, verdict
+
+    figure = bars(scores)
+    data = {
+        "settings": asdict(settings),
+        "progress": asdict(progress),
+        "training_images": len(read_coco(sources[OURS] / "train.json")["images"]),
+        "verdict": {split: verdict(arms) for split, arms in scores.items()},
+        "scores": {split: {k: asdict(v) for k, v in arms.items()} for split, arms in scores.items()},
+    }
+    return write_results(
+        out,
+        "segmentation",
+        title="Segmentation",
+        data=data,
+        sections=sections(sources, scores, progress, figure, out),
+        note=f"{settings.model.backbone} FPN at {settings.model.size_px} px, {progress.epochs} epochs of "
+        f"{data['training_images']} images a source, {progress.seconds / 60:.0f} min on the clock, "
+        f"{progress.cpu_seconds / 60:.0f} CPU min",
+        figures={"segmentation": figure},
+    )
