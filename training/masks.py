@@ -30,8 +30,6 @@ from rpl_data.types import DataError
 
 MEAN, STD = [0.485, 0.456, 0.406], [0.229, 0.224, 0.225]
 """Of ImageNet's colours: what trained ResNets expect."""
-LEVELS = 5
-"""Of the pyramid: four of the ResNet and one more by pooling."""
 
 
 @dataclass(frozen=True)
@@ -40,6 +38,7 @@ class ModelConfig:
 
     Attributes:
         size_px: shorter side of the image as the network sees it; anchors are 1/16 to 1 of it.
+        stages: of the ResNet's four that are used; the last one's grid is too coarse for small images.
         channels: of the feature pyramid and of the mask head.
         hidden: width of the box head's two layers.
         proposals: boxes of the first stage that the second may look at, an image.
@@ -50,6 +49,7 @@ class ModelConfig:
 
     backbone: Literal["resnet18", "resnet34", "resnet50", "resnet101"] = "resnet101"
     size_px: int = 512
+    stages: int = 4
     channels: int = 256
     hidden: int = 1024
     proposals: int = 2000
@@ -61,6 +61,8 @@ class ModelConfig:
         """Refuse what cannot be built."""
         if self.size_px < 64 or self.size_px % 16:
             raise DataError(f"model.size_px must be a multiple of 16 from 64 on, got {self.size_px}")
+        if not 2 <= self.stages <= 4:
+            raise DataError(f"model.stages must be 2, 3 or 4, got {self.stages}")
         if min(self.channels, self.hidden, self.proposals, self.rois, self.detections) < 1:
             raise DataError("model: channels, hidden, proposals, rois and detections must be at least 1")
 
@@ -75,9 +77,7 @@ def with_norm(config: ModelConfig, weights: str) -> ModelConfig:
 def build_model(config: ModelConfig, classes: int) -> MaskRCNN:
     """The network with random weights; `classes` is without the background."""
     size, channels = config.size_px, config.channels
-    levels = [str(level) for level in range(LEVELS - 1)]
-    # torchvision's 224 px belong to 512 px images; larger objects are looked at one level up.
-    scale = {"canonical_scale": round(size * 224 / 512), "sampling_ratio": 2}
+    levels = [str(level) for level in range(config.stages)]
     model = MaskRCNN(
         _backbone(config),
         min_size=size,
@@ -85,19 +85,20 @@ def build_model(config: ModelConfig, classes: int) -> MaskRCNN:
         image_mean=MEAN,
         image_std=STD,
         rpn_anchor_generator=AnchorGenerator(
-            tuple((size * 2**level // 16,) for level in range(LEVELS)), ((0.5, 1.0, 2.0),) * LEVELS
+            tuple((size * 2**level // 16,) for level in range(config.stages + 1)),
+            ((0.5, 1.0, 2.0),) * (config.stages + 1),  # pooling adds a level to the pyramid
         ),
         rpn_head=RPNHead(channels, 3),
         rpn_pre_nms_top_n_train=config.proposals,
         rpn_post_nms_top_n_train=config.proposals,
         rpn_pre_nms_top_n_test=config.proposals // 2,
         rpn_post_nms_top_n_test=config.proposals // 2,
-        box_roi_pool=MultiScaleRoIAlign(levels, output_size=7, **scale),
+        box_roi_pool=MultiScaleRoIAlign(levels, output_size=7, sampling_ratio=2),
         box_head=TwoMLPHead(channels * 7**2, config.hidden),
         box_predictor=FastRCNNPredictor(config.hidden, classes + 1),
         box_batch_size_per_image=config.rois,
         box_detections_per_img=config.detections,
-        mask_roi_pool=MultiScaleRoIAlign(levels, output_size=14, **scale),
+        mask_roi_pool=MultiScaleRoIAlign(levels, output_size=14, sampling_ratio=2),
         mask_head=MaskRCNNHeads(channels, (channels,) * 4, dilation=1),
         mask_predictor=MaskRCNNPredictor(channels, channels, classes + 1),
     )
@@ -114,8 +115,8 @@ def _backbone(config: ModelConfig) -> BackboneWithFPN:
     if config.norm not in norms:
         raise ValueError("decide the norm with `with_norm` first")
     body = getattr(resnet, config.backbone)(weights=None, norm_layer=norms[config.norm])
-    widths = [body.inplanes // 8 * 2**level for level in range(LEVELS - 1)]
-    layers = {f"layer{level + 1}": str(level) for level in range(LEVELS - 1)}
+    widths = [body.inplanes // 8 * 2**level for level in range(config.stages)]
+    layers = {f"layer{level + 1}": str(level) for level in range(config.stages)}
     return BackboneWithFPN(body, layers, widths, config.channels, extra_blocks=LastLevelMaxPool())
 
 

@@ -92,7 +92,7 @@ def main() -> None:
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
     cpu, paper = (load_settings(CONFIGS / f"masks_{name}.yaml") for name in ("cpu", "paper"))
-    wide = replace(cpu.model, size_px=192, channels=256, hidden=1024, proposals=2000, rois=512)
+    wide = replace(cpu.model, size_px=192, stages=4, channels=256, hidden=1024, proposals=2000, rois=512)
     ours = step_cost("cpu preset", cpu, options.data, 5)
     base = step_cost("ResNet-18, 192 px, full width", replace(cpu, model=wide, batch=2), options.data, 2)
     print(f"the cpu preset costs {base / ours:.1f} times less an image than torchvision's sizes at 192 px")
