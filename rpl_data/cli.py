@@ -81,7 +81,8 @@ def check(
     unit of depth and the intrinsics.
 
     Args:
-        path: a recording, or a recipe: then its recordings, as the recipe reads and mends them.
+        path: a folder of scenes, the folder of one scene, a recording kept in one file (`.bag`, `.db3`,
+            `.klg`), or a recipe (`.yaml`): then its recordings, as the recipe reads and mends them.
         format: how the recording is stored; guessed when left out.
         names: only these scenes.
         metres_per_unit: of the depth images; what the format says when left out.

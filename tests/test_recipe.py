@@ -54,6 +54,7 @@ def test_recording_recipe_names_every_field(tmp_path: Path) -> None:
     for part in ("reconstruct", "solve", "label", "split"):
         assert given[part].keys() == whole[part].keys()
     assert given["scenes"][0].keys() == whole["scenes"][0].keys()
+    assert given["scenes"][0]["mend"] == whole["scenes"][0]["mend"]
     assert given["objects"][0].keys() == whole["objects"][0].keys()
 
 

@@ -2,14 +2,14 @@
 
 A 2x3 matrix ``a_from_b`` takes pixel positions in b to a; pixel centres are whole numbers in all of them, so
 an image n pixels wide covers -0.5 to n - 0.5 and resizing keeps edges, not centres, in place. Nothing here
-mirrors: a mirrored object is another object.
+mirrors: a mirrored object is another object. OpenCV is imported where it works, so that a program can take
+its options from `Augmentation` and still explain itself quickly.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from jaxtyping import Float64, UInt8
 
@@ -80,12 +80,16 @@ def chained(a_from_b: Affine, b_from_c: Affine) -> Affine:
 
 def warped(image: Pixels, out_from_image: Affine, *, size: tuple[int, int]) -> Resampled:
     """The image seen through the map, (width, height) = `size`, black beyond the image's edge."""
+    import cv2
+
     result: Resampled = cv2.warpAffine(image, out_from_image, size, flags=cv2.INTER_LINEAR)
     return result
 
 
 def warped_smoothly(image: Pixels, out_from_image: Affine, *, size: tuple[int, int]) -> Resampled:
     """`warped`, but pixels are averaged where the map shrinks, so that fine texture does not alias."""
+    import cv2
+
     zoom = float(np.sqrt(abs(np.linalg.det(out_from_image[:, :2]))))
     if zoom > 0.75:
         return warped(image, out_from_image, size=size)
@@ -131,6 +135,8 @@ def reach(augmentation: Augmentation | None) -> float:
 
 def jittered(image: Image, augmentation: Augmentation, rng: np.random.Generator) -> Image:
     """The image with another gain in each channel and another brightness; a look-up, so it costs little."""
+    import cv2
+
     if augmentation.gain == 0 and augmentation.offset == 0:
         return image
     gains = rng.uniform(1 - augmentation.gain, 1 + augmentation.gain, 3)
