@@ -188,10 +188,13 @@ def test_a_wrong_registration_moves_the_depth_image() -> None:
 
 @pytest.fixture(scope="module")
 def hurried() -> Film:
-    """A camera whose depth is two frames late and whose shutter rolls slowly; not rendered yet."""
+    """A camera whose depth is two frames late and whose shutter rolls slowly; not rendered yet.
+
+    It is near: the rows of a small thing in the middle of the image are all exposed at nearly one time.
+    """
     sensor = Sensor(PERFECT_DEPTH, replace(PERFECT_COLOR, readout_s=0.06), lag_frames=2.0)
     spec = TwinSpec(objects=("carton",), scenes=1, seconds=1.0, rate_hz=10.0, width=480, height=360)
-    return film(replace(spec, clutter=0, seed=3, sensor=sensor), 0)
+    return film(replace(spec, clutter=0, seed=3, distance_m=(0.35, 0.45), sensor=sensor), 0)
 
 
 def test_a_lag_takes_the_depth_from_where_the_camera_was(hurried: Film) -> None:
