@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -13,10 +12,11 @@ import pytest
 from rpl_data.types import DataError
 from rpl_data.workspace import Workspace
 from training.mask_scores import ClassScore, SplitScore
-from training.mask_settings import Settings
+from training.mask_settings import comparable, load_settings
 from training.reproduce.__main__ import main
-from training.reproduce.segmentation import Progress, replanned, sources_of
+from training.reproduce.segmentation import Progress, segmentation, sources_of, train_epoch
 from training.reproduce.segmentation_page import verdict
+from training.train_masks import train
 
 SETTINGS = """
 settings:
@@ -36,30 +36,31 @@ def scored(mean_iou: float | None) -> SplitScore:
     return SplitScore(5, mean_iou, None, None, None, None, (row,))
 
 
-@pytest.fixture
-def workspace(tiny_workspace: Workspace, tmp_path: Path) -> Workspace:
+@pytest.fixture(scope="module")
+def workspace(tiny_workspace: Workspace, tmp_path_factory: pytest.TempPathFactory) -> Workspace:
     """A copy: the true labels are exported into it."""
-    shutil.copytree(tiny_workspace.root, tmp_path / "tiny")
-    return Workspace(tmp_path / "tiny")
+    root = tmp_path_factory.mktemp("segmentation") / "tiny"
+    shutil.copytree(tiny_workspace.root, root)
+    return Workspace(root)
 
 
-def test_figure_page_and_numbers(
-    workspace: Workspace, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "quick.yaml").write_text(SETTINGS)
-    out = tmp_path / "out"
-    command = [
-        "segmentation",
-        str(workspace.root),
-        "--out",
-        str(out),
-        "--preset",
-        str(tmp_path / "quick.yaml"),
-    ]
+@pytest.fixture(scope="module")
+def command(workspace: Workspace, tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    """What has made the figure, and would make it again."""
+    folder = tmp_path_factory.mktemp("figure")
+    preset, out = folder / "quick.yaml", folder / "out"
+    preset.write_text(SETTINGS)
+    command = ["segmentation", str(workspace.root), "--out", str(out), "--preset", str(preset)]
     assert main(command) == 0
+    return command
+
+
+def test_figure_page_and_numbers(workspace: Workspace, command: list[str]) -> None:
+    out = Path(command[3])
     found = json.loads((out / "segmentation.json").read_text())
     assert set(found["scores"]) == {"val", "test"} and set(found["scores"]["test"]) == {"OURS", "MANUAL"}
     assert found["progress"]["epochs"] == 2 and len(found["progress"]["history"]) == 2
+    assert found["progress"]["cpu_seconds"] > 0
     assert found["verdict"]["test"]["valid"] is False  # two epochs of eleven images teach nothing
     images = json.loads((workspace.export("coco_truth") / "test.json").read_text())["images"]
     assert found["scores"]["test"]["OURS"]["images"] == len(images) == 6
@@ -70,26 +71,39 @@ def test_figure_page_and_numbers(
     assert json.loads((out / "segmentation.json").read_text())["scores"] == found["scores"]
 
 
-def test_sources_must_have_the_same_images(workspace: Workspace) -> None:
-    sources = sources_of(workspace.root)
+def test_an_interrupted_run_goes_on_as_if_it_had_not_been(
+    workspace: Workspace, command: list[str], tmp_path: Path
+) -> None:
+    """It stops after OURS of the second epoch, before MANUAL."""
+    preset = Path(command[5])
+    settings, sources = load_settings(preset), sources_of(workspace.root)
+    train_epoch(sources, settings, Progress(comparable(settings)), tmp_path)
+    train(settings, sources["OURS"], tmp_path / "ours", until=2)
+    segmentation(workspace.root, tmp_path, preset)
+    straight, paused = (
+        json.loads((f / "segmentation.json").read_text()) for f in (Path(command[3]), tmp_path)
+    )
+    assert straight["scores"] == paused["scores"]
+    assert straight["progress"]["history"] == paused["progress"]["history"]
+
+
+def test_other_settings_do_not_go_on(
+    command: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "other.yaml").write_text(SETTINGS + "  rate: 0.5\n")
+    assert main([*command[:5], str(tmp_path / "other.yaml")]) == 1
+    assert "other settings" in capsys.readouterr().err
+
+
+def test_sources_must_have_the_same_images(tiny_workspace: Workspace, tmp_path: Path) -> None:
+    shutil.copytree(tiny_workspace.root, tmp_path / "tiny")
+    sources = sources_of(tmp_path / "tiny")
     data = json.loads((sources["MANUAL"] / "train.json").read_text())
     gone = data["images"].pop()["id"]
     data["annotations"] = [a for a in data["annotations"] if a["image_id"] != gone]
     (sources["MANUAL"] / "train.json").write_text(json.dumps(data))
     with pytest.raises(DataError, match="other training images"):
-        sources_of(workspace.root)
-
-
-def test_the_plan_follows_the_budget() -> None:
-    settings = Settings(epochs=20, head_epochs=0, cooldown=0.25)
-    at = Progress(epochs=4, plan=20, seconds=400.0)
-    assert replanned(at, settings, budget_s=10_000) == 20
-    assert replanned(at, settings, budget_s=1_000) == 9  # 900 s of them for training, 100 s an epoch
-    slow = replace(at, plan=9, seconds=300.0)  # the machine became faster
-    assert replanned(slow, settings, budget_s=1_000) == 12
-    falling = replace(at, epochs=8, plan=9, seconds=600.0)  # the rate falls towards epoch 9 already
-    assert replanned(falling, settings, budget_s=1_000) == 9
-    assert replanned(replace(at, seconds=5_000.0), settings, budget_s=1_000) == 4
+        sources_of(tmp_path / "tiny")
 
 
 def test_the_comparison_counts_from_half_on() -> None:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rpl_data.files import read_json, write_json
 from rpl_data.formats.coco import read_coco
@@ -19,10 +20,6 @@ if TYPE_CHECKING:
 OURS, MANUAL = "OURS", "MANUAL"
 """The paper's names for training on generated and on true labels."""
 PRESET = Path(__file__).parents[1] / "configs" / "masks_cpu.yaml"
-ROUND_EPOCHS = 1
-"""Epochs of one source before it is the other's turn."""
-RESERVE = 0.1
-"""Share of the budget kept for the last evaluation."""
 
 
 @dataclass(frozen=True)
@@ -30,13 +27,14 @@ class Progress:
     """Where a run stands; kept in progress.json.
 
     Attributes:
-        epochs: that both sources have been trained. plan: how many it shall be.
-        seconds: on the clock. cpu_seconds: of the processor.
+        settings: of the training, without what may change when it is resumed.
+        epochs: that both sources have been trained.
+        seconds: on the clock. cpu_seconds: of the processor, all threads and processes together.
         history: mean IoU on val of [OURS, MANUAL] after each round: [epoch, ours, manual].
     """
 
+    settings: dict[str, Any]
     epochs: int = 0
-    plan: int = 0
     seconds: float = 0.0
     cpu_seconds: float = 0.0
     history: list[list[float | None]] = field(default_factory=list)
@@ -46,7 +44,7 @@ def segmentation(
     workspace: Path,
     out: Path = Path("runs/segmentation"),
     preset: Path = PRESET,
-    budget_minutes: float = 90.0,
+    epochs: int | None = None,
     threads: int | None = None,
 ) -> None:
     """Mean IoU per class of Mask R-CNN trained on OURS and on MANUAL labels (the paper's figure).
@@ -59,7 +57,7 @@ def segmentation(
         workspace: a built workspace whose truth is known.
         out: folder for segmentation.json, segmentation.html, the figure and both runs.
         preset: settings of the training, as training/configs/masks_cpu.yaml and masks_paper.yaml hold them.
-        budget_minutes: on the clock; when the preset's epochs do not fit, both sources get as many as do.
+        epochs: of each source, whatever else the machine is doing; those of the preset when left out.
         threads: processor cores to use; as many as there are when left out.
     """
     import torch
@@ -70,10 +68,11 @@ def segmentation(
         torch.set_num_threads(threads)
     sources = sources_of(workspace)
     settings = load_settings(preset)
+    settings = settings if epochs is None else replace(settings, epochs=epochs)
     progress = _load_progress(out, settings)
-    while progress.epochs < progress.plan:
-        progress = train_round(sources, settings, progress, out, budget_s=60 * budget_minutes)
-        print(_line(progress), flush=True)
+    while progress.epochs < settings.epochs:
+        progress = train_epoch(sources, settings, progress, out)
+        print(_line(progress, settings), flush=True)
     splits = [name for name in ("val", "test") if read_coco(sources[MANUAL] / f"{name}.json")["images"]]
     scores = score_sources(sources, out, splits)
     print(write_figure(sources, scores, progress, settings, out))
@@ -109,53 +108,51 @@ def sources_of(workspace: Path) -> dict[str, Path]:
 # Training -----------------------------------------------------------------------------------------
 
 
-def train_round(
-    sources: Mapping[str, Path], settings: Settings, progress: Progress, out: Path, *, budget_s: float
-) -> Progress:
-    """A few epochs of both sources, their scores on val, and how many epochs the budget leaves in all."""
+def train_epoch(sources: Mapping[str, Path], settings: Settings, progress: Progress, out: Path) -> Progress:
+    """One more epoch of both sources, their scores on val, and the figure as it stands."""
     from training.train_masks import train
 
-    clock, cpu = time.perf_counter(), time.process_time()
-    until = min(progress.epochs + ROUND_EPOCHS, progress.plan)
+    clock, cpu = time.perf_counter(), _cpu_s()
+    done = progress.epochs + 1
     for name, data in sources.items():
-        train(replace(settings, epochs=progress.plan), data, out / name.lower(), until=until)
+        train(settings, data, out / name.lower(), until=done)
     scores = score_sources(sources, out, ["val"])
     means = [score.mean_iou for score in scores["val"].values()]
-    progress = Progress(
-        epochs=until,
-        plan=progress.plan,
+    progress = replace(
+        progress,
+        epochs=done,
         seconds=progress.seconds + time.perf_counter() - clock,
-        cpu_seconds=progress.cpu_seconds + time.process_time() - cpu,
-        history=[*progress.history, [until, *means]],
+        cpu_seconds=progress.cpu_seconds + _cpu_s() - cpu,
+        history=[*progress.history, [done, *means]],
     )
-    progress = replace(progress, plan=replanned(progress, settings, budget_s=budget_s))
     write_json(out / "progress.json", asdict(progress))
     write_figure(sources, scores, progress, settings, out)
     return progress
 
 
-def _line(progress: Progress) -> str:
+def _cpu_s() -> float:
+    """Of this process and of those it has started and seen end."""
+    return sum(os.times()[:4])
+
+
+def _line(progress: Progress, settings: Settings) -> str:
     epoch, *means = progress.history[-1]
     pairs = zip((OURS, MANUAL), means, strict=True)
     found = ", ".join(f"{name} {'-' if mean is None else f'{mean:.3f}'}" for name, mean in pairs)
-    return f"epoch {epoch} of {progress.plan}: mean IoU on val {found}; {progress.seconds / 60:.1f} min"
+    return f"epoch {epoch} of {settings.epochs}: mean IoU on val {found}; {progress.seconds / 60:.1f} min"
 
 
 def _load_progress(out: Path, settings: Settings) -> Progress:
-    if not (out / "progress.json").exists():
-        return Progress(plan=settings.epochs)
-    return Progress(**read_json(out / "progress.json"))
+    """Of the run in `out`, nothing when there is none; DataError when its settings were others."""
+    from training.mask_settings import comparable
 
-
-def replanned(progress: Progress, settings: Settings, *, budget_s: float) -> int:
-    """How many epochs there shall be, given how long those so far took.
-
-    Until the learning rate begins to fall the plan may grow again, since nothing depended on it yet.
-    """
-    an_epoch_s = progress.seconds / progress.epochs
-    fitting = progress.epochs + int((budget_s * (1 - RESERVE) - progress.seconds) / an_epoch_s)
-    falling = progress.epochs > (1 - settings.cooldown) * progress.plan
-    return max(progress.epochs, min(fitting, progress.plan if falling else settings.epochs))
+    path = out / "progress.json"
+    if not path.exists():
+        return Progress(settings=comparable(settings))
+    progress = Progress(**read_json(path))
+    if progress.settings != comparable(settings):
+        raise DataError(f"{path} belongs to a run with other settings; choose another --out, or its --preset")
+    return progress
 
 
 # Scores -------------------------------------------------------------------------------------------
