@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from rpl_data.formats.rpl import read_rpl
 from rpl_data.geometry import back_project, invert, project, transform
 from rpl_data.twin import TwinSpec, write_twin
-from rpl_data.twin.annotator import click
+from rpl_data.twin.annotator import Mistakes, click
 from rpl_data.twin.film import Film, film
 from rpl_data.twin.objects import OBJECTS, build
 from rpl_data.twin.scene import compose, resting_rotations
@@ -206,6 +206,42 @@ def test_clicks_are_spread_noisy_and_only_on_what_is_seen(video: Film) -> None:
     np.testing.assert_allclose(error.std(axis=0), 2.0, rtol=0.1)
     frames = sorted(c.frame for c in clicks if c.keypoint == clicks[0].keypoint)
     assert len(frames) == 300 and np.diff(frames).max() <= 3
+
+
+def test_a_careless_person_misses_swaps_and_slips_as_often_as_asked(video: Film) -> None:
+    labels = _static_labels(video, 600)
+    full = coco_mask.decode(dict(labels[0].instances[0].mask_full)).astype(bool)
+
+    def clicked(seed: int, **mistakes: float) -> list[tuple[int, int, float, float]]:
+        found = click(
+            labels,
+            "carton",
+            intrinsics=video.spec.intrinsics,
+            clicks_per_keypoint=200,
+            noise_px=0.5,
+            rng=np.random.default_rng(seed),
+            mistakes=Mistakes(**mistakes),
+        )
+        return [(c.keypoint, c.frame, c.u_px, c.v_px) for c in found]
+
+    careful = clicked(0)
+    missed = clicked(0, missed=0.2)
+    assert set(missed) < set(careful)  # the others stay where they were
+    assert len(missed) / len(careful) == pytest.approx(0.8, abs=0.05)
+
+    slipped = clicked(0, slipped=0.3)
+    moved = [b for a, b in zip(careful, slipped, strict=True) if a != b]
+    assert moved and len(moved) / len(careful) <= 0.36
+    assert not any(full[round(v), round(u)] for _, _, u, v in moved)
+    near = [a for a, b in zip(careful, slipped, strict=True) if a != b]
+    far_px = [np.hypot(a[2] - b[2], a[3] - b[3]) for a, b in zip(near, moved, strict=True)]
+    assert max(far_px) < 16
+
+    swapped = [clicked(seed, swapped=0.25) for seed in range(40)]
+    taken = [{a[0]: b[0] for a, b in zip(clicked(s), other, strict=True)} for s, other in enumerate(swapped)]
+    wrong = [{a: b for a, b in of.items() if a != b} for of in taken]
+    assert {len(pair) for pair in wrong} == {0, 2}  # two, with each other
+    assert sum(map(bool, wrong)) / 40 == pytest.approx(0.25, abs=0.15)
 
 
 # On disk ------------------------------------------------------------------------------------------

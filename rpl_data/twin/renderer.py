@@ -6,30 +6,24 @@ are those of the pixel centres.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import lru_cache
 
-import cv2
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64
 
 from rpl_data.geometry import Transform, invert, project, transform
 from rpl_data.raycast import Hits, RayScene, pixel_rays, rays_in_object
+from rpl_data.twin.edges import CORNERS, find_edges, of_neighbours
 from rpl_data.twin.light import TO_LINEAR, shaded, to_srgb
 from rpl_data.twin.picture import Picture
 from rpl_data.twin.scene import TwinScene
+from rpl_data.twin.shadows import tile_means, tiled
 from rpl_data.types import ColorImage, DepthImage, Intrinsics
 
 SKIN_M = 5e-4
 """Shadow rays start this far above the surface, so that it does not shadow itself."""
 NEAR_M = 0.2
 """What stands nearer than this keeps the light of the room away."""
-TILE = 8
-"""Every pixel of a square of 8 x 8 sends its shadow rays another way; the mean over a square is smooth
-(interleaved sampling, Keller & Heidrich, 2001)."""
-CORNERS = ((-0.125, -0.375), (0.375, -0.125), (0.125, 0.375), (-0.375, 0.125))
-"""Where in an edge pixel its four rays go: a rotated grid."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +52,6 @@ class _Seen:
 
     Attributes:
         view: unit vectors to the camera.
-        seen: share of the lamp and of the room that is not hidden.
     """
 
     hits: Hits
@@ -93,7 +86,7 @@ class Renderer:
         linear = self._shaded(seen, unhidden.reshape(-1, 2)).reshape(*shape, 3)
         thing = seen.hits.mesh_id.reshape(shape)
         depth_m = np.where(np.isfinite(seen.hits.t), seen.hits.t, np.float32(0)).reshape(shape)
-        edges = _edges(thing, seen.hits.normals.reshape(*shape, 3), depth_m)
+        edges = find_edges(thing, seen.hits.normals.reshape(*shape, 3), depth_m)
         self._smooth_edges(linear, edges, thing, unhidden, table_from_camera)
         return Rendered(
             to_srgb(linear),
@@ -186,7 +179,7 @@ class Renderer:
 
         The pixels take turns, as on a chessboard: one asks for the lamp, the next for the room.
         """
-        sample, asks_lamp = _tiled(shape)
+        sample, asks_lamp = tiled(shape)
         hits, met = seen.hits, seen.hits.mesh_id >= 0
         outward = hits.normals * np.sign(np.einsum("nk,nk->n", hits.normals, seen.view))[:, None]
         start = seen.points + np.float32(SKIN_M) * outward
@@ -196,7 +189,7 @@ class Renderer:
         free = np.zeros(len(met), np.float32)
         free[met] = ~self._rays.occluded(np.hstack([start, reach])[met], far=1.0)
         asked = np.column_stack([asks_lamp, ~asks_lamp]).astype(np.float32)
-        return _tile_means(free, asked, hits.mesh_id.reshape(shape))
+        return tile_means(free, asked, hits.mesh_id.reshape(shape))
 
     # Edges ------------------------------------------------------------------------------------------
 
@@ -218,86 +211,9 @@ class Renderer:
         seen = self._look(directions, table_from_camera)
         near = np.stack(
             [
-                _of_neighbours(thing, unhidden, rows, columns, part)
+                of_neighbours(thing, unhidden, rows, columns, part)
                 for part in seen.hits.mesh_id.reshape(len(CORNERS), -1)
             ]
         )
         light = self._shaded(seen, near.reshape(-1, 2)).clip(0, 1)
         linear[rows, columns] = light.reshape(len(CORNERS), -1, 3).mean(axis=0)
-
-
-@lru_cache(maxsize=2)
-def _tiled(shape: tuple[int, int]) -> tuple[Float32[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:
-    """The point of the unit sphere that each pixel takes, and whether it asks for the lamp."""
-    count = TILE * TILE // 2
-    z = 1 - (np.arange(count) + 0.5) * 2 / count
-    turn = np.arange(count) * np.pi * (3 - np.sqrt(5))  # Fibonacci lattice: even on the sphere
-    points = np.stack([np.cos(turn) * np.sqrt(1 - z**2), np.sin(turn) * np.sqrt(1 - z**2), z], -1)
-    lamp = np.indices((TILE, TILE)).sum(axis=0) % 2 == 0
-    rng, tile = np.random.default_rng(0), np.zeros((TILE, TILE), np.int64)
-    tile[lamp], tile[~lamp] = rng.permutation(count), rng.permutation(count)
-    rows, columns = np.indices(shape) % TILE
-    return points.astype(np.float32)[tile[rows, columns].ravel()], lamp[rows, columns].ravel()
-
-
-def _of_neighbours(
-    thing: Int64[np.ndarray, "height width"],
-    values: Float32[np.ndarray, "height width 2"],
-    rows: Int64[np.ndarray, " n"],
-    columns: Int64[np.ndarray, " n"],
-    wanted: Int64[np.ndarray, " n"],
-) -> Float32[np.ndarray, "n 2"]:
-    """The values of the pixel, or of the first pixel beside it, that shows the wanted thing; else 1."""
-    found = np.ones((len(rows), 2), np.float32)
-    open_ = np.ones(len(rows), dtype=bool)
-    for dv, du in ((0, 0), (0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1)):
-        v = (rows + dv).clip(0, thing.shape[0] - 1)
-        u = (columns + du).clip(0, thing.shape[1] - 1)
-        here = open_ & (thing[v, u] == wanted)
-        found[here] = values[v[here], u[here]]
-        open_ &= ~here
-    return found
-
-
-def _tile_means(
-    values: Float32[np.ndarray, " n"],
-    asked: Float32[np.ndarray, "n 2"],
-    thing: Int64[np.ndarray, "height width"],
-) -> Float32[np.ndarray, "height width 2"]:
-    """Two means over the tile around each pixel, over pixels of the same thing that were asked."""
-    sums = np.concatenate([asked * values[:, None], asked], axis=1).reshape(*thing.shape, 4)
-    smooth = np.ones((*thing.shape, 2), np.float32)
-    for part, mask in _parts(thing):
-        total = cv2.blur(sums[part] * mask[..., None], (TILE + 1, TILE + 1))[mask]
-        smooth[part][mask] = total[:, :2] / np.maximum(total[:, 2:], 1e-6)
-    return smooth
-
-
-def _parts(
-    thing: Int64[np.ndarray, "height width"],
-) -> Iterator[tuple[tuple[slice, slice], Bool[np.ndarray, "_ _"]]]:
-    """The box around every thing, and its pixels in it."""
-    order = np.argsort(thing.ravel().astype(np.int16), kind="stable")
-    numbers, first = np.unique(thing.ravel()[order], return_index=True)
-    for number, pixels in zip(numbers, np.split(order, first[1:]), strict=True):
-        if number >= 0:
-            columns = pixels % thing.shape[1]
-            top, bottom = pixels[0] // thing.shape[1], pixels[-1] // thing.shape[1] + 1
-            part = np.s_[top:bottom, columns.min() : columns.max() + 1]
-            yield part, thing[part] == number
-
-
-def _edges(
-    thing: Int64[np.ndarray, "height width"],
-    normals: Float32[np.ndarray, "height width 3"],
-    depth_m: Float32[np.ndarray, "height width"],
-) -> Bool[np.ndarray, "height width"]:
-    """Pixels beside another surface, another face or another distance; both sides of the edge."""
-    edges = np.zeros(thing.shape, dtype=bool)
-    for here, there in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
-        bend = np.einsum("hwk,hwk->hw", normals[here], normals[there]) < 0.9
-        step = np.abs(depth_m[here] - depth_m[there]) > 0.02 * depth_m[here] + 0.005
-        change = (thing[here] != thing[there]) | bend | step
-        edges[here] |= change
-        edges[there] |= change
-    return edges

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import astuple, dataclass, field
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float64
 
+from rpl_data.twin.annotator import Mistakes
 from rpl_data.twin.sensor import Sensor
 from rpl_data.types import DataError, Intrinsics
 
@@ -62,6 +63,7 @@ class TwinSpec:
         width, height: image size in pixels; the field of view stays that of a D435's colour camera.
         clicks_per_keypoint: in how many well-spread frames of a scene each seen keypoint is clicked.
         click_noise_px: standard deviation of a click, each axis.
+        mistakes: clicks that are missing, swapped or on the background; none when left out.
         seed: of everything random.
         clutter: other things on the table.
         sweep_deg: how far around the objects the camera goes.
@@ -78,6 +80,7 @@ class TwinSpec:
     height: int = 480
     clicks_per_keypoint: int = 3
     click_noise_px: float = 2.0
+    mistakes: Mistakes = Mistakes()
     seed: int = 0
     clutter: int = 5
     sweep_deg: float = 160.0
@@ -147,6 +150,7 @@ class TwinSpec:
             "width, height (at least 16)": min(self.width, self.height) < 16,
             "clicks_per_keypoint (at least 1)": self.clicks_per_keypoint < 1,
             "click_noise_px (not negative)": self.click_noise_px < 0,
+            "mistakes (shares, 0 to 1)": not all(0 <= share <= 1 for share in astuple(self.mistakes)),
             "seed (not negative)": self.seed < 0,
         }
         found = [name for name, bad in wrong.items() if bad]

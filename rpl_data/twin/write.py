@@ -179,6 +179,7 @@ def _clicks(spec: TwinSpec, number: int, name: str, labels: list[FrameLabel]) ->
         intrinsics=spec.intrinsics,
         clicks_per_keypoint=spec.clicks_per_keypoint,
         noise_px=spec.click_noise_px,
+        mistakes=spec.mistakes,
         rng=np.random.default_rng([spec.seed, number, 2, list(spec.casts[number].objects).index(name)]),
     )
 
