@@ -19,7 +19,7 @@ LAYERS = [
     {"masks", "mend", "regions", "split"},
     {
         "adjustment", "completion", "formats", "lift", "occlusion", "overlay", "pool", "pose",
-        "raycast", "reprojection", "steps", "views", "workspace",
+        "raycast", "reprojection", "simplify", "steps", "views", "workspace",
     },
     STAGES,
     {"recipe", "torch"},

@@ -15,7 +15,7 @@ from rpl_data.report import write_report
 from rpl_data.report.counts import FrameSummary
 from rpl_data.report.html import number
 from rpl_data.report.pictures import choose_frames, view_of
-from rpl_data.report.solid import thinned
+from rpl_data.simplify import simplified
 from rpl_data.types import (
     Click,
     ClickResidual,
@@ -175,7 +175,7 @@ def test_a_heavy_mesh_is_thinned_for_the_page() -> None:
             np.column_stack([first + 1, first + 41, first + 40]),
         ]
     )
-    assert len(thinned(Mesh(vertices, triangles), most_triangles=500).triangles) <= 500
+    assert len(simplified(Mesh(vertices, triangles), most_triangles=500).triangles) <= 500
 
 
 def test_numbers_are_written_for_people() -> None:

@@ -20,6 +20,7 @@ from rpl_data.annotate.log import Conflict, NotSaved
 from rpl_data.annotate.payload import Json, object_payload, result_payload, scene_payload
 from rpl_data.annotate.scenes import poses_table
 from rpl_data.annotate.session import Session
+from rpl_data.annotate.solid_routes import solid_routes
 from rpl_data.annotate.work import Place
 from rpl_data.types import DataError
 
@@ -57,6 +58,7 @@ def make_app(session: Session, place: Place) -> FastAPI:
         app.add_exception_handler(kind, _answer(status))
     _add_scenes(app, session)
     _add_objects(app, session)
+    app.include_router(solid_routes(session))
     _add_page(app, session)
     return app
 

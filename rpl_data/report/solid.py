@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from rpl_data.overlay import keypoint_color
+from rpl_data.simplify import simplified
 from rpl_data.types import KeypointModel, Mesh
 
 MOST_TRIANGLES = 20_000
@@ -21,7 +22,7 @@ def solid(model: KeypointModel, mesh: Mesh | None, *, with_library: bool) -> str
     """A div with the figure; `with_library` puts plotly.js itself into the page, once."""
     import plotly.graph_objects as go
 
-    traces: list[Any] = [] if mesh is None else [_surface(thinned(mesh))]
+    traces: list[Any] = [] if mesh is None else [_surface(simplified(mesh, most_triangles=MOST_TRIANGLES))]
     traces += [*_skeleton(model), _keypoints(model)]
     axis = {
         "title": "",
@@ -48,26 +49,6 @@ def solid(model: KeypointModel, mesh: Mesh | None, *, with_library: bool) -> str
         config={"displaylogo": False, "responsive": True, "displayModeBar": False},
     )
     return f'<div class="solid">{page}</div>'
-
-
-def thinned(mesh: Mesh, *, most_triangles: int = MOST_TRIANGLES) -> Mesh:
-    """The mesh with no more triangles than that, its shape kept by quadric error."""
-    if len(mesh.triangles) <= most_triangles:
-        return mesh
-    import open3d as o3d
-
-    legacy = o3d.geometry.TriangleMesh(
-        o3d.utility.Vector3dVector(mesh.vertices), o3d.utility.Vector3iVector(mesh.triangles.astype(np.int32))
-    )
-    if mesh.colors is not None:
-        legacy.vertex_colors = o3d.utility.Vector3dVector(mesh.colors / 255.0)
-    small = legacy.simplify_quadric_decimation(most_triangles)
-    colors = np.clip(np.asarray(small.vertex_colors) * 255, 0, 255).round().astype(np.uint8)
-    return Mesh(
-        np.asarray(small.vertices).copy(),
-        np.asarray(small.triangles).astype(np.int64),
-        colors if small.has_vertex_colors() else None,
-    )
 
 
 def _surface(mesh: Mesh) -> Any:

@@ -2,6 +2,7 @@
 
 import { get, post } from "./api.js";
 import * as canvas from "./canvas.js";
+import * as dense from "./dense.js";
 import { ask } from "./dom.js";
 import { openScene } from "./frames.js";
 import * as keypoints from "./keypoints.js";
@@ -12,6 +13,7 @@ import { listen } from "./news.js";
 import * as next from "./next.js";
 import * as results from "./results.js";
 import * as scenes from "./scenes.js";
+import * as solid from "./solid.js";
 import { app, change, frame, onChange } from "./store.js";
 import * as timeline from "./timeline.js";
 
@@ -19,7 +21,7 @@ const by = (id) => document.getElementById(id);
 
 async function start() {
   setUpTheme();
-  for (const part of [timeline, keypoints, scenes, results, next, keys]) part.setUp();
+  for (const part of [timeline, keypoints, scenes, results, next, keys, dense, solid]) part.setUp();
   canvas.setUp({ place: keypoints.place, move: keypoints.move });
   onChange(() => { canvas.draw(); loupe.draw(); drawHead(); rememberPlace(); });
   setUpButtons();

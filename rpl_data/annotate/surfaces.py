@@ -1,0 +1,161 @@
+"""What surrounds an object in a scene, as points for the 3D view: from the first click on, before any build.
+
+Points come from the scene's fused surface when the build has made one, else from the depth of a few frames.
+They stay in the scene frame: the page moves them by the result of every click, so that one sees at once
+whether the scenes lie on one another.
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64, UInt8
+
+from rpl_data.annotate.scenes import PosedScene, SceneStore
+from rpl_data.annotate.session import Result
+from rpl_data.geometry import Points, back_project, transform
+from rpl_data.simplify import simplified
+from rpl_data.types import DataError, DepthImage
+from rpl_data.workspace import Workspace, load_mesh, read_color
+
+Json = dict[str, Any]
+MOST_POINTS = 5000
+"""A scene: enough to see whether two surfaces lie on one another, few enough for a slow link."""
+MOST_TRIANGLES = 6000
+FRAMES = 6
+STRIDE_PX = 3
+SCENES_KEPT = 8
+
+
+@dataclass(frozen=True)
+class Coloured:
+    """Points and their RGB, scene frame, metres."""
+
+    points: Float64[np.ndarray, "n 3"]
+    colors: UInt8[np.ndarray, "n 3"]
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """The ball of a scene that is shown, scene frame."""
+
+    centre_m: Float64[np.ndarray, "3"]
+    radius_m: float
+
+
+class SurfaceStore:
+    """Points of scenes; those used last are kept."""
+
+    def __init__(self, scenes: SceneStore) -> None:
+        self.scenes = scenes
+        self._fused = lru_cache(SCENES_KEPT)(self._read_fused)
+        self._seen = lru_cache(SCENES_KEPT)(self._read_frames)
+
+    def near(self, scene: str, ball: Surroundings, frames: Sequence[int]) -> Coloured:
+        """At most `MOST_POINTS` points in the ball.
+
+        Args:
+            frames: whose depth is used where the scene has no fused surface there yet.
+        """
+        found = _inside(self._fused(scene, self._stamp(scene)), ball)
+        if len(found.points) < 300:  # none yet, or one around another object
+            found = _inside(self._seen(scene, tuple(frames)[:FRAMES]), ball)
+        return thinned(found)
+
+    def _stamp(self, scene: str) -> int:
+        path = self.scenes.workspace.surface_file(scene)
+        return path.stat().st_mtime_ns if path.exists() else 0
+
+    def _read_fused(self, scene: str, stamp: int) -> Coloured:
+        if not stamp:
+            return Coloured(np.empty((0, 3)), np.empty((0, 3), np.uint8))
+        mesh = load_mesh(self.scenes.workspace.surface_file(scene))
+        grey = np.full((len(mesh.vertices), 3), 150, np.uint8)
+        return Coloured(mesh.vertices, grey if mesh.colors is None else mesh.colors)
+
+    def _read_frames(self, scene: str, frames: tuple[int, ...]) -> Coloured:
+        posed = self.scenes.get(scene)
+        seen = [_seen(posed, frame, self.scenes.depth_m(scene, frame)) for frame in frames]
+        return Coloured(
+            np.concatenate([np.empty((0, 3)), *(part.points for part in seen)]),
+            np.concatenate([np.empty((0, 3), np.uint8), *(part.colors for part in seen)]),
+        )
+
+
+def _seen(posed: PosedScene, frame: int, depth_m: DepthImage) -> Coloured:
+    """Every third pixel of every third row of a frame that has depth, in the scene frame."""
+    v, u = np.mgrid[0 : depth_m.shape[0] : STRIDE_PX, 0 : depth_m.shape[1] : STRIDE_PX].reshape(2, -1)
+    measured = depth_m[v, u] > 0
+    u, v = u[measured], v[measured]
+    uv = np.column_stack([u, v]).astype(float)
+    points = back_project(posed.scene.intrinsics, uv, depth_m[v, u].astype(float))
+    return Coloured(
+        transform(posed.trajectory.at(frame), points), read_color(posed.frame(frame))[v, u].astype(np.uint8)
+    )
+
+
+def _inside(cloud: Coloured, ball: Surroundings) -> Coloured:
+    chosen = np.linalg.norm(cloud.points - ball.centre_m, axis=1) < ball.radius_m
+    return Coloured(cloud.points[chosen], cloud.colors[chosen])
+
+
+def thinned(cloud: Coloured, *, most: int = MOST_POINTS) -> Coloured:
+    """One point a voxel, the voxel as small as the number allows."""
+    size_m = 0.003
+    while len(cloud.points) > most:
+        cells = np.floor(cloud.points / size_m).astype(np.int64)
+        first = np.unique(cells, axis=0, return_index=True)[1]
+        cloud = Coloured(cloud.points[first], cloud.colors[first])
+        size_m *= 1.3
+    return cloud
+
+
+def surroundings(result: Result, scene: str) -> Surroundings | None:
+    """Around the object where it is placed, else around its lifted clicks; None where there is neither."""
+    solution = result.live.solution
+    if solution is not None and scene in solution.scene_from_object:
+        model = solution.model
+        points: Points = transform(solution.scene_from_object[scene], model.points_object[model.known])
+        return _around(points, 1.8, 0.06)
+    lifted = [point for click, point in result.lifted if click.scene == scene]
+    return _around(np.array(lifted), 2.0, 0.12) if lifted else None
+
+
+def _around(points: Points, factor: float, margin_m: float) -> Surroundings:
+    centre = points.mean(axis=0)
+    return Surroundings(centre, factor * float(np.linalg.norm(points - centre, axis=1).max()) + margin_m)
+
+
+def surface_payload(cloud: Coloured) -> Json:
+    """Points as float32 and colours as bytes, base64."""
+    return {"points": _packed(cloud.points, "<f4"), "colors": _packed(cloud.colors, "u1")}
+
+
+def dense_payload(workspace: Workspace, object_name: str) -> Json | None:
+    """The dense model as it was last made, with few triangles; None when there is none.
+
+    It is in the object frame of the build that made it; `scene_from_object` of one scene of that build
+    lets the page bring it to the frame of the clicks as they are now.
+    """
+    path = workspace.mesh_file(object_name)
+    if not path.exists() or not workspace.solution_file(object_name).exists():
+        return None
+    places = workspace.load_solution(object_name).scene_from_object
+    if not places:
+        raise DataError(f"the solution of {object_name} places it in no scene; run the solve stage again")
+    mesh = simplified(load_mesh(path), most_triangles=MOST_TRIANGLES)
+    return {
+        "places": {name: [float(x) for x in matrix.ravel()] for name, matrix in places.items()},
+        "points": _packed(mesh.vertices, "<f4"),
+        "colors": None if mesh.colors is None else _packed(mesh.colors, "u1"),
+        "triangles": _packed(mesh.triangles, "<u2"),
+    }
+
+
+def _packed(values: np.ndarray, kind: str) -> str:
+    return base64.b64encode(np.ascontiguousarray(values, dtype=kind).tobytes()).decode("ascii")
