@@ -68,6 +68,52 @@ def import_(recipe: Path, workspace: Path = HERE, root: Path | None = None, agai
     _run(load_recipe(recipe, root=root), workspace, "import", "import" if again else None)
 
 
+def capture(
+    out: Path,
+    scene: str | None = None,
+    seconds: float | None = None,
+    countdown: int = 3,
+    exposure: Literal["lock", "auto"] = "lock",
+    preview: Literal["none", "browser"] = "none",
+    width: int = 640,
+    height: int = 480,
+    fps: int = 30,
+    serial: str | None = None,
+    port: int = 8018,
+) -> None:
+    """Record a scene with a RealSense camera: colour, and depth aligned to it. Ctrl-C ends the recording.
+
+    Put the object on a table among other things (texture helps the tracking), 0.4 to 0.8 m away, and walk
+    slowly around it for 20 to 40 seconds. Turn the object over or move it, run the same command again for the
+    next scene; three scenes or more give a test split. What is recorded is whole at every moment: when the
+    camera is unplugged or the disk full, all before it is kept, and every lost frame is said.
+
+    Then: `rpl check OUT` says whether the recording is good; datasets/realsense.yaml makes a dataset of it.
+
+    Args:
+        out: folder of the recording, of all its scenes; made when it is not there.
+        scene: name of the scene; 00, 01, ... when left out.
+        seconds: how long; until Ctrl-C when left out.
+        countdown: seconds before the recording starts.
+        exposure: `lock` holds exposure and white balance at what the automatic finds before the start, so
+            that a place looks the same in every frame; `auto` lets them change.
+        preview: `browser` shows colour and depth on a page of this machine.
+        width: of the images, pixels.
+        height: of the images, pixels.
+        fps: images a second.
+        serial: of the camera, where several are connected.
+        port: of the preview.
+    """
+    from rpl_data.capture.camera import connected_camera
+    from rpl_data.capture.live import CaptureOptions
+    from rpl_data.record import record_scene
+
+    options = CaptureOptions(width, height, fps, seconds, countdown, exposure)
+    record_scene(
+        connected_camera(serial), out, scene, options, preview_port=port if preview == "browser" else None
+    )
+
+
 def check(
     path: Path,
     format: str | None = None,
@@ -281,6 +327,7 @@ HELP = "Labelled pose, keypoint and mask datasets from RGB-D videos and a few cl
 COMMANDS: dict[str, Any] = {
     "build": build,
     "status": status,
+    "capture": capture,
     "check": check,
     "import": import_,
     "annotate": annotate,

@@ -25,7 +25,7 @@ LAYERS = [
     {"recipe", "torch"},
     {"pipeline"},
     {"build"},
-    {"screen", "serve"},
+    {"record", "screen", "serve"},
     {"cli"},
 ]  # fmt: skip
 LAYER_OF = {unit: number for number, layer in enumerate(LAYERS) for unit in layer}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 import zlib
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -11,12 +12,14 @@ import numpy as np
 import pytest
 
 from rpl_data.capture import open_scenes
+from rpl_data.formats.camera_file import write_camera
 from rpl_data.formats.image_files import probe
-from rpl_data.formats.rpl import read_rpl, write_associations, write_camera, write_poses
+from rpl_data.formats.rpl import read_rpl, write_associations, write_poses
 from rpl_data.geometry import from_rotvec
 from rpl_data.types import DataError, Intrinsics
 
 CAMERA = Intrinsics(50.0, 51.0, 31.5, 23.5, 64, 48)
+LENS = (50.0, 51.0, 31.5, 23.5)
 TIMES = [10 + i / 30 for i in range(6)]
 
 
@@ -221,9 +224,30 @@ def test_unregistered_depth_is_refused(tree: Path) -> None:
         read_rpl(tree)
 
 
-def test_a_camera_with_distortion_is_not_written(tmp_path: Path) -> None:
-    with pytest.raises(DataError, match="cannot hold lens distortion"):
-        write_camera(tmp_path, Intrinsics(50.0, 50.0, 32.0, 24.0, 64, 48, (0.1, 0.0, 0.0, 0.0)))
+def test_camera_txt_also_holds_distortion_and_the_depth_unit(tree: Path) -> None:
+    """The original reads the first line only, which is as ever."""
+    lens = (0.1, -0.2, 0.001, 0.002, 0.05)
+    write_camera(tree, replace(CAMERA, distortion=lens), 0.0005)
+    assert (tree / "camera.txt").read_text().splitlines()[0] == "50.0 51.0 31.5 23.5"
+    scene = read_rpl(tree)[0].scene
+    assert (scene.intrinsics.distortion, scene.metres_per_unit) == (lens, 0.0005)
+    assert not any("metres_per_unit" in note for note in read_rpl(tree)[0].notes)
+    given = read_rpl(tree, camera=LENS, metres_per_unit=0.001)[0].scene
+    assert (given.intrinsics.distortion, given.metres_per_unit) == ((), 0.001)
+    assert read_rpl(tree, camera=LENS)[0].scene.metres_per_unit == 0.0005
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("distortion 0.1 0.2", "expected 4 or 5 or 8 numbers behind distortion"),
+        ("metres_per_unit mm", "could not convert .* repair or delete the line"),
+    ],
+)
+def test_what_camera_txt_says_wrongly(tree: Path, line: str, message: str) -> None:
+    (tree / "camera.txt").write_text(f"50 51 31.5 23.5\na line of another tool\n{line}\n")
+    with pytest.raises(DataError, match=message):
+        read_rpl(tree)
 
 
 def test_probe_agrees_with_the_decoder(tmp_path: Path) -> None:

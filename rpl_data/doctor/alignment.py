@@ -143,8 +143,8 @@ def _peak(
     inner = reach if within_px is None else int(within_px / STEP_PX)
     near = around[reach - inner : reach + inner + 1, reach - inner : reach + inner + 1]
     y, x = np.unravel_index(int(near.argmax()), near.shape)
-    du = _vertex(*near[y, x - 1 : x + 2].tolist()) if 0 < x < 2 * inner else 0.0
-    dv = _vertex(*near[y - 1 : y + 2, x].tolist()) if 0 < y < 2 * inner else 0.0
+    du = _vertex(*near[y, x - 1 : x + 2].tolist()) if 0 < x < near.shape[1] - 1 else 0.0
+    dv = _vertex(*near[y - 1 : y + 2, x].tolist()) if 0 < y < near.shape[0] - 1 else 0.0
     spread = float(around.std())
     height = float(near[y, x] - around.mean()) / spread if spread > 0 else 0.0
     return height, np.array([x - inner + du, y - inner + dv]) * STEP_PX

@@ -21,6 +21,7 @@ from typing import BinaryIO
 import numpy as np
 from jaxtyping import Float64
 
+from rpl_data.formats.camera_file import read_camera
 from rpl_data.formats.frame_files import (
     Camera,
     Listing,
@@ -34,7 +35,6 @@ from rpl_data.formats.frame_files import (
 )
 from rpl_data.formats.klg import METRES_PER_UNIT, KlgIndex, index_klg, klg_color, klg_depth_mm, klg_image_size
 from rpl_data.formats.pose_lines import nearest, read_pose_lines
-from rpl_data.formats.rpl import read_camera
 from rpl_data.formats.scene_images import write_images
 from rpl_data.geometry import Transform
 from rpl_data.types import DataError, Frame, Recording
@@ -126,7 +126,7 @@ def _camera_of(log: Path, camera: Camera | None) -> tuple[Camera, Path]:
         return camera, log
     for path in (log.with_suffix(".cal"), log.with_name("camera.txt")):
         if path.exists():
-            return read_camera(path), path
+            return read_camera(path).camera, path
     raise DataError(
         f"{log}: a log does not say its camera; give `camera: [fx, fy, cx, cy]` in pixels, "
         f"or write these four numbers into {log.with_suffix('.cal').name} beside it"

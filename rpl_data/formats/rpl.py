@@ -2,7 +2,7 @@
 
 ::
 
-    <dataset>/camera.txt                 "fx fy cx cy" in pixels, one camera for all scenes, no distortion
+    <dataset>/camera.txt                 "fx fy cx cy" in pixels, one camera for all scenes; see `camera_file`
     <dataset>/<scene>/associations.txt   a line a frame: "<t> depth/<file> <t> rgb/<file>", or rgb first
                       camera.poses       TUM lines "t tx ty tz qx qy qz qw", scene_from_camera
                       rgb/ depth/        depth: 16-bit images, registered to colour
@@ -13,7 +13,6 @@ the last) then shifts every pose behind it, so here they are matched by time.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +20,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 
-from rpl_data.files import read_text, write_text
+from rpl_data.files import write_text
+from rpl_data.formats.camera_file import CameraFile, read_camera
 from rpl_data.formats.frame_files import (
     Camera,
     Listing,
@@ -42,7 +42,7 @@ from rpl_data.formats.pose_lines import (
     write_pose_lines,
 )
 from rpl_data.geometry import Transform
-from rpl_data.types import DataError, Intrinsics, Recording
+from rpl_data.types import DataError, Recording
 
 DEFAULT_METRES_PER_UNIT = 0.001
 
@@ -75,7 +75,8 @@ def read_rpl(
     Args:
         path: the folder with camera.txt and the scene folders, or one scene folder below it.
         names: which scenes to read, by folder name; for a single scene folder, what to call it.
-        metres_per_unit: of the depth images; 0.001 where not given, said in `Recording.notes`.
+        metres_per_unit: of the depth images; where not given, what camera.txt says, else 0.001, said in
+            `Recording.notes`.
         camera: instead of camera.txt.
 
     Raises:
@@ -89,9 +90,13 @@ def read_rpl(
         check_unit(metres_per_unit)
     single = (path / "associations.txt").exists()
     camera_file = (path.parent if single and not (path / "camera.txt").exists() else path) / "camera.txt"
-    lens = camera or read_camera(camera_file)
+    said = CameraFile(camera) if camera and not camera_file.exists() else read_camera(camera_file)
+    unit_m = said.metres_per_unit if metres_per_unit is None else metres_per_unit
     folders = _single_scene(path, names) if single else _scene_folders(path, names)
-    return [_read_scene(folder, name, lens, camera_file, metres_per_unit) for name, folder in folders.items()]
+    return [
+        _read_scene(folder, name, camera or said.camera, camera_file, unit_m)
+        for name, folder in folders.items()
+    ]
 
 
 def _single_scene(path: Path, names: Sequence[str] | None) -> dict[str, Path]:
@@ -106,21 +111,6 @@ def _scene_folders(path: Path, names: Sequence[str] | None) -> dict[str, Path]:
     if not found:
         raise DataError(f"{path} has no scene: none of its folders holds an associations.txt")
     return chosen(found, names, path)
-
-
-def read_camera(path: Path) -> Camera:
-    """The first line of camera.txt (ElasticFusion's `-cal` file is the same): fx, fy, cx, cy."""
-    what = "one line: fx fy cx cy, in pixels of the colour images"
-    if not path.exists():
-        raise DataError(f"{path} is missing; write it with {what}")
-    line = (read_text(path).strip().splitlines() or [""])[0]
-    try:
-        fx, fy, cx, cy = (float(token) for token in line.split())
-    except ValueError as error:
-        raise DataError(f"{path}: expected {what}; found {line!r}") from error
-    if not all(map(math.isfinite, (fx, fy, cx, cy))) or fx <= 0 or fy <= 0:
-        raise DataError(f"{path}: fx fy cx cy must be finite and fx, fy positive; found {line!r}")
-    return fx, fy, cx, cy
 
 
 def _read_scene(
@@ -188,21 +178,17 @@ def _match_poses(folder: Path, rows: Sequence[_Row], indices: Sequence[int]) -> 
 # Writing ------------------------------------------------------------------------------------------
 
 
-def write_camera(folder: Path, intrinsics: Intrinsics) -> None:
-    """Write camera.txt of a dataset folder; DataError for a lens with distortion, which it cannot hold."""
-    if any(intrinsics.distortion):
-        raise DataError(f"camera.txt in {folder} cannot hold lens distortion; undistort the images first")
-    values = (intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy)
-    write_text(folder / "camera.txt", " ".join(repr(float(value)) for value in values) + "\n")
-
-
 def write_associations(
     scene_folder: Path, timestamps_s: Iterable[float], colors: Iterable[str], depths: Iterable[str]
 ) -> None:
     """Write associations.txt, depth first; images are named relative to the scene folder (rgb/000000.jpg)."""
     rows = zip(timestamps_s, colors, depths, strict=True)
-    lines = [f"{t:.6f} {depth} {t:.6f} {color}\n" for t, color, depth in rows]
-    write_text(scene_folder / "associations.txt", "".join(lines))
+    write_text(scene_folder / "associations.txt", "".join(association_line(*row) for row in rows))
+
+
+def association_line(timestamp_s: float, color: str, depth: str) -> str:
+    """A line of associations.txt."""
+    return f"{timestamp_s:.6f} {depth} {timestamp_s:.6f} {color}\n"
 
 
 def write_poses(

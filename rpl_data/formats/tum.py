@@ -23,6 +23,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from rpl_data.files import write_text
+from rpl_data.formats.camera_file import read_camera
 from rpl_data.formats.frame_files import (
     Camera,
     Listing,
@@ -41,7 +42,6 @@ from rpl_data.formats.pose_lines import (
     read_pose_lines,
     write_pose_lines,
 )
-from rpl_data.formats.rpl import read_camera
 from rpl_data.geometry import Transform
 from rpl_data.types import DataError, Recording
 
@@ -147,7 +147,7 @@ def _camera_of(folder: Path, camera: Camera | None) -> tuple[Camera, Path]:
     if camera is not None:
         return camera, folder
     if (folder / "camera.txt").exists():
-        return read_camera(folder / "camera.txt"), folder / "camera.txt"
+        return read_camera(folder / "camera.txt").camera, folder / "camera.txt"
     for name, known in CAMERAS.items():
         if name in folder.name:
             return known, folder

@@ -24,7 +24,8 @@ import numpy as np
 
 from rpl_data.clicklog import clicks_to_csv
 from rpl_data.files import write_bytes, write_text
-from rpl_data.formats.rpl import write_associations, write_camera, write_poses
+from rpl_data.formats.camera_file import write_camera
+from rpl_data.formats.rpl import write_associations, write_poses
 from rpl_data.geometry import Transform
 from rpl_data.twin import annotator
 from rpl_data.twin.film import Film, film

@@ -1,0 +1,213 @@
+"""A RealSense camera -> a scene on the disk: warm up, hold the exposure, count down, record."""
+
+from __future__ import annotations
+
+import math
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Float64
+
+from rpl_data.capture.camera import choices_of
+from rpl_data.capture.device import opened
+from rpl_data.capture.disk import SceneWriter
+from rpl_data.capture.exposure import lock, steady_rate
+from rpl_data.capture.streams import Shot, StreamCamera, StreamCounts, Streams
+from rpl_data.capture.tally import Tally
+from rpl_data.files import read_text, write_text
+from rpl_data.formats.camera_file import camera_text
+from rpl_data.types import DataError
+
+PATIENCE_S = 3.0
+"""A camera that sends nothing for so long was unplugged, or hangs."""
+
+WARM_UP_S = 1.0
+"""For the automatic exposure to settle."""
+
+SETTLING = 6
+"""Images on their way before a new setting shows."""
+
+Say = Callable[[str], None]
+Show = Callable[[Shot, str], None]
+"""Gets every image and a word on what happens to it: "get ready: 3", "recording 12.3 s"."""
+
+
+@dataclass(frozen=True)
+class CaptureOptions:
+    """How to record.
+
+    Attributes:
+        width, height: of the colour images, and so of the depth that is aligned to them.
+        seconds: how long; None = until stopped.
+        countdown_s: whole seconds before it starts.
+        exposure: "lock" holds what the automatic found, "auto" leaves it alone.
+    """
+
+    width: int = 640
+    height: int = 480
+    rate_hz: int = 30
+    seconds: float | None = None
+    countdown_s: int = 3
+    exposure: Literal["lock", "auto"] = "lock"
+
+
+@dataclass(frozen=True)
+class Captured:
+    """What came of it.
+
+    Attributes:
+        folder: of the scene.
+        frames: that are on the disk.
+        seconds: from the first to the last of them.
+        losses: a line for every reason why frames are missing; empty when nothing was lost.
+    """
+
+    folder: Path
+    frames: int
+    seconds: float
+    losses: tuple[str, ...]
+
+
+def capture(
+    device: Any,
+    recording: Path,
+    scene: str,
+    options: CaptureOptions,
+    *,
+    say: Say,
+    show: Show = lambda shot, word: None,
+    stop: Callable[[], bool] = lambda: False,
+) -> Captured:
+    """Record one scene: `<recording>/<scene>`, read by `format: rpl`, and `<recording>/camera.txt`.
+
+    Frames that are lost are counted and said when it happens; a camera that is unplugged ends the
+    recording, and what is on the disk by then is whole.
+
+    Args:
+        device: of librealsense.
+        recording: the folder of all scenes, made when it is not there.
+        scene: the name of this one.
+        options: how.
+        say: gets lines for a person.
+        show: gets every image.
+        stop: asked at every image; True ends the recording.
+
+    Raises:
+        DataError: the camera does not start, the scene is there already, camera.txt is of another camera,
+            or no frame was recorded.
+    """
+    choices = choices_of(device, options.width, options.height, options.rate_hz)
+    folder, sensor = recording / scene, choices[0][0]
+    steady_rate(sensor)
+    with opened(device, choices, lossless=False) as streams:
+        _check_place(recording, folder, streams.camera)
+        shots = streams.shots(patience_s=PATIENCE_S, ended=lambda: not device.is_connected())
+        settled = _prepare(sensor, shots, options, say, show, stop)
+        say(f"recording to {folder}")
+        streams.counts = StreamCounts()
+        captured = _record(streams, shots, folder, options, say, show, stop)
+    facts = [f"recorded by {streams.camera.name}", *streams.camera.notes, *settled, *captured.losses]
+    write_text(folder / "capture.txt", "".join(f"{line}\n" for line in facts))
+    return captured
+
+
+def _check_place(recording: Path, folder: Path, camera: StreamCamera) -> None:
+    """DataError when the scene is there, or camera.txt, which all scenes share, is of another camera."""
+    if folder.exists():
+        raise DataError(f"{folder} is there already; choose another --scene, or delete it first")
+    path, text = recording / "camera.txt", _camera_text(camera)
+    if path.exists() and read_text(path) != text:
+        raise DataError(
+            f"{path} is of another camera or image size than {camera.name} has now "
+            f"({' '.join(text.split())}); record into another folder"
+        )
+
+
+def _camera_text(camera: StreamCamera) -> str:
+    return camera_text(camera.intrinsics, camera.metres_per_unit)
+
+
+def _prepare(
+    sensor: Any,
+    shots: Iterator[Shot],
+    options: CaptureOptions,
+    say: Say,
+    show: Show,
+    stop: Callable[[], bool],
+) -> tuple[str, ...]:
+    """Warm up, lock, count down; what was locked."""
+    _show_for(WARM_UP_S, shots, "warming up", show, stop)
+    lines: tuple[str, ...] = ()
+    if options.exposure == "lock":
+        say("holding exposure and white balance: point the camera at the scene and keep it still")
+        lines = lock(sensor, lambda: _mean_color(shots, show), rate_hz=options.rate_hz)
+        for line in lines:
+            say(line)
+    for left in range(options.countdown_s, 0, -1):
+        say(f"recording in {left}")
+        _show_for(1.0, shots, f"get ready: {left}", show, stop)
+    return lines
+
+
+def _show_for(seconds: float, shots: Iterator[Shot], word: str, show: Show, stop: Callable[[], bool]) -> None:
+    until = time.monotonic() + seconds
+    while time.monotonic() < until and not stop():
+        show(_next(shots), word)
+
+
+def _next(shots: Iterator[Shot]) -> Shot:
+    for shot in shots:
+        return shot
+    raise DataError(
+        f"the camera sends no colour with depth (for {PATIENCE_S:g} s); plug it in again, into a USB 3 port"
+    )
+
+
+def _mean_color(shots: Iterator[Shot], show: Show) -> Float64[np.ndarray, "3"]:
+    """Mean colour of three images, those that are on their way left out."""
+    for _ in range(SETTLING):
+        show(_next(shots), "holding the exposure")
+    means = [_next(shots).color[::4, ::4].mean(axis=(0, 1)) for _ in range(3)]
+    return np.asarray(np.mean(means, axis=0), dtype=np.float64)
+
+
+def _record(
+    streams: Streams,
+    shots: Iterator[Shot],
+    folder: Path,
+    options: CaptureOptions,
+    say: Say,
+    show: Show,
+    stop: Callable[[], bool],
+) -> Captured:
+    """Everything that comes, to the disk."""
+    lens, camera_file = streams.camera.intrinsics, folder.parent / "camera.txt"
+    first_scene = not camera_file.exists()
+    write_text(camera_file, _camera_text(streams.camera))
+    tally = Tally(streams.counts)
+    with SceneWriter(folder, frame_bytes=5 * lens.width * lens.height) as writer:
+        unplugged = True
+        for shot in shots:
+            if stop() or tally.seconds_at(shot) > (options.seconds or math.inf) - 1e-3:
+                unplugged = False
+                break
+            tally.add(shot, kept=writer.add(shot))
+            if writer.failure is not None:
+                break
+            for line in tally.news():
+                say(line)
+            show(shot, f"recording {tally.seconds:.1f} s, {tally.shots} frames")
+    if not writer.listed:
+        shutil.rmtree(folder)
+        if first_scene:
+            camera_file.unlink()
+        raise writer.failure or DataError(f"nothing was recorded, so there is no {folder}; try again")
+    ends = [] if writer.failure is None else [f"recording ended early: {writer.failure}"]
+    if unplugged and not ends and not stop():
+        ends = [f"the camera was unplugged or hung after {tally.seconds:.1f} s; what came before is kept"]
+    return Captured(folder, writer.listed, tally.seconds, (*ends, *tally.losses()))
