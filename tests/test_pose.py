@@ -112,7 +112,7 @@ def test_covariance_is_that_of_the_estimates():
     for _ in range(400):
         pixels = seen(pose, points) + rng.multivariate_normal(np.zeros(2), covariance_px, 8)
         noisy = correspondences(points, pixels, CAMERA, covariance_px=np.tile(covariance_px, (8, 1, 1)))
-        found = refined(pose[None], noisy, robust=False)[0][0]
+        found = refined(pose[None], noisy, robust=False)[0]
         turn = Rotation.from_matrix(found[:3, :3] @ pose[:3, :3].T).as_rotvec()
         off.append([*turn, *(found[:3, 3] - pose[:3, 3])])
     distances = np.einsum("ni,ij,nj->n", off, np.linalg.inv(expected), off)

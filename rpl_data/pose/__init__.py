@@ -77,7 +77,7 @@ def estimate_pose(
     if (refusal := _refusal(rest)) is not None:
         return PoseFailure("keypoints disagree") if refusal.reason == "too few keypoints" else refusal
     if refine:
-        pose = refined(pose[None], rest, robust=bool(np.isfinite(rest.depth_m).any()))[0][0]
+        pose = refined(pose[None], rest, robust=bool(np.isfinite(rest.depth_m).any()))[0]
     sigmas = reprojection_sigmas(pose[None], rest)[0]
     if not np.isfinite(sigmas).all():
         return PoseFailure("not in front")

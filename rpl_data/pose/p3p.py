@@ -23,7 +23,7 @@ def poses_from_triples(
         points_object: three points in rows, metres.
         rays_camera: directions in which they are seen, z = 1.
     """
-    unit = rays_camera / np.sqrt((rays_camera**2).sum(axis=-1, keepdims=True))
+    unit = rays_camera / np.sqrt(np.vecdot(rays_camera, rays_camera))[..., None]
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         distances_m = _distances(points_object, unit)
         usable = (distances_m > 0).all(axis=-1)  # False for NaN
@@ -41,8 +41,9 @@ def _distances(
     points: Float64[np.ndarray, "m 3 3"], unit: Float64[np.ndarray, "m 3 3"]
 ) -> Float64[np.ndarray, "m 4 3"]:
     """How far from the camera the three points are, the four solutions of each triple; NaN where none."""
-    aa, bb, cc = (((points[:, i] - points[:, j]) ** 2).sum(axis=1) for i, j in ((1, 2), (0, 2), (0, 1)))
-    alpha, beta, gamma = ((unit[:, i] * unit[:, j]).sum(axis=1) for i, j in ((1, 2), (0, 2), (0, 1)))
+    sides = points[:, [1, 0, 0]] - points[:, [2, 2, 1]]
+    aa, bb, cc = np.vecdot(sides, sides).T
+    alpha, beta, gamma = np.vecdot(unit[:, [1, 0, 0]], unit[:, [2, 2, 1]]).T
     a, c = aa / bb, cc / bb  # squared sides by the square of the one between points 1 and 3
     q = a - c
     v = quartic_roots(
@@ -69,7 +70,7 @@ def _distances(
 def _axes(points: Float64[np.ndarray, "*batch 3 3"]) -> Float64[np.ndarray, "*batch 3 3"]:
     """A right-handed frame in columns that moves with three points in rows."""
     x = points[..., 1, :] - points[..., 0, :]
-    x = x / np.sqrt((x**2).sum(axis=-1, keepdims=True))
+    x = x / np.sqrt(np.vecdot(x, x))[..., None]
     z = cross(x, points[..., 2, :] - points[..., 0, :])
-    z = z / np.sqrt((z**2).sum(axis=-1, keepdims=True))
+    z = z / np.sqrt(np.vecdot(z, z))[..., None]
     return np.stack([x, cross(z, x), z], axis=-1)

@@ -1,0 +1,89 @@
+"""Table II: one run on the tiny workspace, its resumption, and the arithmetic of its comparison."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rpl_data.pose.errors import INFINITE, PoseErrors
+from rpl_data.workspace import Workspace
+from training.options import DetectorNetwork, Learning, Machine, Network
+from training.pose_evaluation import Judged, PoseScore
+from training.reproduce.table2 import Cell, counts, ratios, table2
+
+NETWORK = Network(stacks=1, features=16, levels=2, input_px=32, heatmap_px=8, loss="entropy")
+DETECTOR = DetectorNetwork(width_px=96, features=32)
+LEARNING = Learning(epochs=1, batch=4, optimizer="adam", rate=2e-3)
+ONE = Machine(accelerator="cpu", threads=1)
+SCORE = PoseScore(4, 0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, pck=0.9)
+
+
+def test_table_of_a_workspace_is_made_once(
+    tiny_workspace: Workspace, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    place = tmp_path / "tiny"
+    shutil.copytree(tiny_workspace.root, place)  # the true labels are exported into it
+
+    def run(epochs: int) -> str:
+        learning = replace(LEARNING, epochs=epochs)
+        table2(
+            place, ["carton"], tmp_path, NETWORK, learning,
+            detector=DETECTOR, detector_learning=LEARNING, machine=ONE,
+        )  # fmt: skip
+        return capsys.readouterr().out
+
+    assert run(1).count("s of CPU time") == 4
+    found = json.loads((tmp_path / "table2.json").read_text())
+    rows = {(c["source"], c["split"], c["method"]): c["score"] for c in found["cells"]}
+    assert len(rows) == len(found["cells"]) == 8
+    for split in ("val", "test"):
+        assert len({score["instances"] for (_, s, _), score in rows.items() if s == split}) == 1
+    assert found["counts"] == {"carton": False} and len(found["ratios"]) == 8
+    assert set(found["seconds"]) == {f"{s}/{w}" for s in ("OURS", "MANUAL") for w in ("carton", "detector")}
+    page = (tmp_path / "table2.html").read_text()
+    assert "does not count" in page and (tmp_path / "table2_curves.png").exists()
+    assert "s of CPU time" not in run(1)
+    assert run(2).count("s of CPU time") == 2  # the hourglasses go on, the detectors are done
+
+
+def judged(position_mm: float, *, failed: bool = False) -> Judged:
+    errors = INFINITE if failed else PoseErrors(1e-3 * position_mm, 1e-2 * position_mm, 0.0, 0.0)
+    return Judged("drill", "1.jpg", "epnp", "ok", errors, np.zeros(1), None, None)
+
+
+def cell(source: str, *, split: str = "val", pck: float = 0.9) -> Cell:
+    return Cell("drill", source, split, "epnp", replace(SCORE, pck=pck))
+
+
+def test_ratio_of_medians_by_hand() -> None:
+    errors = [1.0, 2.0, 3.0, 4.0, 5.0]
+    ours = [judged(1.2 * error) for error in errors]
+    found = ratios([(cell("OURS"), ours), (cell("MANUAL"), [judged(error) for error in errors])])
+    assert [ratio.figure for ratio in found] == ["position", "orientation"]
+    for ratio in found:  # pairs are drawn, and every pair has the same ratio
+        assert (ratio.value, ratio.low, ratio.high) == pytest.approx((1.2, 1.2, 1.2))
+
+
+def test_ratio_counts_failures_as_infinite() -> None:
+    fine = [judged(1.0)] * 5
+    broken = [judged(1.0)] * 2 + [judged(0.0, failed=True)] * 3
+    position = ratios([(cell("OURS"), broken), (cell("MANUAL"), fine)])[0]
+    assert position.value == np.inf and position.high == np.inf
+    assert np.isnan(ratios([(cell("OURS"), broken), (cell("MANUAL"), broken)])[0].value)
+
+
+def test_ratio_of_unlike_instances_is_none() -> None:
+    assert ratios([(cell("OURS"), [judged(1.0)]), (cell("MANUAL"), [judged(1.0)] * 2)]) == []
+
+
+@pytest.mark.parametrize(("source", "split", "pck", "expected"), [
+    ("MANUAL", "val", 0.8, True), ("MANUAL", "val", 0.79, False),
+    ("OURS", "val", 0.9, False), ("MANUAL", "test", 0.9, False),
+])  # fmt: skip
+def test_comparison_counts_when_manual_has_learned(source, split, pck, expected) -> None:
+    assert counts([(cell(source, split=split, pck=pck), [])], "drill") is expected
