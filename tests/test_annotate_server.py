@@ -256,6 +256,17 @@ def test_answers_are_compressed(client: TestClient) -> None:
     assert answer.headers["content-encoding"] == "gzip"
 
 
+def test_masks_of_the_labels_lie_over_the_picture(client: TestClient, tiny_workspace: Workspace) -> None:
+    from pycocotools import mask as coco
+
+    label = list(tiny_workspace.load_labels("01"))[-1]
+    found = client.get(f"/api/scenes/01/frames/{label.frame}.mask.png?object=carton")
+    picture = cv2.imdecode(np.frombuffer(found.content, np.uint8), cv2.IMREAD_UNCHANGED)
+    np.testing.assert_array_equal(picture[..., 3] > 0, coco.decode(label.instances[0].mask) > 0)
+    for path in ("01/frames/999.mask.png?object=carton", f"01/frames/{label.frame}.mask.png?object=cup"):
+        assert client.get(f"/api/scenes/{path}").status_code == 204
+
+
 # Who may ask --------------------------------------------------------------------------------------
 
 

@@ -14,6 +14,7 @@ from fastapi.staticfiles import StaticFiles
 from pydantic import BaseModel
 from starlette.middleware.gzip import GZipMiddleware
 
+from rpl_data.annotate.clicks_routes import clicks_routes
 from rpl_data.annotate.guard import Guard
 from rpl_data.annotate.images import depth_units
 from rpl_data.annotate.log import Conflict, NotSaved
@@ -59,6 +60,7 @@ def make_app(session: Session, place: Place) -> FastAPI:
     _add_scenes(app, session)
     _add_objects(app, session)
     app.include_router(solid_routes(session))
+    app.include_router(clicks_routes(session))
     _add_page(app, session)
     return app
 
@@ -123,6 +125,14 @@ def _add_scenes(app: FastAPI, session: Session) -> None:
         units = session.scenes.get(scene).scene.metres_per_unit
         content = depth_units(session.scenes.depth_m(scene, frame), units)
         return Response(content, media_type="application/octet-stream", headers=KEEP)
+
+    @app.get("/api/scenes/{scene}/frames/{frame}.mask.png")
+    def mask(scene: str, frame: int, object: str) -> Response:
+        content = session.masks.png(scene, frame, object)
+        headers = {"Cache-Control": "no-cache"}
+        if content is None:
+            return Response(status_code=204, headers=headers)
+        return Response(content, media_type="image/png", headers=headers)
 
 
 def _add_objects(app: FastAPI, session: Session) -> None:

@@ -11,6 +11,7 @@ from jaxtyping import Float64
 
 from rpl_data.annotate.actions import checked_names
 from rpl_data.annotate.images import PictureStore
+from rpl_data.annotate.label_masks import MaskStore
 from rpl_data.annotate.live import Lifter, Live, solve_live
 from rpl_data.annotate.log import ObjectLog, Revision
 from rpl_data.annotate.news import News
@@ -37,6 +38,7 @@ class Session:
         self.workspace, self.work = workspace, work
         self.scenes = SceneStore(workspace)
         self.pictures = PictureStore(self.scenes)
+        self.masks = MaskStore(workspace)
         self.news = News()
         self._lifter = Lifter(self.scenes)
         self._logs: dict[str, ObjectLog] = {}
@@ -87,8 +89,10 @@ class Session:
         return kept
 
     def suggestions(self, name: str, scene: str) -> list[Suggestion]:
-        """Frames of a scene worth marking; seen from around the object once it has a place there."""
-        solution = self.result(name).live.solution
+        """Frames of a scene worth marking; from all sides of the object once its place there is known."""
+        self.log(name)
+        known = self._results.get(name)
+        solution = known.live.solution if known else None
         place = None if solution is None else solution.scene_from_object.get(scene)
         key = name, scene, place is not None
         if key not in self._suggestions:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from driving import SHOWN, Server, is_ours
+from driving import SHOWN, Server, ServerHere, is_ours
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 from rpl_data.workspace import Workspace
@@ -54,16 +54,20 @@ def unmarked(tiny_workspace: Workspace, tmp_path_factory: pytest.TempPathFactory
 
 
 @pytest.fixture
-def server(unmarked: Path, tmp_path: Path) -> Iterator[Server]:
-    """A server on a workspace of its own, without clicks."""
+def server(unmarked: Path, tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Server | ServerHere]:
+    """A server on a workspace of its own, without clicks; a process that can be killed where asked for.
+
+    Asked for by ``@pytest.mark.parametrize("server", ["process"], indirect=True)``.
+    """
     shutil.copytree(unmarked / "ws", tmp_path / "ws")
-    running = Server(tmp_path / "ws")
+    kind = Server if getattr(request, "param", None) == "process" else ServerHere
+    running = kind(tmp_path / "ws")
     yield running
     running.kill()
 
 
 @pytest.fixture
-def page(browser: Browser, server: Server) -> Iterator[Page]:
+def page(browser: Browser, server: Server | ServerHere) -> Iterator[Page]:
     """The page, opened; it may ask for nothing outside the server, nor fail in the console."""
     context = browser.new_context(viewport={"width": 1280, "height": 720}, color_scheme="light")
     opened = context.new_page()

@@ -6,6 +6,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 import urllib.request
 from pathlib import Path
@@ -53,7 +54,34 @@ class Server:
         self.process.wait()
 
 
-def is_ours(url: str, server: Server) -> bool:
+class ServerHere:
+    """The same application in a thread of the tests: it starts at once, but cannot be killed."""
+
+    def __init__(self, workspace: Path) -> None:
+        import uvicorn
+
+        from rpl_data.annotate.server import make_app
+        from rpl_data.annotate.session import Session
+        from rpl_data.serve import place_of, work_of
+
+        self.workspace = workspace
+        taken = socket.create_server(("127.0.0.1", 0))
+        place = place_of("127.0.0.1", taken.getsockname()[1])
+        self.url, root = place.url, Workspace(workspace)
+        app = make_app(Session(root, work_of(root)), place)
+        config = uvicorn.Config(
+            app, log_level="warning", access_log=False, timeout_graceful_shutdown=1, ws="none"
+        )
+        self.server = uvicorn.Server(config)
+        self.thread = threading.Thread(target=self.server.run, kwargs={"sockets": [taken]})
+        self.thread.start()
+
+    def kill(self) -> None:
+        self.server.should_exit = True
+        self.thread.join()
+
+
+def is_ours(url: str, server: Server | ServerHere) -> bool:
     return url.startswith((server.url, "data:", "blob:"))
 
 
@@ -94,7 +122,7 @@ def saved(page: Page) -> None:
     expect(page.locator("#saved")).to_have_text("all saved")
 
 
-def clicks(server: Server) -> dict[tuple[int, str, int], tuple[float, float]]:
+def clicks(server: Server | ServerHere) -> dict[tuple[int, str, int], tuple[float, float]]:
     annotation = Workspace(server.workspace).load_annotation("carton")
     return {(c.keypoint, c.scene, c.frame): (c.u_px, c.v_px) for c in annotation.clicks}
 

@@ -4,11 +4,13 @@ import { get, post } from "./api.js";
 import * as canvas from "./canvas.js";
 import * as dense from "./dense.js";
 import { ask } from "./dom.js";
+import * as files from "./files.js";
 import { openScene } from "./frames.js";
 import * as keypoints from "./keypoints.js";
 import * as keys from "./keys.js";
 import * as log from "./log.js";
 import * as loupe from "./loupe.js";
+import * as mask from "./mask.js";
 import { listen } from "./news.js";
 import * as next from "./next.js";
 import * as results from "./results.js";
@@ -21,9 +23,12 @@ const by = (id) => document.getElementById(id);
 
 async function start() {
   setUpTheme();
-  for (const part of [timeline, keypoints, scenes, results, next, keys, dense, solid]) part.setUp();
+  for (const part of [timeline, keypoints, scenes, results, next, keys, files, mask, dense, solid]) part.setUp();
   canvas.setUp({ place: keypoints.place, move: keypoints.move });
-  onChange(() => { canvas.draw(); loupe.draw(); drawHead(); rememberPlace(); });
+  onChange(() => { canvas.draw(); loupe.draw(); });
+  onChange(drawHead, () => [app.workspace, app.state, app.waiting, app.offline, app.alert, app.brightness, app.showModel, app.showMask, app.view]);
+  onChange(drawAlert, () => [app.alert]);
+  onChange(rememberPlace, () => [app.state, app.scene, app.row, app.keypoint]);
   setUpButtons();
   await open();
   listen();
@@ -38,14 +43,16 @@ async function open() {
   const scene = workspace.scenes.includes(place.get("scene")) ? place.get("scene") : workspace.scenes[0];
   const index = place.has("frame") ? Number(place.get("frame")) : null;
   if (object === undefined || scene === undefined) throw new Error("this workspace has no object or no scene");
-  const loading = log.load(object);
-  await openScene(scene, index, { keypoint: Number(place.get("keypoint") || 0) });
-  await loading;
+  change({ keypoint: Number(place.get("keypoint") || 0) });
+  await log.load(object);
+  await openScene(scene, index);
+  if (!place.has("keypoint")) keypoints.selectOpen();
 }
 
 export async function openObject(name) {
-  change({ state: null, result: null, next: null, dense: null, keypoint: 0 });
+  change({ state: null, result: null, next: null, dense: null, mask: null, suggestions: {}, keypoint: 0 });
   await log.load(name);
+  keypoints.selectOpen();
 }
 
 function rememberPlace() {
@@ -60,13 +67,14 @@ function drawHead() {
   if (select.options.length !== objects.length) select.replaceChildren(...objects.map((name) => new Option(name, name)));
   if (app.state) select.value = app.state.object;
   const saved = by("saved");
-  saved.textContent = app.offline ? `connection lost · ${app.waiting} not saved` : app.waiting ? `saving ${app.waiting} …` : "all saved";
-  saved.className = app.offline ? "bad" : app.waiting ? "warn" : "good";
+  const stuck = app.offline || app.alert?.again;
+  saved.textContent = app.offline ? `connection lost · ${app.waiting} not saved`
+    : app.waiting ? (stuck ? `${app.waiting} not saved` : `saving ${app.waiting} …`) : "all saved";
+  saved.className = stuck ? "bad" : app.waiting ? "warn" : "good";
   for (const name of ["undo", "redo"]) {
     by(name).disabled = !app.state?.[name];
     by(name).title = app.state?.[name] ? `${name} ${app.state[name]}` : `nothing to ${name}`;
   }
-  by("alert").hidden = !app.alert;
   by("brightness").value = app.brightness;
   by("show-model").checked = app.showModel;
   by("show-mask").checked = app.showMask;
@@ -74,12 +82,13 @@ function drawHead() {
   for (const view of document.querySelectorAll(".view")) view.hidden = view.id !== app.view;
 }
 
-onChange(() => {
+function drawAlert() {
+  by("alert").hidden = !app.alert;
   if (!app.alert) return;
   const again = app.alert.again ? [button("Try again", log.sendAgain)] : [];
   by("alert").replaceChildren(Object.assign(document.createElement("span"), { textContent: app.alert.text }),
     ...again, button("Close", () => change({ alert: null })));
-});
+}
 
 function button(text, does) {
   const made = Object.assign(document.createElement("button"), { textContent: text });
@@ -121,7 +130,7 @@ async function newObject() {
 
 function setUpTheme() {
   const dark = matchMedia("(prefers-color-scheme: dark)");
-  const use = (name) => { document.documentElement.dataset.theme = name; change({}); };
+  const use = (theme) => { document.documentElement.dataset.theme = theme; change({ theme }); };
   const kept = () => localStorage.getItem("rpl-theme");
   use(kept() || (dark.matches ? "dark" : "light"));
   dark.addEventListener("change", () => kept() || use(dark.matches ? "dark" : "light"));

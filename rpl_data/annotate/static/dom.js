@@ -8,6 +8,14 @@ export function element(tag, properties = {}, ...children) {
   return made;
 }
 
+// New children for a list; what had the keyboard's focus in it keeps it.
+export function refill(list, ...children) {
+  const focusable = () => [...list.querySelectorAll("button, [tabindex]")];
+  const at = focusable().indexOf(document.activeElement);
+  list.replaceChildren(...children);
+  if (at >= 0) focusable()[at]?.focus();
+}
+
 const dialog = document.getElementById("dialog");
 
 // Show content in the dialog; resolves with its returnValue when it is closed.

@@ -1,18 +1,36 @@
 // Scenes, poses and pictures, fetched when they are first needed.
 
-import { binary, get, picturePath, scenePath } from "./api.js";
-import { app, change, frame, poses, rowOf, scene } from "./store.js";
+import { binary, get, objectPath, picturePath, scenePath } from "./api.js";
+import { app, change, clicksIn, frame, poses, rowOf, scene } from "./store.js";
 
 const MOST_PICTURES = 48;
 const pictures = new Map(); // address -> {image, ready}
 
-// Open a scene at a frame (the one it was left at, or its middle, when none is said).
+const PATIENCE_MS = 600;
+
+// Open a scene at a frame. When none is said: where it was left, marked last, or is best to begin.
 const leftAt = {};
 export async function openScene(name, index = null, part = {}) {
-  if (app.scene !== null) leftAt[app.scene] = app.row;
-  await ensureScene(name);
-  const row = index !== null ? rowOf(name, index) : leftAt[name] ?? app.poses[name].index.length >> 1;
+  const wanted = index ?? leftAt[name] ?? clicksIn(name).at(-1)?.frame;
+  const [first] = await Promise.all([wanted === undefined ? beginning(name) : wanted, ensureScene(name)]);
+  if (app.scene !== null) leftAt[app.scene] = frame();
+  const row = first === null ? app.poses[name].index.length >> 1 : rowOf(name, first);
   change({ ...part, scene: name, row });
+}
+
+// The first suggested frame; null when it is not known soon.
+async function beginning(name) {
+  const late = new Promise((resolve) => setTimeout(resolve, PATIENCE_MS, null));
+  const found = app.suggestions[name] || (await Promise.race([suggestions(name), late]));
+  return found?.[0]?.frame ?? null;
+}
+
+// Frames of a scene worth marking; null when the server cannot say.
+export async function suggestions(name) {
+  const address = `${objectPath(app.state.object)}/suggestions/${encodeURIComponent(name)}`;
+  const found = await get(address).catch(() => null);
+  if (found) change({ suggestions: { ...app.suggestions, [name]: found } });
+  return found;
 }
 
 async function ensureScene(name) {

@@ -1,14 +1,14 @@
 // The list of keypoints: which one is marked next, and everything that can be done to the list itself.
 
-import { frame as frameNow, app, change, clicksIn, isSkipped, onChange } from "./store.js";
+import { app, change, clicksIn, frame as frameNow, isSkipped, keypointTitle, onChange, residualOf } from "./store.js";
 import { act, alertOnce } from "./log.js";
-import { ask, element } from "./dom.js";
+import { ask, element, refill } from "./dom.js";
 
 const list = document.getElementById("keypoints");
 
 export function setUp() {
   document.getElementById("add-keypoint").addEventListener("click", add);
-  onChange(draw);
+  onChange(draw, () => [app.state, app.result, app.scene, app.keypoint]);
 }
 
 export function select(k) {
@@ -24,9 +24,16 @@ export function nextOpen(from) {
   return from;
 }
 
+// Keep the selected keypoint when it is to be marked in this scene, else go on to one that is.
+export function selectOpen() {
+  const count = app.state?.keypoints.length || 0;
+  if (count) select(nextOpen((app.keypoint + count - 1) % count));
+}
+
 export function place(u_px, v_px) {
   const keypoint = app.keypoint, where = { keypoint, scene: app.scene, frame: frameNow() };
-  if (!app.state?.keypoints.length) return alertOnce("Add a keypoint first (A).");
+  if (!app.state) return;
+  if (!app.state.keypoints.length) return alertOnce("Add a keypoint first (A).");
   const there = clicksIn(app.scene, frameNow()).some((c) => c.keypoint === keypoint);
   act({ op: there ? "move" : "click", ...where, u_px, v_px });
   if (!there) select(nextOpen(keypoint));
@@ -68,7 +75,7 @@ function unusedName() {
 
 export async function rename() {
   const old = names()[app.keypoint];
-  const [name] = (await ask(`Rename keypoint ${old}`, [{ label: "new name", value: old }])) || [];
+  const [name] = (await ask(`Rename ${keypointTitle(app.keypoint)}`, [{ label: "new name", value: old }])) || [];
   if (name && name !== old) act({ op: "keypoints", names: names().with(app.keypoint, name) });
 }
 
@@ -82,27 +89,25 @@ export async function shift(by) {
 }
 
 export async function removeFromList() {
-  const name = names()[app.keypoint];
   const marks = app.state.clicks.filter((c) => c.keypoint === app.keypoint).length;
-  const sure = await ask(`Take keypoint ${name} out of the list, with its ${marks} clicks? Undo brings it back.`, []);
+  const sure = await ask(`Take ${keypointTitle(app.keypoint)} out of the list, with its ${marks} clicks? Undo brings it back.`, []);
   if (sure) act({ op: "order", order: names().map((_, k) => k).filter((k) => k !== app.keypoint) });
 }
 
 function draw() {
-  if (!app.state) return;
-  list.replaceChildren(...app.state.keypoints.map(row));
+  if (app.state) refill(list, ...app.state.keypoints.map(row));
 }
 
 function row({ name, color }, k) {
   const here = clicksIn(app.scene).filter((c) => c.keypoint === k);
-  const bad = here.some((c) => app.result?.clicks.some((r) => r.outlier && r.keypoint === k && r.scene === c.scene && r.frame === c.frame));
-  const total = new Set(app.state.clicks.filter((c) => c.keypoint === k).map((c) => c.scene)).size;
-  const state = bad ? "✗ bad" : here.length ? `✓${here.length > 1 ? `×${here.length}` : ""}` : isSkipped(k, app.scene) ? "skipped" : "—";
-  const button = element("button", { title: `marked in ${total} scene(s)` },
-    element("span", { className: "dot", style: `background:${color}` }),
-    element("span", { className: "name", textContent: `${k + 1} ${name}` }),
-    element("span", { className: `small ${bad ? "bad" : here.length ? "good" : "quiet"}`, textContent: state }),
-    element("span", { className: "small quiet", textContent: `${total} sc.` }));
+  const bad = here.some((click) => residualOf(click)?.outlier);
+  const [kind, word] = bad ? ["bad", "✗ bad"]
+    : here.length ? ["good", here.length > 1 ? `✓ ×${here.length}` : "✓"]
+    : isSkipped(k, app.scene) ? ["quiet", "skipped"] : ["quiet", "to mark"];
+  const button = element("button", { title: `${keypointTitle(k)}: ${whereMarked(k)}` },
+    badge(k, color),
+    element("span", { className: name === String(k) ? "name quiet" : "name", textContent: keypointTitle(k) }),
+    element("span", { className: `small ${kind}`, textContent: word }));
   button.addEventListener("click", () => select(k));
   const item = element("li", {}, button);
   item.setAttribute("aria-current", k === app.keypoint);
@@ -110,17 +115,32 @@ function row({ name, color }, k) {
   return item;
 }
 
+function whereMarked(k) {
+  const names = [...new Set(app.state.clicks.filter((c) => c.keypoint === k).map((c) => c.scene))];
+  return names.length ? `marked in scene ${names.sort().join(", ")}` : "not marked yet";
+}
+
+// Black or white on a colour, whichever is read better.
+export function inkOn(color) {
+  const [r, g, b] = [1, 3, 5].map((i) => parseInt(color.slice(i, i + 2), 16) / 255);
+  return 0.299 * r + 0.587 * g + 0.114 * b > 0.5 ? "#000" : "#fff";
+}
+
+export const badge = (k, color) =>
+  element("span", { className: "badge", style: `background:${color};color:${inkOn(color)}`, textContent: k });
+
 function tools(here) {
+  const skipped = isSkipped(app.keypoint, app.scene);
   const all = [
-    [isSkipped(app.keypoint, app.scene) ? "unskip" : "skip", "not visible in this scene (S)", skip],
-    ["delete", "delete its mark in this frame (Del)", remove],
-    ["rename", "(F2)", rename],
-    ["↑", "earlier in the list (Alt+↑)", () => shift(-1)],
-    ["↓", "later in the list (Alt+↓)", () => shift(1)],
-    ["✕", "take it out of the list", removeFromList],
+    [skipped ? "unskip" : "skip", skipped ? "it is visible after all (S)" : "not visible in this scene (S)", skip],
+    ["delete", "delete its mark in this frame (Del)", remove, !here.length],
+    ["rename", "give it another name (F2)", rename],
+    ["↑", "earlier in the list (Alt+↑)", () => shift(-1), app.keypoint === 0],
+    ["↓", "later in the list (Alt+↓)", () => shift(1), app.keypoint === app.state.keypoints.length - 1],
+    ["✕", "take it out of the list", removeFromList, app.state.keypoints.length === 1],
   ];
-  return element("div", { className: "tools" }, ...all.map(([text, title, does]) => {
-    const button = element("button", { textContent: text, title, disabled: text === "delete" && !here.length });
+  return element("div", { className: "tools" }, ...all.map(([text, title, does, disabled = false]) => {
+    const button = element("button", { textContent: text, title, disabled });
     button.addEventListener("click", does);
     return button;
   }));

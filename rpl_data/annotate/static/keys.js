@@ -19,7 +19,7 @@ const KEYS = [
   [["ArrowLeft", "ArrowRight", "ArrowUp", "ArrowDown"], "move the cursor by 1 screen pixel (Shift: 10, Ctrl: ¼)", null],
   [["Enter"], "mark the selected keypoint at the cursor", placeAtCursor],
   [["Delete", "Backspace"], "delete the selected keypoint's mark", keypoints.remove],
-  [["1 … 9"], "select keypoint 1 … 9", null],
+  [["0 … 9"], "select the keypoint of that number", null],
   [["j", "k"], "next, previous keypoint", (key) => keypoints.select(app.keypoint + (key === "j" ? 1 : -1))],
   [["s"], "skip: not visible in this scene", keypoints.skip],
   [["a"], "add a keypoint", keypoints.add],
@@ -36,10 +36,10 @@ const KEYS = [
   [["PageUp", "PageDown"], "previous, next scene", (key) => scenes.step(key === "PageDown" ? 1 : -1)],
   [["+", "="], "zoom in at the cursor", () => zoomBy(1.25, ...cursorOnScreen())],
   [["-"], "zoom out", () => zoomBy(0.8, ...cursorOnScreen())],
-  [["0"], "the whole image", fit],
+  [["f"], "the whole image", fit],
   [["b", "Shift+b"], "brighter, darker", (key) => brighter(key === "b" ? 0.2 : -0.2)],
   [["m"], "show or hide the model", () => change({ showModel: !app.showModel })],
-  [["l"], "show or hide the mask (of the labels)", () => change({ showMask: !app.showMask })],
+  [["l"], "show or hide the mask of the labels", () => change({ showMask: !app.showMask })],
 ];
 
 // Other parts of the page add theirs.
@@ -69,7 +69,7 @@ function press(event) {
   const key = keyOf(event), arrow = /^(Ctrl\+)?Arrow/.test(key), onButton = event.target.matches("button, input");
   if (key === "Enter" && onButton) return; // it presses the button
   if (arrow && (event.target.matches("input[type=range]") || app.view !== "mark")) return;
-  const does = arrow ? () => arrowKey(event) : /^[1-9]$/.test(key) ? () => pick(Number(key) - 1) : KEYS.find(([keys, , f]) => f && keys.includes(key))?.[2];
+  const does = arrow ? () => arrowKey(event) : /^[0-9]$/.test(key) ? () => pick(Number(key)) : KEYS.find(([keys, , f]) => f && keys.includes(key))?.[2];
   if (!does) return;
   event.preventDefault();
   does(key);

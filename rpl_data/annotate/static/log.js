@@ -1,66 +1,103 @@
 // The queue of actions on their way to the log. The page shows an action at once; it counts as saved
-// when the server has it on the disk. What was not saved stays here and is sent again.
+// when the server has it on the disk. What was not saved stays here, over a reload too, and is sent again.
 
 import { get, objectPath, post } from "./api.js";
-import { app, change, isSkipped } from "./store.js";
+import { app, change, isSkipped, keypointTitle } from "./store.js";
 
-const tab = Math.random().toString(36).slice(2, 10);
-const queue = []; // {object, action}
-let number = 0, sending = false, solving = false;
+const KEPT = "rpl-unsaved"; // in the tab's own storage: {queue, seen}
+const kept = JSON.parse(sessionStorage.getItem(KEPT) || "{}");
+const queue = kept.queue || []; // {object, action, text}
+const seen = kept.seen || {}; // the revision of each object that what is in the queue was done on
+let sending = false, solving = false;
 
-export const unsaved = () => queue.length;
+const waiting = (object) => queue.filter((entry) => entry.object === object);
+const newId = () => [0, 0].map(() => Math.random().toString(36).slice(2)).join("");
+
+function queueChanged() {
+  sessionStorage.setItem(KEPT, JSON.stringify({ queue, seen: queue.length ? seen : {} }));
+  change({ waiting: queue.length });
+}
 
 // Do something to the current object: shown now, saved as soon as the server can be reached.
 export function act(action) {
-  const object = app.state.object;
-  queue.push({ object, action: { ...action, id: `${tab}-${number++}` } });
+  queue.push({ object: app.state.object, action: { ...action, id: newId() }, text: described(action) });
   showNow(action);
-  change({ waiting: queue.length });
+  queueChanged();
   return send();
 }
 
+function described({ op, keypoint, scene, frame }) {
+  if (keypoint === undefined) return op;
+  return `${op} ${keypointTitle(keypoint)} in scene ${scene}${frame === undefined ? "" : `, frame ${frame}`}`;
+}
+
+// Send what waits, in order.
 async function send() {
   if (sending) return;
   sending = true;
-  while (queue.length) {
-    const { object, action } = queue[0];
-    try {
-      take(await post(objectPath(object), { seen: seenOf(object), actions: [action] }), 1);
-    } catch (error) {
-      if (!(await failed(error, object))) break;
-    }
+  try {
+    while (queue.length && (await sendFirst()));
+  } finally {
+    sending = false;
+    queueChanged();
   }
-  sending = false;
-  change({ waiting: queue.length });
   if (!queue.length) await solve();
 }
 
-const seenOf = (object) => (app.state?.object === object ? app.state.revision : 0);
+// True when the queue may go on.
+async function sendFirst() {
+  const { object, action } = queue[0];
+  try {
+    take(await post(objectPath(object), { seen: seen[object] ?? 0, actions: [action] }), 1);
+    return true;
+  } catch (error) {
+    if (!error.status) return lost();
+    if (error.status >= 500) return notSaved(error);
+    return refused(error, object);
+  }
+}
+
+function lost() {
+  change({ offline: true });
+  setTimeout(send, 1000);
+  return false;
+}
+
+function notSaved(error) {
+  const list = [...new Set(queue.map((entry) => entry.text))].slice(0, 3).join("; ");
+  const more = queue.length > 3 ? ` and ${queue.length - 3} more` : "";
+  alertOnce(`Not saved: ${error.message}. Kept in this page: ${list}${more}.`, true);
+  return false;
+}
+
+// What the server will never take. After a conflict, what was done on top of it falls too.
+async function refused(error, object) {
+  const gone = error.status === 409 ? waiting(object) : [queue[0]];
+  for (const entry of gone) queue.splice(queue.indexOf(entry), 1);
+  const texts = [...new Set(gone.map((entry) => entry.text))].join("; ");
+  alertOnce(`Not done (${texts}): ${error.message}`);
+  try {
+    take(await get(objectPath(object)));
+    return true;
+  } catch {
+    return lost();
+  }
+}
 
 // Take an answer of the server, with what is still waiting shown on top of it.
 function take(state, answered = 0) {
   queue.splice(0, answered);
-  if (app.state?.object === state.object) {
-    change({ state, offline: false, waiting: queue.length });
-    for (const { object, action } of queue) if (object === state.object) showNow(action);
-  }
+  seen[state.object] = state.revision;
+  if (answered && app.alert?.again) change({ alert: null });
+  change({ offline: false });
+  show(state);
+  queueChanged();
 }
 
-// True when the queue may go on.
-async function failed(error, object) {
-  if (error.status === 507) {
-    alertOnce(`Not saved: ${error.message}. ${queue.length} action(s) are kept in this page.`, true);
-    return false;
-  }
-  if (error.status) {
-    queue.shift();
-    alertOnce(error.status === 409 ? error.message : `Not done: ${error.message}`);
-    take(await get(objectPath(object)));
-    return true;
-  }
-  change({ offline: true });
-  setTimeout(send, 1000);
-  return false;
+function show(state) {
+  if (app.state?.object !== state.object) return;
+  change({ state, keypoint: Math.max(0, Math.min(app.keypoint, state.keypoints.length - 1)) });
+  for (const { action } of waiting(state.object)) showNow(action);
 }
 
 export function alertOnce(text, again = false) {
@@ -72,38 +109,45 @@ export function sendAgain() {
   return send();
 }
 
-// Load an object, or its newer state.
+// Load an object, or its newer state. What still waits was done on the older one.
 export async function load(name) {
   const state = await get(objectPath(name));
-  if (app.state?.object === name && queue.length) return;
-  change({ state, keypoint: Math.min(app.keypoint, state.keypoints.length - 1) });
-  await solve();
+  const waits = waiting(name).length > 0;
+  if (app.state?.object === name && waits) return;
+  if (!waits) seen[name] = state.revision;
+  change({ state });
+  show(state);
+  if (queue.length) send(); else solve();
 }
+
+const question = () => `${app.state?.object} ${app.state?.revision}`;
 
 // Ask for the result of what is saved; a newer question replaces a waiting one.
 async function solve() {
   if (solving) return;
   solving = true;
+  let asked;
   try {
-    let asked;
     do {
-      asked = app.state.revision;
-      const object = app.state.object;
-      const result = await get(`${objectPath(object)}/result`);
+      asked = question();
+      const object = app.state.object, result = await get(`${objectPath(object)}/result`);
       if (object === app.state.object) change({ result, next: result.next });
-    } while (asked !== app.state.revision);
+    } while (asked !== question());
   } catch (error) {
     if (error.status) alertOnce(error.message); else change({ offline: true });
+  } finally {
+    solving = false;
   }
-  solving = false;
 }
 
 // What an action does to the clicks, before the server has answered.
 function showNow(action) {
   const same = (c) => c.keypoint === action.keypoint && c.scene === action.scene && c.frame === action.frame;
   const state = { ...app.state };
+  if (action.op === "undo") state.redo ||= "the last action";
+  else if (action.op !== "redo") [state.undo, state.redo] = ["the last action", null];
   if (action.op === "click" || action.op === "move") {
-    const { op, ...mark } = action;
+    const { op, id, ...mark } = action;
     state.clicks = [...state.clicks.filter((c) => !same(c)), mark];
     state.skipped = state.skipped.filter(([k, s]) => k !== action.keypoint || s !== action.scene);
   } else if (action.op === "delete") {

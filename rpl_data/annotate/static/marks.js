@@ -55,8 +55,11 @@ export function drawMarks(canvas, dragged) {
 }
 
 const color = (k) => app.state?.keypoints[k]?.color || "#fff";
-// The selected keypoint's name; of the others only their place in the list, so that names hide nothing.
-const title = (k) => (k === app.keypoint ? app.state?.keypoints[k]?.name : null) ?? String(k + 1);
+// Its number, and the name of the selected one only, so that names hide nothing.
+const title = (k) => {
+  const name = app.state?.keypoints[k]?.name;
+  return k === app.keypoint && name !== String(k) ? `${k} ${name}` : String(k);
+};
 
 function drawModel(context, projected) {
   const dots = cameraFromObject(app.scene, app.row);

@@ -16,7 +16,7 @@ export function onAction(name, does) {
 export function setUp() {
   button.addEventListener("click", go);
   addKeys([[["g"], "go to where the next step is", go]]);
-  onChange(draw);
+  onChange(draw, () => [app.next]);
 }
 
 async function go() {

@@ -1,9 +1,9 @@
 // The list of scenes: how far each one is, and how good.
 
-import { get, objectPath } from "./api.js";
-import { openScene } from "./frames.js";
+import { openScene, suggestions } from "./frames.js";
+import { selectOpen } from "./keypoints.js";
 import { app, change, clicksIn, isSkipped, onChange } from "./store.js";
-import { element } from "./dom.js";
+import { element, refill } from "./dom.js";
 
 const list = document.getElementById("scenes");
 const WORDS = {
@@ -11,8 +11,8 @@ const WORDS = {
 };
 
 export function setUp() {
-  onChange(draw);
-  onChange(suggest);
+  onChange(draw, () => [app.workspace, app.state, app.result, app.scene]);
+  onChange(suggest, () => [app.state, app.result, app.scene]);
 }
 
 // Ask for frames worth marking, once a scene, and again when the object has a place in it.
@@ -23,20 +23,25 @@ async function suggest() {
   const key = `${object}/${name}/${name in app.result.scene_from_object}`;
   if (asked.has(key)) return;
   asked.add(key);
-  const found = await get(`${objectPath(object)}/suggestions/${encodeURIComponent(name)}`).catch(() => null);
-  if (found) change({ suggestions: { ...app.suggestions, [name]: found } }); else asked.delete(key);
+  if (!(await suggestions(name))) asked.delete(key);
 }
 
 export function step(by) {
   const names = app.workspace.scenes, at = names.indexOf(app.scene);
-  openScene(names[(at + by + names.length) % names.length]);
+  return open(names[(at + by + names.length) % names.length]);
+}
+
+// Open a scene to mark in it what is not marked there yet.
+async function open(name) {
+  await openScene(name);
+  selectOpen();
 }
 
 function draw() {
   if (!app.workspace || !app.state) return;
   const tied = app.workspace.scenes.filter((name) => app.result?.scene_from_object?.[name]).length;
   document.getElementById("scene-progress").textContent = `${tied} of ${app.workspace.scenes.length} placed`;
-  list.replaceChildren(...app.workspace.scenes.map(row));
+  refill(list, ...app.workspace.scenes.map(row));
 }
 
 function row(name) {
@@ -50,7 +55,7 @@ function row(name) {
     element("span", { className: "name", textContent: name }),
     element("span", { className: "small quiet", textContent: `${done}${skipped ? `+${skipped}` : ""}/${count}` }),
     element("span", { className: `small ${kind}`, textContent: word + error }));
-  button.addEventListener("click", () => openScene(name));
+  button.addEventListener("click", () => open(name));
   const item = element("li", {}, button);
   item.setAttribute("aria-current", name === app.scene);
   return item;

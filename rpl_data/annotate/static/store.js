@@ -17,8 +17,15 @@ export const app = {
 const listeners = [];
 let planned = false;
 
-export function onChange(listener) {
-  listeners.push(listener);
+// Call a listener after changes; with `inputs`, only when one of the values it gives is another one.
+export function onChange(listener, inputs = null) {
+  let before = null;
+  listeners.push(() => {
+    const now = inputs?.();
+    if (now && before && now.every((value, i) => Object.is(value, before[i]))) return;
+    before = now;
+    listener(app);
+  });
 }
 
 export function change(part) {
@@ -27,7 +34,7 @@ export function change(part) {
   planned = true;
   queueMicrotask(() => {
     planned = false;
-    for (const listener of listeners) listener(app);
+    for (const listener of listeners) listener();
   });
 }
 
@@ -51,6 +58,12 @@ export const clicksIn = (sceneName, frameIndex) =>
 
 export const residualOf = (click) =>
   app.result?.clicks.find((r) => r.keypoint === click.keypoint && r.scene === click.scene && r.frame === click.frame);
+
+// The number of a keypoint, as in files of clicks, and its name where it has one of its own.
+export const keypointTitle = (k) => {
+  const name = app.state?.keypoints[k]?.name;
+  return name === undefined || name === String(k) ? `keypoint ${k}` : name;
+};
 
 export const isSkipped = (keypoint, sceneName) =>
   (app.state?.skipped || []).some(([k, s]) => k === keypoint && s === sceneName);

@@ -26,8 +26,8 @@ export function setUp() {
   on("play", play);
   on("random", random);
   on("suggested", () => jump(1));
-  new ResizeObserver(() => { shown = ""; change({}); }).observe(thumbnails);
-  onChange(draw);
+  new ResizeObserver(() => { shown = ""; change({ timelineWidth: thumbnails.clientWidth }); }).observe(thumbnails);
+  onChange(draw, () => [app.scene, app.row, app.view, app.state, app.suggestions, app.poses[app.scene], app.timelineWidth, app.theme]);
 }
 
 export function play() {

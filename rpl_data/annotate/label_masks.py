@@ -1,0 +1,62 @@
+"""Masks of the labels made last, to be laid over the picture; a label is read when it is asked for."""
+
+from __future__ import annotations
+
+import json
+import re
+from functools import lru_cache
+
+import cv2
+import numpy as np
+
+from rpl_data.records import frame_label_from_json
+from rpl_data.types import FrameLabel
+from rpl_data.workspace import Workspace
+
+COLOR_BGRA = (208, 224, 53, 255)
+FRAME = re.compile(rb'"frame": (\d+)')
+SCENES_KEPT = 24
+
+
+class MaskStore:
+    """Finds labels by their place in the file, so that a scene of 9,000 frames is never held."""
+
+    def __init__(self, workspace: Workspace) -> None:
+        self.workspace = workspace
+        self._places = lru_cache(SCENES_KEPT)(self._read_places)
+
+    def png(self, scene: str, frame: int, object_name: str) -> bytes | None:
+        """The visible mask as a picture, transparent elsewhere; None when there is no such label."""
+        label = self._label(scene, frame)
+        instances = [i for i in label.instances if i.object == object_name] if label else []
+        if not instances:
+            return None
+        from pycocotools import mask as coco
+
+        visible = np.any([coco.decode(instance.mask) for instance in instances], axis=0)
+        picture = np.zeros((*visible.shape, 4), dtype=np.uint8)
+        picture[visible] = COLOR_BGRA
+        return cv2.imencode(".png", picture)[1].tobytes()
+
+    def _label(self, scene: str, frame: int) -> FrameLabel | None:
+        path = self.workspace.labels_file(scene)
+        if scene not in self.workspace.scene_names() or not path.exists():
+            return None
+        status = path.stat()
+        place = self._places(scene, status.st_mtime_ns, status.st_size).get(frame)
+        if place is None:
+            return None
+        with path.open("rb") as file:
+            file.seek(place)
+            return frame_label_from_json(json.loads(file.readline()))
+
+    def _read_places(self, scene: str, *stamp: int) -> dict[int, int]:
+        """Where the line of each frame begins."""
+        places, at = {}, 0
+        with self.workspace.labels_file(scene).open("rb") as file:
+            for line in file:
+                found = FRAME.search(line[:200])
+                if found:
+                    places[int(found[1])] = at
+                at += len(line)
+        return places
