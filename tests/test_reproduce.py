@@ -15,11 +15,12 @@ import numpy as np
 import pytest
 
 from rpl_data.formats.meshlab import write_picked_points
+from rpl_data.geometry import fit_rigid, transform
 from rpl_data.types import DataError
 from rpl_data.workspace import Workspace, load_mesh, save_mesh
 from training.reproduce.__main__ import COMMANDS, main
 from training.reproduce.results import finite_or_none, write_results
-from training.reproduce.slopes import slope_of
+from training.reproduce.slopes import before_the_fit, slope_of
 from training.reproduce.table1 import measure
 from training.reproduce.table1_page import write_page
 
@@ -127,6 +128,21 @@ def test_a_falling_and_a_flat_curve_are_told_apart() -> None:
     assert falling.low < -0.15 * 8 < falling.high
     assert falling.change == pytest.approx(-1.2, abs=0.3)
     assert flat.spread == pytest.approx(0.3, abs=0.05)
+
+
+def test_the_rigid_fit_hides_the_share_of_the_error_that_is_given_back() -> None:
+    rng = np.random.default_rng(0)
+    keypoints = np.array([5.0, 8.0, 12.0])
+    points = 0.1 * rng.standard_normal((12, 3))
+    errors_mm = np.empty((400, 3))
+    for seed, column in np.ndindex(errors_mm.shape):
+        true = points[: int(keypoints[column])]
+        model = true + 0.001 * rng.standard_normal(true.shape)
+        fitted = transform(fit_rigid(true, model), model)
+        errors_mm[seed, column] = 1e3 * np.linalg.norm(fitted - true, axis=1).mean()
+    assert slope_of(keypoints, errors_mm).low > 0.05  # few look better than many
+    freed = before_the_fit(keypoints, errors_mm).mean(axis=0)
+    np.testing.assert_allclose(freed, np.sqrt(8 / np.pi), rtol=0.04)  # the mean length of such an error
 
 
 def test_seeds_without_an_answer_are_left_out_of_the_means() -> None:

@@ -320,6 +320,19 @@ def test_same_seed_same_files_another_seed_others(tree: Path, tmp_path: Path) ->
     ).read_bytes()
 
 
+def test_jpeg_costs_colour_what_its_quality_says(tree: Path, tmp_path: Path) -> None:
+    coarse = replace(TINY.sensor, color=replace(TINY.sensor.color, jpeg_quality=30))
+    write_twin(tmp_path / "coarse", replace(TINY, scenes=1, sensor=coarse), workers=1)
+    shot = film(TINY, 0).shoot(0)
+    size, error = [], []
+    for folder in (tmp_path / "coarse", tree):
+        path = folder / "00/rgb/000000.jpg"
+        size.append(path.stat().st_size)
+        error.append(np.abs(cv2.imread(str(path))[..., ::-1].astype(float) - shot.color).mean())
+    assert size[0] < 0.5 * size[1]
+    assert error[0] > 1.3 * error[1]
+
+
 def test_a_failure_leaves_nothing_and_says_what_is_wrong(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="at least 2 frames"):
         write_twin(tmp_path / "none", replace(TINY, seconds=0.1), workers=1)
