@@ -17,11 +17,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
-from rpl_data.files import read_json
+from rpl_data.files import read_json, write_bytes
 from rpl_data.formats.coco import CocoObject, image_to_coco, instance_to_coco, writing_coco
+from rpl_data.formats.scene_images import encoded
 from rpl_data.split import FrameKey, SplitName, SplitRule, choose_splits
 from rpl_data.types import DataError, Frame, FrameLabel, KeypointModel, Scene, Trajectory
 from rpl_data.views import View, ViewDistance, view_distances, view_of
+from rpl_data.workspace import read_depth_units
 
 Json = dict[str, Any]
 
@@ -179,8 +181,9 @@ def _image(building: Path, item: ExportScene, frame: Frame, image_id: int, links
     links[_link(frame.color, building / name)] += 1
     depth_name = None
     if frame.depth is not None:
-        depth_name = f"depth/{scene.name}/{frame.index:06d}{frame.depth.suffix}"
-        links[_link(frame.depth, building / depth_name)] += 1
+        suffix = frame.depth.suffix if scene.depth_warp is None else ".png"
+        depth_name = f"depth/{scene.name}/{frame.index:06d}{suffix}"
+        links[_place_depth(scene, frame, building / depth_name)] += 1
     return image_to_coco(
         image_id,
         frame,
@@ -250,6 +253,15 @@ def _assignment(folder: Path) -> dict[FrameKey, tuple[SplitName, int]]:
 
 
 # Files --------------------------------------------------------------------------------------------
+
+
+def _place_depth(scene: Scene, frame: Frame, target: Path) -> str:
+    """The depth image as it lies on the colour image; how it came there."""
+    assert frame.depth is not None
+    if scene.depth_warp is None:
+        return _link(frame.depth, target)
+    write_bytes(target, encoded(read_depth_units(scene, frame), "png"))
+    return "copy"
 
 
 def _link(source: Path, target: Path) -> str:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import filecmp
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float64
 from scipy.spatial.transform import Rotation
 
 from rpl_data.geometry import invert
-from rpl_data.types import DataError, Recording, Scene, Trajectory
+from rpl_data.types import DataError, DepthWarp, Recording, Scene, Trajectory
 
 
 @dataclass(frozen=True)
@@ -22,6 +24,10 @@ class Mend:
         opengl_cameras: the poses are of cameras that look along -z with y up.
         pose_lag: the pose of frame n is stored at frame n + pose_lag.
         depth_lag: the depth image of frame n is stored at frame n + depth_lag.
+        depth_zoom: depth images are enlarged by this about their middle, and
+        depth_shift_px: then moved this far right and down, to lie on the colour images. Right at one
+            distance only, so it is for a recording that cannot be made again with registered depth.
+        no_repeats: leave out frames whose depth image is the one before over again.
     """
 
     wxyz_quaternions: bool = False
@@ -29,6 +35,14 @@ class Mend:
     opengl_cameras: bool = False
     pose_lag: int = 0
     depth_lag: int = 0
+    depth_zoom: float = 1.0
+    depth_shift_px: tuple[float, float] = (0.0, 0.0)
+    no_repeats: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse what would leave no image."""
+        if self.depth_zoom <= 0:
+            raise DataError(f"mend.depth_zoom is {self.depth_zoom}; expected a positive factor, 1 = as it is")
 
 
 def mended(recording: Recording, mend: Mend) -> Recording:
@@ -41,7 +55,10 @@ def mended(recording: Recording, mend: Mend) -> Recording:
     """
     if mend == Mend():
         return recording
-    scene, left_out = _with_depth_of(recording.scene, mend.depth_lag)
+    scene, left_out = _with_depth_of(_on_color(recording.scene, mend), mend.depth_lag)
+    repeats = 0
+    if mend.no_repeats:
+        scene, repeats = _without_repeats(scene)
     trajectory = recording.trajectory
     if trajectory is not None:
         poses = mended_poses(trajectory.scene_from_camera, mend)
@@ -49,7 +66,8 @@ def mended(recording: Recording, mend: Mend) -> Recording:
         left_out += unposed
     if not scene.frames:
         raise DataError(f"scene {scene.name}: with {mend} no frame is left; the lags are in frames")
-    lines = (f"{left_out} frames without a partner after mending a lag",) if left_out else ()
+    lines = [f"{left_out} frames without a partner after mending a lag"] if left_out else []
+    lines += [f"{repeats} frames whose depth image is the one before over again"] if repeats else []
     return replace(
         recording, scene=scene, trajectory=trajectory, skipped=(*recording.skipped, *lines),
         notes=(*recording.notes, f"read with {mend}"),
@@ -70,6 +88,12 @@ def mended_poses(poses: Float64[np.ndarray, "n 4 4"], mend: Mend) -> Float64[np.
     return result
 
 
+def _on_color(scene: Scene, mend: Mend) -> Scene:
+    """The scene with its depth put on the colour images, which makes it a registered one."""
+    warp = DepthWarp(mend.depth_zoom, mend.depth_shift_px)
+    return scene if warp == DepthWarp() else replace(scene, depth_warp=warp, registered=True)
+
+
 def _with_depth_of(scene: Scene, lag: int) -> tuple[Scene, int]:
     """The scene with every frame's depth image taken from `lag` frames later; how many frames that cost."""
     depth_of = {frame.index: frame.depth for frame in scene.frames}
@@ -79,6 +103,23 @@ def _with_depth_of(scene: Scene, lag: int) -> tuple[Scene, int]:
         if frame.index + lag in depth_of
     ]
     return replace(scene, frames=tuple(kept)), len(scene.frames) - len(kept)
+
+
+def _without_repeats(scene: Scene) -> tuple[Scene, int]:
+    """The scene without frames whose depth file equals that of the frame before; how many there were."""
+    kept = [
+        frame
+        for frame, before in zip(scene.frames, (None, *scene.frames), strict=False)
+        if before is None or not _same_file(frame.depth, before.depth)
+    ]
+    return replace(scene, frames=tuple(kept)), len(scene.frames) - len(kept)
+
+
+def _same_file(one: Path | None, other: Path | None) -> bool:
+    """Both are there and hold the same bytes; a cheap look, as their sizes nearly always differ."""
+    if one is None or other is None or not (one.exists() and other.exists()):
+        return False
+    return filecmp.cmp(one, other, shallow=False)
 
 
 def _with_pose_of(scene: Scene, trajectory: Trajectory, lag: int) -> tuple[Scene, Trajectory, int]:

@@ -16,6 +16,7 @@ from jaxtyping import Float64
 from rpl_data.types import (
     Click,
     ClickResidual,
+    DepthWarp,
     Frame,
     FrameLabel,
     InstanceLabel,
@@ -62,6 +63,7 @@ def recording_to_json(recording: Recording) -> Json:
         "metres_per_unit": scene.metres_per_unit,
         "registered": scene.registered,
         "no_depth_units": list(scene.no_depth_units),
+        "depth_warp": None if scene.depth_warp is None else asdict(scene.depth_warp),
         "skipped": list(recording.skipped),
         "notes": list(recording.notes),
         "frames": [
@@ -93,8 +95,14 @@ def recording_from_json(data: Json) -> Recording:
         registered=data["registered"],
         no_depth_units=tuple(data["no_depth_units"]),
         source=data["source"],
+        depth_warp=_warp_from_json(data.get("depth_warp")),
     )
     return Recording(scene, None, tuple(data["skipped"]), tuple(data["notes"]))
+
+
+def _warp_from_json(data: Json | None) -> DepthWarp | None:
+    """The warp; None where there is none, as in files of older versions."""
+    return None if data is None else DepthWarp(data["zoom"], tuple(data["shift_px"]))
 
 
 def solution_to_json(solution: Solution) -> Json:

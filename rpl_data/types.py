@@ -73,6 +73,18 @@ class Frame:
 
 
 @dataclass(frozen=True)
+class DepthWarp:
+    """Where the pixels of a depth image lie on the colour image, when they were not registered.
+
+    About the middle m of the image: colour pixel = m + zoom * (depth pixel - m) + shift. The shift of two
+    cameras beside one another depends on the distance; this is right at one distance.
+    """
+
+    zoom: float = 1.0
+    shift_px: tuple[float, float] = (0.0, 0.0)
+
+
+@dataclass(frozen=True)
 class Scene:
     """One RGB-D video (the paper's U_s), its pixels left where they are.
 
@@ -81,6 +93,7 @@ class Scene:
         metres_per_unit: ``depth_m = raw * metres_per_unit``.
         registered: depth pixels lie on the colour pixels; labelling refuses a scene where not.
         no_depth_units: raw depth values that mean "no depth", besides 0.
+        depth_warp: puts depth images on the colour images while they are read; None = they are there.
         source: what this was read from, for the report.
     """
 
@@ -91,6 +104,7 @@ class Scene:
     registered: bool = True
     no_depth_units: tuple[int, ...] = ()
     source: str = ""
+    depth_warp: DepthWarp | None = None
 
     def frame(self, index: int) -> Frame:
         """The frame with that index in the recording; DataError when the scene has none."""

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from jaxtyping import UInt16
 
 from rpl_data import records
 from rpl_data.clicklog import Annotation, Event, replay
@@ -21,6 +22,7 @@ from rpl_data.types import (
     ColorImage,
     DataError,
     DepthImage,
+    DepthWarp,
     Frame,
     FrameLabel,
     Mesh,
@@ -272,6 +274,11 @@ def read_color(frame: Frame) -> ColorImage:
 
 def read_depth_m(scene: Scene, frame: Frame) -> DepthImage:
     """The depth image in metres, 0 = none; DataError when it is missing, broken or of another size."""
+    return read_depth_units(scene, frame).astype(np.float32) * np.float32(scene.metres_per_unit)
+
+
+def read_depth_units(scene: Scene, frame: Frame) -> UInt16[np.ndarray, "height width"]:
+    """The depth image as it is stored, on the colour image, 0 = none; DataError as `read_depth_m`."""
     if frame.depth is None:
         raise DataError(f"scene {scene.name}, frame {frame.index} has no depth image")
     raw = cv2.imread(str(frame.depth), cv2.IMREAD_UNCHANGED) if frame.depth.exists() else None
@@ -282,9 +289,18 @@ def read_depth_m(scene: Scene, frame: Frame) -> DepthImage:
             f"scene {scene.name}, frame {frame.index}: {frame.depth} should be a 16-bit image of "
             f"{expected[1]} x {expected[0]} px, found {found}; record it again or delete it"
         )
+    units = raw.astype(np.uint16, copy=False)
     for value in scene.no_depth_units:
-        raw[raw == value] = 0
-    return raw.astype(np.float32) * np.float32(scene.metres_per_unit)
+        units[units == value] = 0
+    return units if scene.depth_warp is None else _warped(units, scene.depth_warp)
+
+
+def _warped(raw: UInt16[np.ndarray, "height width"], warp: DepthWarp) -> UInt16[np.ndarray, "height width"]:
+    """Depth on the colour image; each pixel takes the nearest, 0 where none is."""
+    height, width = raw.shape
+    offset = (1 - warp.zoom) * (np.array([width, height]) - 1) / 2 + warp.shift_px
+    matrix = np.column_stack([warp.zoom * np.eye(2), offset])
+    return np.asarray(cv2.warpAffine(raw, matrix, (width, height), flags=cv2.INTER_NEAREST), np.uint16)
 
 
 # Surfaces -----------------------------------------------------------------------------------------

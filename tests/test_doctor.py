@@ -13,14 +13,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rpl_data.cli import main
-from rpl_data.doctor.alignment import align, edges_of
+from rpl_data.doctor.alignment import align
+from rpl_data.doctor.edges import edges_of
 from rpl_data.doctor.examine import examine, stretches
 from rpl_data.doctor.findings import Diagnosis, Finding
 from rpl_data.doctor.text import describe
 from rpl_data.formats.camera_file import write_camera
 from rpl_data.formats.rpl import write_associations, write_poses
 from rpl_data.geometry import from_rotvec, invert, rays
-from rpl_data.mend import Mend, mended_poses
+from rpl_data.mend import Mend, mended, mended_poses
 from rpl_data.types import Frame, Intrinsics, Recording, Trajectory
 
 CAMERA = Intrinsics(300.0, 300.0, 158.0, 121.0, 320, 240)
@@ -187,6 +188,39 @@ def test_shifted_depth_is_measured() -> None:
     np.testing.assert_allclose(found.shift_px, [-20, 0], atol=2.5)
     assert abs(found.lag_frames) < 0.25
     assert found.contrast > 1.2
+
+
+def test_depth_of_another_field_of_view_is_found_and_the_named_option_mends_it(
+    sound: Recording, tmp_path: Path
+) -> None:
+    """Depth of a camera with a longer lens, 12 px beside the colour camera: as a Kinect's."""
+    other = replace(CAMERA, fx=1 / 0.88 * CAMERA.fx, fy=1 / 0.88 * CAMERA.fy)
+    back = np.array([[1 / 0.88, 0, 0.12 / 0.88 * -159.5 + 12], [0, 1 / 0.88, 0.12 / 0.88 * -119.5]])
+    frames = []
+    for frame in sound.scene.frames:
+        depth = cv2.imread(str(frame.depth), cv2.IMREAD_UNCHANGED)
+        moved = cv2.warpAffine(depth, back, (CAMERA.width, CAMERA.height), flags=cv2.INTER_NEAREST)
+        cv2.imwrite(str(tmp_path / f"{frame.index}.png"), moved)
+        frames.append(replace(frame, depth=tmp_path / f"{frame.index}.png"))
+    other = replace(other, cx=(CAMERA.cx - 159.5) / 0.88 + 159.5 + 12, cy=(CAMERA.cy - 119.5) / 0.88 + 119.5)
+    wrong = replace(
+        with_frames(sound, frames), scene=replace(sound.scene, intrinsics=other, frames=tuple(frames))
+    )
+    (finding,) = examine(wrong).findings
+    assert finding.kind == "registration"
+    words = re.search(
+        r"mend: {depth_zoom: ([0-9.]+), depth_shift_px: \[([-0-9.]+), ([-0-9.]+)\]}", finding.todo
+    )
+    numbers = re.search(r"camera: \[([0-9.]+), ([0-9.]+), ([0-9.]+), ([0-9.]+)\]", finding.todo)
+    assert words is not None and numbers is not None, finding.todo
+    zoom, du, dv = map(float, words.groups())
+    assert zoom == pytest.approx(0.88, abs=0.01)
+    np.testing.assert_allclose([du, dv], [-12 * 0.88, 0], atol=2)
+    fx, fy, cx, cy = map(float, numbers.groups())
+    np.testing.assert_allclose([fx, cx, cy], [CAMERA.fx, CAMERA.cx, CAMERA.cy], rtol=0.02, atol=2)
+    scene = replace(wrong.scene, intrinsics=Intrinsics(fx, fy, cx, cy, CAMERA.width, CAMERA.height))
+    put_right = mended(replace(wrong, scene=scene), Mend(depth_zoom=zoom, depth_shift_px=(du, dv)))
+    assert examine(put_right).findings == ()
 
 
 def test_a_camera_that_stands_still_proves_nothing(sound: Recording) -> None:

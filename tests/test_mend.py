@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -12,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from rpl_data.geometry import from_rotvec, invert
 from rpl_data.mend import Mend, mended, mended_poses
 from rpl_data.types import DataError, Frame, Intrinsics, Recording, Scene, Trajectory
+from rpl_data.workspace import read_depth_m
 
 POSES = np.array(
     [from_rotvec(np.array([0.3 * n, -0.2, 0.5]), np.array([0.1 * n, 0.2, -0.4])) for n in range(8)]
@@ -78,3 +80,37 @@ def test_a_recording_without_poses_is_mended_too() -> None:
 def test_a_lag_longer_than_the_recording_is_refused() -> None:
     with pytest.raises(DataError, match="no frame is left"):
         mended(recording(), Mend(depth_lag=8))
+
+
+def test_depth_of_another_camera_is_put_on_the_colour_image(tmp_path: Path) -> None:
+    """A depth pixel 100 right of and 50 below the middle lands 90 + 4 right of and 45 - 6 below it."""
+    camera = Intrinsics(600.0, 600.0, 320.0, 240.0, 641, 481)
+    raw = np.zeros((481, 641), np.uint16)
+    raw[290 - 2 : 290 + 3, 420 - 2 : 420 + 3] = 800
+    cv2.imwrite(str(tmp_path / "0.png"), raw)
+    frame = Frame(0, 0.0, tmp_path / "rgb.png", tmp_path / "0.png")
+    scene = Scene("a", camera, 0.001, (frame,), registered=False)
+    found = mended(Recording(scene, None), Mend(depth_zoom=0.9, depth_shift_px=(4.0, -6.0))).scene
+    assert found.registered
+    rows, columns = np.nonzero(read_depth_m(found, frame))
+    np.testing.assert_allclose([columns.mean(), rows.mean()], [320 + 94, 240 + 39], atol=0.5)
+    assert read_depth_m(found, frame).max() == pytest.approx(0.8)  # nearest, never a mean of two surfaces
+
+
+def test_repeated_depth_is_left_out_with_its_pose(tmp_path: Path) -> None:
+    made = recording()
+    for frame in made.scene.frames:
+        (tmp_path / f"{frame.index}.png").write_bytes(
+            b"same" if frame.index in (4, 5) else bytes([frame.index])
+        )
+    frames = tuple(replace(f, depth=tmp_path / f"{f.index}.png") for f in made.scene.frames)
+    found = mended(replace(made, scene=replace(made.scene, frames=frames)), Mend(no_repeats=True))
+    assert [frame.index for frame in found.scene.frames] == [0, 1, 2, 3, 4, 6, 7]
+    assert found.trajectory is not None
+    np.testing.assert_allclose(found.trajectory.at(6), POSES[6])
+    assert found.skipped == ("1 frames whose depth image is the one before over again",)
+
+
+def test_a_zoom_of_nothing_is_refused() -> None:
+    with pytest.raises(DataError, match="depth_zoom is 0"):
+        Mend(depth_zoom=0.0)

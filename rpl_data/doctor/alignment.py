@@ -2,41 +2,32 @@
 
 An object's outline is an edge in both images. Depth edges of frame t + lag are correlated with colour
 edges of frame t over all shifts, and the correlations are added over the frames: what is wrong in all of
-them alike (a shift, a lag) adds up, everything else averages out.
+them alike (a shift, a lag, another field of view) adds up, everything else averages out.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Complex64, Float, Float32, Float64, Int64
+from jaxtyping import Complex64, Float, Float64, Int64
 from scipy.fft import irfft2, rfft2
 from scipy.special import ndtr
 
-from rpl_data.types import ColorImage, DepthImage
-
-STEP_PX = 2
-"""Edges are looked for at half the resolution; a lag or a shift worth mending is larger than that."""
-
-SURROUNDINGS = 31
-"""Side of the square an edge is compared with, in pixels of the small image."""
+from rpl_data.doctor.edges import STEP_PX, Edges, Pair
 
 NEARLY_PX = 6.0
 """Edges of depth are uncertain by this much; a registration within it is as good as can be seen."""
 
-Edges = Float32[np.ndarray, "rows columns"]
+ZOOMS = np.geomspace(1 / 1.3, 1.3, 19)
+"""A depth camera's field of view differs from its colour camera's by a quarter at most (D435: 0.79)."""
+
+MUCH_HIGHER = 1.2
+"""A zoom must make the peak higher than without by this factor."""
+
 Spectrum = Complex64[np.ndarray, "rows half"]
-
-
-@dataclass(frozen=True)
-class Pair:
-    """Edge images of one frame, at 1 / `STEP_PX` of the resolution."""
-
-    color: Edges
-    depth: Edges
 
 
 @dataclass(frozen=True)
@@ -45,32 +36,48 @@ class Alignment:
 
     Attributes:
         lag_frames: depth images are this many frames late.
-        shift_px: colour edges are found at depth edges + shift (u, v), at that lag.
-        lag_sigma, shift_sigma_px: standard errors by the jackknife (Efron and Stein, 1981); large
-            where there are too few edges to tell.
+        zoom: depth images must be enlarged by this about the middle of the image, and
+        shift_px: then be moved by this (u, v), to meet the colour images at that lag.
+        lag_sigma, zoom_sigma, shift_sigma_px: standard errors by the jackknife (Efron and Stein, 1981);
+            large where there are too few edges to tell.
         contrast: how many times higher the peak is than the correlation of the images as they are
-            (no lag, hardly a shift); 1 when that is the peak. Print along an object's edges can make
-            a second peak that is as high.
+            (no lag, no zoom, hardly a shift); 1 when that is the peak. Print along an object's edges can
+            make a second peak that is as high.
+        near: heights of the peaks of hardly any shift, a column a lag, a row a group that was left out.
     """
 
     lag_frames: float
+    zoom: float
     shift_px: Float64[np.ndarray, "2"]
     lag_sigma: float
+    zoom_sigma: float
     shift_sigma_px: float
     contrast: float
+    near: Float64[np.ndarray, "groups lags"]
+
+    def prefers(self, lag: int) -> float:
+        """Probability that edges meet better at that lag than at none, without a shift to speak of.
+
+        A question with two answers needs fewer edges than the search for the lag. 0.5 for a lag that was
+        not tried.
+        """
+        middle = self.near.shape[1] // 2
+        if not 0 < abs(lag) <= middle:
+            return 0.5
+        better = self.near[:, middle + lag] - self.near[:, middle]
+        return _beyond(float(better.mean()), float(np.sqrt(len(better) - 1) * better.std()), 0.0)
 
     def sure_of_lag(self, least_frames: float) -> float:
         """Probability that the lag is larger than that."""
         return _beyond(abs(self.lag_frames), self.lag_sigma, least_frames)
 
+    def sure_of_zoom(self, least: float) -> float:
+        """Probability that the zoom differs from 1 by more than that."""
+        return _beyond(abs(self.zoom - 1), self.zoom_sigma, least)
+
     def sure_of_shift(self, least_px: float) -> float:
         """Probability that the shift is larger than that."""
         return _beyond(float(np.linalg.norm(self.shift_px)), self.shift_sigma_px, least_px)
-
-
-def edges_of(color: ColorImage, depth_m: DepthImage) -> Pair:
-    """Edges of a frame: gradients of colour, and the near side of steps of depth."""
-    return Pair(_color_edges(color), _depth_edges(depth_m))
 
 
 def align(
@@ -78,26 +85,36 @@ def align(
 ) -> Alignment:
     """Correlate the depth edges of frame t + lag with the colour edges of frame t, summed over all t.
 
+    The lag is looked for first, then the zoom at that lag; where a zoom is what makes the edges meet, the
+    lag is looked for again with it.
+
     Args:
         pairs: edge images by position in the recording; frames whose partner is not there do not count.
         max_lag: lags from -max_lag to max_lag frames are tried.
         reach_px: shifts up to this are looked at.
         groups: for the jackknife, which leaves out one group of neighbouring frames after the other.
     """
-    shape = next(iter(pairs.values())).color.shape
     lags = np.arange(-max_lag, max_lag + 1)
-    spectra = {t: (rfft2(pair.color), rfft2(pair.depth)) for t, pair in pairs.items()}
-    sums = np.stack([_summed(part.tolist(), spectra, lags) for part in np.array_split(sorted(pairs), groups)])
-    total = sums.sum(axis=0)
-    lag, shift_px = _best(total, lags, shape, reach_px)
-    height, _ = _peak(irfft2(total[np.abs(lags - lag).argmin()], s=shape), reach_px)
-    height_as_is, _ = _peak(irfft2(total[max_lag], s=shape), reach_px, within_px=NEARLY_PX)
-    without = [_best(total - group, lags, shape, reach_px) for group in sums]
-    factor = np.sqrt(groups - 1)
-    lag_sigma = factor * np.std([other for other, _ in without])
-    shift_sigma_px = factor * np.linalg.norm(np.std([other for _, other in without], axis=0))
-    contrast = height / max(height_as_is, 1e-3 * height)
-    return Alignment(lag, shift_px, float(lag_sigma), float(shift_sigma_px), contrast)
+    spectra = _Spectra.of(pairs, groups)
+    plain = spectra.summed(lags, np.ones(len(lags)))
+    near = _near(plain, spectra.shape, reach_px)
+    by_lag = _best(lags.astype(float), plain, spectra.shape, reach_px)
+    lag = round(by_lag.value) if by_lag.sigma < 0.5 else 0
+    by_zoom = _best(ZOOMS, spectra.summed(np.full(len(ZOOMS), lag), ZOOMS), spectra.shape, reach_px)
+    zoomed = by_zoom.height > MUCH_HIGHER * by_lag.height
+    if zoomed:
+        summed = spectra.summed(lags, np.full(len(lags), by_zoom.value))
+        by_lag = _best(lags.astype(float), summed, spectra.shape, reach_px)
+    return Alignment(
+        lag_frames=by_lag.value,
+        zoom=by_zoom.value if zoomed else 1.0,
+        shift_px=by_lag.shift_px,
+        lag_sigma=by_lag.sigma,
+        zoom_sigma=by_zoom.sigma,
+        shift_sigma_px=by_lag.shift_sigma_px,
+        contrast=by_lag.height / max(float(near[:, max_lag].mean()), 1e-3 * by_lag.height),
+        near=near,
+    )
 
 
 def _beyond(size: float, sigma: float, least: float) -> float:
@@ -105,30 +122,106 @@ def _beyond(size: float, sigma: float, least: float) -> float:
     return float(ndtr((size - least) / max(sigma, 1e-6)))
 
 
-def _summed(
-    part: Sequence[int], spectra: Mapping[int, tuple[Spectrum, Spectrum]], lags: Int64[np.ndarray, " lags"]
-) -> Complex64[np.ndarray, "lags rows half"]:
-    """Spectra of the correlations of some colour images with the depth images of each lag, summed."""
-    total = np.zeros((len(lags), *next(iter(spectra.values()))[0].shape), np.complex64)
-    for row, lag in enumerate(lags.tolist()):
-        for t in part:
-            if t + lag in spectra:
-                total[row] += spectra[t][0] * np.conj(spectra[t + lag][1])
-    return total
+Summed = Complex64[np.ndarray, "groups tried rows half"]
+"""Spectra of the correlations of a group's images, summed, for everything that is tried."""
+
+
+@dataclass(frozen=True)
+class _Spectra:
+    """The frames' edges, ready to be correlated.
+
+    Attributes:
+        color: Fourier transforms of the colour edges, by position.
+        depth: depth edges, by position; they are transformed when it is known how they are zoomed.
+        groups: positions of neighbouring frames.
+        shape: of the images.
+    """
+
+    color: Mapping[int, Spectrum]
+    depth: Mapping[int, Edges]
+    groups: tuple[tuple[int, ...], ...]
+    shape: tuple[int, int]
+
+    @staticmethod
+    def of(pairs: Mapping[int, Pair], groups: int) -> _Spectra:
+        height, width = next(iter(pairs.values())).color.shape
+        return _Spectra(
+            {t: rfft2(pair.color) for t, pair in pairs.items()},
+            {t: pair.depth for t, pair in pairs.items()},
+            tuple(tuple(part.tolist()) for part in np.array_split(sorted(pairs), groups)),
+            (height, width),
+        )
+
+    def summed(self, lags: Int64[np.ndarray, " tried"], zooms: Float64[np.ndarray, " tried"]) -> Summed:
+        """Colour of frame t with depth of frame t + lag, zoomed, for each lag and zoom."""
+        result = np.zeros((len(self.groups), len(lags), *next(iter(self.color.values())).shape), np.complex64)
+        for zoom in np.unique(zooms).tolist():
+            depth = {t: rfft2(_zoomed(edges, zoom)) for t, edges in self.depth.items()}
+            for column in np.flatnonzero(zooms == zoom).tolist():
+                for row, group in enumerate(self.groups):
+                    for t in group:
+                        if t + lags[column] in depth:
+                            result[row, column] += self.color[t] * np.conj(depth[t + int(lags[column])])
+        return result
+
+
+def _zoomed(edges: Edges, zoom: float) -> Edges:
+    """The image enlarged about its middle."""
+    if zoom == 1:
+        return edges
+    height, width = edges.shape
+    matrix = np.array([[zoom, 0, (1 - zoom) * (width - 1) / 2], [0, zoom, (1 - zoom) * (height - 1) / 2]])
+    return cv2.warpAffine(edges, matrix, (width, height)).astype(np.float32)
+
+
+@dataclass(frozen=True)
+class _Best:
+    """What makes the highest peak, of all that was tried; see `Alignment`."""
+
+    value: float
+    sigma: float
+    shift_px: Float64[np.ndarray, "2"]
+    shift_sigma_px: float
+    height: float
+
+
+def _near(summed: Summed, shape: tuple[int, int], reach_px: float) -> Float64[np.ndarray, "groups tried"]:
+    """Height of the peak of hardly any shift of everything tried, leaving out a group at a time."""
+    total = summed.sum(axis=0)
+    return np.array(
+        [
+            [_peak(irfft2(spectrum, s=shape), reach_px, within_px=NEARLY_PX)[0] for spectrum in total - group]
+            for group in summed
+        ]
+    )
 
 
 def _best(
-    summed: Complex64[np.ndarray, "lags rows half"],
-    lags: Int64[np.ndarray, " lags"],
-    shape: tuple[int, ...],
+    tried: Float64[np.ndarray, " tried"], summed: Summed, shape: tuple[int, int], reach_px: float
+) -> _Best:
+    """The value with the highest peak, and its standard error by leaving out a group at a time."""
+    total = summed.sum(axis=0)
+    value, shift_px, height = _highest(tried, total, shape, reach_px)
+    without = [_highest(tried, total - group, shape, reach_px) for group in summed]
+    factor = np.sqrt(len(summed) - 1)
+    sigma = float(factor * np.std([other for other, _, _ in without]))
+    shift_sigma_px = float(factor * np.linalg.norm(np.std([other for _, other, _ in without], axis=0)))
+    return _Best(value, sigma, shift_px, shift_sigma_px, height)
+
+
+def _highest(
+    tried: Float64[np.ndarray, " tried"],
+    total: Complex64[np.ndarray, "tried rows half"],
+    shape: tuple[int, int],
     reach_px: float,
-) -> tuple[float, Float64[np.ndarray, "2"]]:
-    """The lag with the highest peak, refined by a parabola through its neighbours, and the peak's place."""
-    peaks = [_peak(irfft2(spectrum, s=shape), reach_px) for spectrum in summed]
+) -> tuple[float, Float64[np.ndarray, "2"], float]:
+    """The value with the highest peak, refined by a parabola through its neighbours; its shift and height."""
+    peaks = [_peak(irfft2(spectrum, s=shape), reach_px) for spectrum in total]
     heights = [height for height, _ in peaks]
     best = int(np.argmax(heights))
-    inner = 0 < best < len(lags) - 1
-    return float(lags[best]) + (_vertex(*heights[best - 1 : best + 2]) if inner else 0.0), peaks[best][1]
+    inner = 0 < best < len(tried) - 1
+    offset = _vertex(*heights[best - 1 : best + 2]) if inner else 0.0
+    return float(np.interp(best + offset, np.arange(len(tried)), tried)), peaks[best][1], heights[best]
 
 
 def _peak(
@@ -154,30 +247,3 @@ def _vertex(before: float, at: float, after: float) -> float:
     """Offset of the top of the parabola through three values, -0.5 to 0.5."""
     bend = before - 2 * at + after
     return float(np.clip(0.5 * (before - after) / bend, -0.5, 0.5)) if bend < 0 else 0.0
-
-
-def _color_edges(color: ColorImage) -> Edges:
-    """Gradients against their surroundings: a sharp print must not outweigh an outline."""
-    grey = cv2.cvtColor(color, cv2.COLOR_RGB2GRAY)
-    small = cv2.resize(grey, None, fx=1 / STEP_PX, fy=1 / STEP_PX, interpolation=cv2.INTER_AREA)
-    smooth = cv2.GaussianBlur(small.astype(np.float32), (0, 0), 1.0)
-    gradient = np.hypot(cv2.Scharr(smooth, cv2.CV_32F, 1, 0), cv2.Scharr(smooth, cv2.CV_32F, 0, 1))
-    strength = np.sqrt(gradient)
-    return _without_mean(strength / (cv2.blur(strength, (SURROUNDINGS, SURROUNDINGS)) + 5))
-
-
-def _depth_edges(depth_m: DepthImage, *, step: float = 0.03, hole_px: int = 12) -> Edges:
-    """1 on the near side of a step of depth, where it was measured; holes count as far surface."""
-    small = depth_m[::STEP_PX, ::STEP_PX]
-    reach = np.ones((hole_px // STEP_PX * 2 + 1,) * 2, np.uint8)
-    filled = np.where(small > 0, small, cv2.dilate(small, reach))
-    farthest = cv2.dilate(filled, np.ones((3, 3), np.uint8))
-    edges = ((small > 0) & (farthest > small * (1 + step))).astype(np.float32)
-    return _without_mean(cv2.GaussianBlur(edges, (3, 3), 0))
-
-
-def _without_mean(image: Edges) -> Edges:
-    """The image less its surroundings, fading towards the border, where a circular shift would wrap."""
-    flat = image - cv2.blur(image, (SURROUNDINGS, SURROUNDINGS))
-    window = np.outer(np.hanning(image.shape[0]), np.hanning(image.shape[1])) ** 0.25
-    return (flat * window).astype(np.float32)

@@ -8,14 +8,14 @@ on from the corrected geometry, so two faults at a time are found one after the 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
 from jaxtyping import Float64
 
 from rpl_data.doctor.consistency import Geometry, Views, differences
-from rpl_data.doctor.findings import Finding, Kind
+from rpl_data.doctor.findings import Finding, Kind, option
 from rpl_data.mend import Mend, mended_poses
 
 MUCH_BETTER = 0.7
@@ -32,12 +32,17 @@ SIZE_FACTORS = (1 / 3, 0.5, 2 / 3, 0.75, 4 / 3, 1.5, 2.0, 3.0)
 
 @dataclass(frozen=True)
 class Correction:
-    """A fault, by what mends it: `what` is wrong, `todo` is done about it, `geometry` is then true."""
+    """A fault, by what mends it: `what` is wrong, `todo` is done about it, `geometry` is then true.
+
+    Attributes:
+        mend: the option that does it, where there is one.
+    """
 
     kind: Kind
     what: str
     todo: str
     geometry: Geometry
+    mend: Mend | None = None
 
 
 def faults(views: Views, geometry: Geometry, *, most: int = 3) -> list[Finding]:
@@ -51,7 +56,7 @@ def faults(views: Views, geometry: Geometry, *, most: int = 3) -> list[Finding]:
         if sure < SURE:
             break
         share = f"depth images then agree {_mean(now, now) / _mean(now, then):.1f} times better"
-        findings.append(Finding(best.kind, f"{best.what} ({share})", sure, best.todo))
+        findings.append(Finding(best.kind, f"{best.what} ({share})", sure, best.todo, best.mend))
         geometry, now = best.geometry, then
     return findings
 
@@ -92,16 +97,17 @@ def _readings(geometry: Geometry) -> Iterator[Correction]:
         }
         what = f"the poses are stored another way: {', '.join(text for text, true in said.items() if true)}"
         poses = mended_poses(geometry.scene_from_camera, mend)
-        yield Correction("pose convention", what, _option(mend), replace(geometry, scene_from_camera=poses))
+        read = replace(geometry, scene_from_camera=poses)
+        yield Correction("pose convention", what, option(mend), read, mend)
 
 
 def _pose_lags(views: Views, geometry: Geometry) -> Iterator[Correction]:
     for lag in LAGS:
         poses = shifted(geometry.scene_from_camera, views.runs, lag)
         what = f"poses belong to images {abs(lag)} frames {'earlier' if lag > 0 else 'later'}"
-        yield Correction(
-            "pose lag", what, _option(Mend(pose_lag=lag)), replace(geometry, scene_from_camera=poses)
-        )
+        mend = Mend(pose_lag=lag)
+        paired = replace(geometry, scene_from_camera=poses)
+        yield Correction("pose lag", what, option(mend), paired, mend)
 
 
 def shifted(
@@ -160,10 +166,3 @@ def _other_size(geometry: Geometry, factor: float) -> Correction:
 
 def _times(factor: float) -> str:
     return f"{1 / factor:.2f} times" if factor < 1 else f"1/{factor:.2f} of"
-
-
-def _option(mend: Mend) -> str:
-    """The line of a recipe that mends it."""
-    changed = {key: value for key, value in asdict(mend).items() if value}
-    words = ", ".join(f"{key}: {str(value).lower()}" for key, value in changed.items())
-    return f"in the recipe, give these scenes `mend: {{{words}}}`"

@@ -9,20 +9,15 @@ import numpy as np
 from jaxtyping import Float32, Float64
 
 from rpl_data.doctor import images, timing
-from rpl_data.doctor.alignment import Alignment, Pair, align, edges_of
+from rpl_data.doctor.alignment import Alignment, align
 from rpl_data.doctor.consistency import Geometry, Views, differences, views_of
 from rpl_data.doctor.corrections import faults, shifted
+from rpl_data.doctor.edges import Pair, edges_of
 from rpl_data.doctor.findings import Diagnosis, Finding
+from rpl_data.doctor.pairing import lag_findings, lag_of, misregistered, which_lags
 from rpl_data.types import DataError, DepthImage, Recording, Scene, Trajectory
 from rpl_data.workspace import read_color, read_depth_m
 
-LEAST_LAG_FRAMES = 0.25
-LEAST_CONTRAST = 1.2
-"""The peak of a lag or a shift must be higher than that of the images as they are by this factor."""
-
-LEAST_SHIFT = 0.01
-"""Of the image's width; a good registration errs by less, and edges of depth are no sharper."""
-SURE = 0.9
 UNSURE_FRAMES, UNSURE_PX = 1.0, 8.0
 LEFT_OUT = "copy these images again, or take them off the list; nothing is done with them"
 STILL_M, STILL_RAD = 0.02, 0.05
@@ -59,21 +54,24 @@ def examine(recording: Recording, *, progress: Callable[[int, int], None] | None
         what = f"{len(unreadable)} of the images looked at cannot be read: {unreadable[0]}"
         findings.append(Finding("unreadable", what, 1.0, "record again, or take them off the list"))
     findings += timing.dropped_frames(scene)
-    facts = [_summary(scene, look)]
+    facts = [_summary(scene, look), *recording.notes]
     if not len(look.depths_m):
         return Diagnosis(scene.name, tuple(facts), tuple(findings))
     findings += images.repeated(_repeats(scene, look), len(look.positions))
     findings += images.blur(look.sharpness)
     findings += images.missing_depth([images.missing_share(depth_m) for depth_m in look.depths_m])
     aligned = align(dict(zip(look.positions, look.edges, strict=True)))
-    findings += _misaligned(scene, aligned)
     facts.append(_alignment_fact(aligned))
+    lag = lag_of(aligned)
     if trajectory is None:
         facts.append("no poses: depth unit, intrinsics and poses were not judged; track it first (rpl build)")
+        found: list[Finding] = []
     else:
-        said, found = _geometry(scene, trajectory, look, aligned)
+        said, found = _geometry(scene, trajectory, look, lag.whole)
         facts.append(said)
-        findings += timing.pose_jumps(scene, trajectory) + found
+        lag, found = which_lags(aligned, lag, found)
+        found = timing.pose_jumps(scene, trajectory) + found
+    findings += lag_findings(lag) + misregistered(scene, aligned) + found
     return Diagnosis(scene.name, tuple(facts), tuple(findings))
 
 
@@ -128,45 +126,9 @@ def _repeats(scene: Scene, look: _Look) -> list[int]:
 # Judging ------------------------------------------------------------------------------------------
 
 
-def _misaligned(scene: Scene, aligned: Alignment) -> list[Finding]:
-    """Lag and shift between colour and depth, where they are sure and large enough to matter."""
-    findings = []
-    whole, sure = _lag_frames(aligned)
-    if sure >= SURE:
-        late = "behind" if aligned.lag_frames > 0 else "ahead of"
-        todo = "less than a frame cannot be mended: move slowly, and click in the slowest frames"
-        if whole:
-            todo = f"in the recipe, give these scenes `mend: {{depth_lag: {whole}}}`"
-        what = f"depth is {abs(aligned.lag_frames):.1f} frames {late} colour"
-        findings.append(Finding("depth lag", what, sure, todo))
-    sure = aligned.sure_of_shift(LEAST_SHIFT * scene.intrinsics.width)
-    if sure >= SURE and aligned.contrast > LEAST_CONTRAST:
-        du, dv = aligned.shift_px
-        todo = (
-            "register depth to colour when recording (`rpl capture` does); "
-            "labels of an unregistered recording are off by this much"
-        )
-        findings.append(
-            Finding("registration", f"colour lies ({du:+.0f}, {dv:+.0f}) px from depth", sure, todo)
-        )
-    return findings
-
-
-def _lag_frames(aligned: Alignment) -> tuple[int, float]:
-    """The lag in whole frames, and how sure it is that there is any; 0 where it is not."""
-    sure = aligned.sure_of_lag(LEAST_LAG_FRAMES)
-    whole = round(aligned.lag_frames)
-    if whole and aligned.contrast < LEAST_CONTRAST:
-        return 0, 0.0
-    return (whole, sure) if sure >= SURE else (0, sure)
-
-
-def _geometry(
-    scene: Scene, trajectory: Trajectory, look: _Look, aligned: Alignment
-) -> tuple[str, list[Finding]]:
-    """What the poses say about poses, depth unit and intrinsics."""
-    poses = _poses_of(scene, trajectory, look)
-    lag, _ = _lag_frames(aligned)  # the depth image of frame t is at t + lag, so its pose is at t
+def _geometry(scene: Scene, trajectory: Trajectory, look: _Look, lag: int) -> tuple[str, list[Finding]]:
+    """What the poses say about poses, depth unit and intrinsics, when depth is `lag` frames late."""
+    poses = _poses_of(scene, trajectory, look)  # the depth image of frame t is at t + lag, its pose at t
     poses = shifted(poses, look.runs, -lag)
     if _still(poses, look.runs):
         return "the camera hardly moves: poses, depth unit and intrinsics could not be judged", []
@@ -223,7 +185,8 @@ def _alignment_fact(aligned: Alignment) -> str:
     if aligned.lag_sigma > UNSURE_FRAMES or aligned.shift_sigma_px > UNSURE_PX:
         return "too few edges that colour and depth share: lag and registration could not be judged"
     du, dv = aligned.shift_px
+    zoom = "" if aligned.zoom == 1 else f"zoom {aligned.zoom:.3f} +- {aligned.zoom_sigma:.3f}, "
     return (
         f"colour and depth edges meet at lag {aligned.lag_frames:+.1f} +- {aligned.lag_sigma:.1f} frames, "
-        f"shift ({du:+.0f}, {dv:+.0f}) +- {aligned.shift_sigma_px:.0f} px"
+        f"{zoom}shift ({du:+.0f}, {dv:+.0f}) +- {aligned.shift_sigma_px:.0f} px"
     )

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import json
+from dataclasses import asdict, dataclass
 from typing import Literal
+
+from rpl_data.mend import Mend
 
 Kind = Literal[
     "unreadable", "left out", "dropped frames", "repeated frames", "depth lag", "registration",
@@ -20,12 +23,14 @@ class Finding:
         sure: how sure, 0 to 1: the share of resamples of the evidence that say the same; 1 where it
             was counted, not inferred.
         todo: what to do about it, and the option of the recipe that mends it where there is one.
+        mend: that option.
     """
 
     kind: Kind
     what: str
     sure: float
     todo: str
+    mend: Mend | None = None
 
 
 @dataclass(frozen=True)
@@ -40,3 +45,10 @@ class Diagnosis:
     scene: str
     facts: tuple[str, ...]
     findings: tuple[Finding, ...]
+
+
+def option(mend: Mend) -> str:
+    """The line of a recipe that mends it."""
+    changed = {key: value for key, value in asdict(mend).items() if value != getattr(Mend(), key)}
+    words = ", ".join(f"{key}: {json.dumps(value)}" for key, value in changed.items())
+    return f"in the recipe, give these scenes `mend: {{{words}}}`"

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from rpl_data.doctor.findings import Finding
+from rpl_data.doctor.findings import Finding, option
+from rpl_data.mend import Mend
 from rpl_data.types import ColorImage, DepthImage
 
 BLURRED = 0.3
@@ -63,5 +64,6 @@ def repeated(frames: Sequence[int], looked_at: int) -> list[Finding]:
         return []
     listed = ", ".join(map(str, frames[:6])) + (", ..." if len(frames) > 6 else "")
     what = f"{len(frames)} of {looked_at} depth images looked at repeat the one before: frames {listed}"
-    todo = "the camera delivered fewer images than were written; leave these frames out of the list"
-    return [Finding("repeated frames", what, 1.0, todo)]
+    mend = Mend(no_repeats=True)
+    todo = f"the camera delivered fewer images than were written; {option(mend)}"
+    return [Finding("repeated frames", what, 1.0, todo, mend)]

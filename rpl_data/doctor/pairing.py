@@ -1,0 +1,114 @@
+"""Do colour, depth and poses belong together: in time (lags) and in the image (registration)?"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rpl_data.doctor.alignment import Alignment
+from rpl_data.doctor.findings import Finding, option
+from rpl_data.mend import Mend
+from rpl_data.types import Intrinsics, Scene
+
+LEAST_LAG_FRAMES = 0.25
+LEAST_CONTRAST = 1.2
+"""The peak of a lag or a shift must be higher than that of the images as they are by this factor."""
+
+LEAST_SHIFT = 0.01
+"""Of the image's width; a good registration errs by less, and edges of depth are no sharper."""
+LEAST_ZOOM = 0.02
+"""That is 6 px at the sides of an image of 640."""
+
+SURE = 0.9
+
+
+@dataclass(frozen=True)
+class Lag:
+    """How far depth is behind colour, in frames; `whole` is the part that can be mended."""
+
+    frames: float
+    whole: int
+    sure: float
+
+
+def lag_of(aligned: Alignment) -> Lag:
+    """The lag that the edges show; none in whole frames where it is not sure."""
+    sure = aligned.sure_of_lag(LEAST_LAG_FRAMES)
+    whole = round(aligned.lag_frames)
+    if whole and aligned.contrast < LEAST_CONTRAST:
+        return Lag(aligned.lag_frames, 0, 0.0)
+    return Lag(aligned.lag_frames, whole if sure >= SURE else 0, sure)
+
+
+def which_lags(aligned: Alignment, lag: Lag, found: list[Finding]) -> tuple[Lag, list[Finding]]:
+    """Depth images that are late under poses that are not look like late poses: the colour images decide.
+
+    Poses and depth tell how far they are apart to the frame; colour and depth edges tell whether it is
+    depth that is late, with a likelihood.
+    """
+    late = next((finding for finding in found if finding.kind == "pose lag"), None)
+    if late is None or late.mend is None:
+        return lag, found
+    apart = lag.whole - late.mend.pose_lag
+    likely = aligned.prefers(apart)
+    if apart and likely >= 0.5:
+        rest = [finding for finding in found if finding is not late]
+        return Lag(float(apart), apart, min(likely, late.sure)), rest
+    if lag.whole or likely < 1 - SURE:
+        return lag, found
+    either = f"; or depth is {_behind(apart)} colour, and {option(Mend(depth_lag=apart))} is right"
+    unsure = replace(late, sure=1 - likely, todo=late.todo + either)
+    return lag, [unsure if finding is late else finding for finding in found]
+
+
+def lag_findings(lag: Lag) -> list[Finding]:
+    """A finding when depth is late or early."""
+    if lag.sure < SURE and not lag.whole:
+        return []
+    what = f"depth is {_behind(lag.frames)} colour"
+    if not lag.whole:
+        todo = "less than a frame cannot be mended: move slowly, and click in the slowest frames"
+        return [Finding("depth lag", what, lag.sure, todo)]
+    mend = Mend(depth_lag=lag.whole)
+    todo = option(mend)
+    if lag.sure < SURE:
+        todo += f"; or the poses are as much off, and {option(Mend(pose_lag=-lag.whole))} is right"
+    return [Finding("depth lag", what, lag.sure, todo, mend)]
+
+
+def _behind(frames: float) -> str:
+    return f"{abs(frames):.1f} frames {'behind' if frames > 0 else 'ahead of'}"
+
+
+def misregistered(scene: Scene, aligned: Alignment) -> list[Finding]:
+    """A shift or another field of view between colour and depth."""
+    sure_of_shift = aligned.sure_of_shift(LEAST_SHIFT * scene.intrinsics.width)
+    sure_of_zoom = aligned.sure_of_zoom(LEAST_ZOOM) if aligned.zoom != 1 else 0.0
+    sure = max(sure_of_shift, sure_of_zoom)
+    if sure < SURE or aligned.contrast < LEAST_CONTRAST:
+        return []
+    what, zoom = [], 1.0
+    shift_px = tuple(np.rint(aligned.shift_px).tolist())
+    if sure_of_zoom >= SURE:
+        zoom = round(aligned.zoom, 3)
+        what.append(f"depth images show things {1 / zoom:.2f} times as large as colour images")
+    if np.linalg.norm(shift_px) >= 1:
+        what.append(f"colour lies ({shift_px[0]:+.0f}, {shift_px[1]:+.0f}) px from depth")
+    mend = Mend(depth_zoom=zoom, depth_shift_px=shift_px)
+    focal = ""
+    if zoom != 1:
+        camera = scene.intrinsics
+        focal = f"; if its intrinsics are the depth camera's, {_camera_line(camera, zoom, shift_px)}"
+    todo = (
+        f"record again with depth registered to colour (`rpl capture` does it), or {option(mend)}, which is "
+        f"right at the usual distance to within some pixels{focal}"
+    )
+    return [Finding("registration", " and ".join(what), sure, todo, mend)]
+
+
+def _camera_line(camera: Intrinsics, zoom: float, shift_px: tuple[float, float]) -> str:
+    """The intrinsics of depth images after they were put on the colour images."""
+    cx = zoom * camera.cx + (1 - zoom) * (camera.width - 1) / 2 + shift_px[0]
+    cy = zoom * camera.cy + (1 - zoom) * (camera.height - 1) / 2 + shift_px[1]
+    return f"also `camera: [{zoom * camera.fx:.1f}, {zoom * camera.fy:.1f}, {cx:.1f}, {cy:.1f}]`"
