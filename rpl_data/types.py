@@ -147,12 +147,15 @@ class Recording:
         trajectory: None when the recording holds no poses (it must be tracked first).
         skipped: one line for every group of frames left out, with the count and the reason.
         notes: what was assumed (the depth scale of a format that does not state it, say).
+        true_poses: camera_from_object by object name and `Frame.index`, where a dataset comes with them: the
+            truth for evaluation. No stage that labels is given it.
     """
 
     scene: Scene
     trajectory: Trajectory | None
     skipped: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    true_poses: Mapping[str, Mapping[int, Float64[np.ndarray, "4 4"]]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

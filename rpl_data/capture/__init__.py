@@ -8,11 +8,14 @@ from functools import partial
 from pathlib import Path
 
 from rpl_data.capture.playback import is_recording, read_realsense
+from rpl_data.formats.bop import is_bop_scene, read_bop
 from rpl_data.formats.elasticfusion import read_klg
 from rpl_data.formats.frame_files import Camera
 from rpl_data.formats.frames import has_frames, read_frames
+from rpl_data.formats.labelfusion import is_log, read_labelfusion
 from rpl_data.formats.rpl import read_rpl
 from rpl_data.formats.tum import is_sequence, read_tum
+from rpl_data.formats.ycb_video import is_ycb_sequence, read_ycb_video
 from rpl_data.mend import Mend, mended
 from rpl_data.types import DataError, Recording
 
@@ -20,6 +23,9 @@ READERS: dict[str, Callable[..., list[Recording]]] = {
     "rpl": read_rpl,
     "frames": read_frames,
     "tum": read_tum,
+    "bop": read_bop,
+    "ycb_video": read_ycb_video,
+    "labelfusion": read_labelfusion,
 }
 """Formats whose images are files, by name: ``reader(path, *, names, metres_per_unit, camera)``."""
 
@@ -36,6 +42,11 @@ _LOOKS_LIKE: dict[str, Callable[[Path], bool]] = {
     "rpl": lambda folder: (folder / "camera.txt").exists() and any(folder.glob("*/associations.txt")),
     "frames": has_frames,
     "tum": is_sequence,
+    "bop": lambda folder: any(map(is_bop_scene, (folder, *folder.glob("*")))),
+    "ycb_video": lambda folder: any(
+        map(is_ycb_sequence, (folder, *folder.glob("*"), *folder.glob("data/*")))
+    ),
+    "labelfusion": lambda folder: any(map(is_log, (folder, *folder.glob("*")))),
     "klg": lambda path: path.suffix == ".klg" or any(path.glob("*.klg")),
     "realsense": lambda path: any(map(is_recording, (path, *path.glob("*")))),
 }

@@ -1,0 +1,178 @@
+"""LabelFusion's log directories, after its images were extracted from the log.
+
+::
+
+    <log>/posegraph.posegraph                 TUM lines, scene_from_camera (scene = the first camera)
+          posegraph_smoothed.posegraph        preferred where it is there
+          images/0000000001_rgb.png
+                 0000000001_depth.png         16 bit, millimetres; only when extracted with depth
+                 0000000001_utime.txt         time in microseconds
+                 0000000001_poses.yaml        by object: label, num_pixels, pose
+                                              [[x, y, z], [qw, qx, qy, qz]], camera_from_object, metres;
+                                              only objects that are seen
+
+The camera is written nowhere: LabelFusion itself takes f = 528 px and the centre (320, 240) for all. A mesh
+that was an .obj was found to be turned by -90 degrees about x against the poses (LabelFusion issue 56).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from rpl_data.files import read_text
+from rpl_data.formats.frame_files import (
+    Camera,
+    Listing,
+    Pair,
+    chosen,
+    examine,
+    grouped,
+    match_poses,
+    with_poses,
+    without_poses,
+)
+from rpl_data.formats.image_files import probe
+from rpl_data.formats.pose_lines import read_pose_lines
+from rpl_data.formats.true_poses import with_true_poses
+from rpl_data.geometry import Transform, from_quaternion_xyzw
+from rpl_data.types import DataError, Recording
+
+METRES_PER_UNIT = 0.001
+CAMERA: Camera = (528.0, 528.0, 320.0, 240.0)
+"""LabelFusion's own, for 640 x 480 images of an Asus Xtion."""
+
+POSE_GRAPHS = ("posegraph_smoothed.posegraph", "posegraph.posegraph")
+
+_COLOR = re.compile(r"(\d{10})_rgb\.png")
+
+
+def read_labelfusion(
+    path: Path,
+    *,
+    names: Sequence[str] | None = None,
+    metres_per_unit: float | None = None,
+    camera: Camera | None = None,
+) -> list[Recording]:
+    """One log, or the logs of a folder, sorted by name.
+
+    `Frame.index` is the number of the file, from 1. The poses of the objects are `Recording.true_poses`.
+
+    Args:
+        path: a log directory, or a folder of them.
+        names: which logs to read, by folder name.
+        metres_per_unit: of the depth images; 0.001 by the format.
+        camera: of the colour images; LabelFusion's own where not given, said in `Recording.notes`.
+
+    Raises:
+        DataError: there is no log, its images were not extracted with depth, or no frame is whole.
+    """
+    path = path.absolute()
+    folders = sorted(p for p in path.iterdir() if p.is_dir()) if path.is_dir() else []
+    found = {folder.name: folder for folder in (path, *folders) if is_log(folder)}
+    if not found:
+        packed = any(any(folder.glob("*.lcmlog")) for folder in (path, *folders))
+        todo = "; extract them from the log with LabelFusion (run_create_data -d)" if packed else ""
+        raise DataError(f"{path} has no images/<number>_rgb.png, nor has a folder in it{todo}")
+    return [
+        _read_log(name, folder, metres_per_unit, camera)
+        for name, folder in chosen(found, names, path).items()
+    ]
+
+
+def is_log(folder: Path) -> bool:
+    """Whether it is a log directory with images."""
+    images = folder / "images"
+    return images.is_dir() and any(_COLOR.fullmatch(found.name) for found in images.iterdir())
+
+
+def _read_log(name: str, folder: Path, unit_m: float | None, camera: Camera | None) -> Recording:
+    colors = {int(m[1]): p for p in sorted((folder / "images").iterdir()) if (m := _COLOR.fullmatch(p.name))}
+    if not any(_beside(color, "depth.png").exists() for color in colors.values()):
+        raise DataError(
+            f"{folder / 'images'} holds no depth images; extract them again with depth (run_create_data -d)"
+        )
+    times_s = {number: _time_s(_beside(color, "utime.txt")) for number, color in colors.items()}
+    timed = {number: time_s for number, time_s in times_s.items() if time_s is not None}
+    if not timed:
+        raise DataError(f"{folder / 'images'}: no frame has a readable utime.txt; extract the images again")
+    listing = Listing(
+        name,
+        folder,
+        "labelfusion",
+        [Pair(n, time_s, colors[n], _beside(colors[n], "depth.png")) for n, time_s in timed.items()],
+        camera or _usual_camera(folder, colors),
+        folder,
+        METRES_PER_UNIT if unit_m is None else unit_m,
+        notes=() if camera else ("no camera stored: LabelFusion's own f = 528 px assumed",),
+        skipped=tuple(grouped(sorted(times_s.keys() - timed.keys()), "without a readable utime.txt")),
+    )
+    recording = _with_trajectory(examine(listing), folder)
+    return with_true_poses(recording, _object_poses(colors))
+
+
+def _usual_camera(folder: Path, colors: Mapping[int, Path]) -> Camera:
+    """LabelFusion's own camera; DataError for images of another size."""
+    sizes = {(found.width, found.height) for found in map(probe, colors.values()) if found is not None}
+    if sizes - {(640, 480)}:
+        width, height = max(sizes - {(640, 480)})
+        raise DataError(
+            f"{folder}: LabelFusion's camera is for 640 x 480 images, these are {width} x {height}; "
+            "give `camera: [fx, fy, cx, cy]`"
+        )
+    return CAMERA
+
+
+def _beside(color: Path, ending: str) -> Path:
+    return color.with_name(color.name.replace("rgb.png", ending))
+
+
+def _time_s(path: Path) -> float | None:
+    """Seconds of a file with microseconds; None where it is missing or cut off."""
+    try:
+        return int(read_text(path).strip()) * 1e-6
+    except (DataError, ValueError):
+        return None
+
+
+def _with_trajectory(recording: Recording, folder: Path) -> Recording:
+    graph = next((folder / name for name in POSE_GRAPHS if (folder / name).exists()), None)
+    if graph is None:
+        return without_poses(recording, "posegraph.posegraph")
+    times_s, poses = read_pose_lines(graph)
+    frames = recording.scene.frames
+    stamps_s = np.array([frame.timestamp_s for frame in frames])
+    matched = match_poses(times_s, poses, [frame.index for frame in frames], stamps_s, source=str(graph))
+    return with_poses(recording, matched, without=f"without a pose in {graph.name} at their time")
+
+
+def _object_poses(colors: Mapping[int, Path]) -> dict[str, dict[int, Transform]]:
+    """camera_from_object by object and frame."""
+    poses: dict[str, dict[int, Transform]] = {}
+    for number, color in colors.items():
+        path = _beside(color, "poses.yaml")
+        for name, entry in (_read_yaml(path) if path.exists() else {}).items():
+            try:
+                position_m, wxyz = (np.array(part, dtype=np.float64) for part in entry["pose"])
+                pose = from_quaternion_xyzw(np.roll(wxyz, -1), position_m)
+            except (KeyError, TypeError, ValueError) as error:
+                raise DataError(
+                    f"{path}: {name} should have pose [[x, y, z], [qw, qx, qy, qz]]; {error!r}"
+                ) from error
+            poses.setdefault(str(name), {})[number] = pose
+    return poses
+
+
+def _read_yaml(path: Path) -> Mapping[str, Any]:
+    try:
+        content: object = yaml.safe_load(read_text(path))
+    except yaml.YAMLError as error:
+        raise DataError(f"{path} is not valid YAML: {' '.join(str(error).split())}") from error
+    if content is not None and not isinstance(content, dict):
+        raise DataError(f"{path}: expected objects by name, found {type(content).__name__}")
+    return content or {}

@@ -1,0 +1,177 @@
+"""YCB-Video in its own layout (Xiang et al., PoseCNN).
+
+::
+
+    <dataset>/data/0048/000001-color.png      or .jpg
+                        000001-depth.png      16 bit, registered to colour; metres = value / factor_depth
+                        000001-meta.mat       MATLAB: intrinsic_matrix, factor_depth, cls_indexes, poses
+                                              (3, 4, n: camera_from_object, metres) and
+                                              rotation_translation_matrix (camera_from_scene, metres)
+              image_sets/classes.txt          names of the classes from 1
+
+Sequences 0-59 and 60-91 are from two cameras, so the camera is read from each. A meta.mat with one object
+holds `poses` as 3 x 4. The objects' poses are those of the dataset's own models, not of BOP's, which are
+centred anew.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rpl_data.files import read_text
+from rpl_data.formats.frame_files import (
+    Camera,
+    Listing,
+    Pair,
+    chosen,
+    examine,
+    grouped,
+    with_poses,
+    without_poses,
+)
+from rpl_data.formats.true_poses import with_true_poses
+from rpl_data.geometry import Transform, invert, rigid
+from rpl_data.types import DataError, Recording
+
+RATE_HZ = 30.0
+"""Of the camera; the layout has no timestamps."""
+
+CLASSES = (
+    "002_master_chef_can", "003_cracker_box", "004_sugar_box", "005_tomato_soup_can", "006_mustard_bottle",
+    "007_tuna_fish_can", "008_pudding_box", "009_gelatin_box", "010_potted_meat_can", "011_banana",
+    "019_pitcher_base", "021_bleach_cleanser", "024_bowl", "025_mug", "035_power_drill", "036_wood_block",
+    "037_scissors", "040_large_marker", "051_large_clamp", "052_extra_large_clamp", "061_foam_brick",
+)  # fmt: skip
+"""Of image_sets/classes.txt, in its order; used where a copy of the dataset lacks the file."""
+
+_COLOR = re.compile(r"(\d{6})-color\.(?:png|jpg)")
+_KEYS = ("cls_indexes", "factor_depth", "intrinsic_matrix", "poses", "rotation_translation_matrix")
+
+
+def read_ycb_video(
+    path: Path,
+    *,
+    names: Sequence[str] | None = None,
+    metres_per_unit: float | None = None,
+    camera: Camera | None = None,
+) -> list[Recording]:
+    """One sequence, or those of the dataset, sorted by name.
+
+    `Frame.index` is the number of the file, from 1. The poses of the objects are `Recording.true_poses`.
+
+    Args:
+        path: the dataset, its folder data, or a sequence.
+        names: which sequences to read, as 0048.
+        metres_per_unit: of the depth images, instead of 1 / factor_depth.
+        camera: instead of intrinsic_matrix.
+
+    Raises:
+        DataError: there is no sequence, no meta.mat of one can be read, or no frame is whole.
+    """
+    path = path.absolute()
+    root = path / "data" if (path / "data").is_dir() else path
+    folders = sorted(p for p in root.iterdir() if p.is_dir()) if root.is_dir() else []
+    found = {folder.name: folder for folder in (root, *folders) if is_ycb_sequence(folder)}
+    if not found:
+        raise DataError(f"{path} has no <number>-color.png, nor has a folder in it or in data/")
+    return [
+        _read_sequence(name, folder, metres_per_unit, camera)
+        for name, folder in chosen(found, names, path).items()
+    ]
+
+
+def is_ycb_sequence(folder: Path) -> bool:
+    """Whether it holds frames of this layout."""
+    return folder.is_dir() and any(_COLOR.fullmatch(found.name) for found in folder.iterdir())
+
+
+def _read_sequence(name: str, folder: Path, unit_m: float | None, camera: Camera | None) -> Recording:
+    colors = {int(m[1]): p for p in sorted(folder.iterdir()) if (m := _COLOR.fullmatch(p.name))}
+    metas = {number: _read_meta(folder / f"{number:06d}-meta.mat") for number in colors}
+    whole = {number: meta for number, meta in metas.items() if meta is not None}
+    if not whole:
+        raise DataError(f"{folder}: none of {len(metas)} frames has a readable meta.mat; copy them again")
+    source, first = folder / f"{min(whole):06d}-meta.mat", whole[min(whole)]
+    listing = Listing(
+        name,
+        folder,
+        "ycb_video",
+        [Pair(n, n / RATE_HZ, colors[n], folder / f"{n:06d}-depth.png") for n in whole],
+        camera or _camera(first, source),
+        source,
+        1 / float(_array(first, "factor_depth", source).item()) if unit_m is None else unit_m,
+        notes=(f"no timestamps: {RATE_HZ:g} frames a second assumed",),
+        skipped=tuple(grouped(sorted(metas.keys() - whole.keys()), "without a readable meta.mat")),
+    )
+    recording = _with_trajectory(examine(listing), whole, folder)
+    return with_true_poses(recording, _object_poses(whole, _classes(folder), folder))
+
+
+def _read_meta(path: Path) -> Mapping[str, Any] | None:
+    """What is needed of a meta.mat; None where it is missing or broken."""
+    from scipy.io import loadmat
+    from scipy.io.matlab import MatReadError
+
+    try:
+        content: Mapping[str, Any] = loadmat(path, variable_names=_KEYS)
+    except (OSError, ValueError, TypeError, NotImplementedError, MatReadError):
+        return None
+    return content
+
+
+def _array(meta: Mapping[str, Any], key: str, source: Path) -> np.ndarray:
+    if key not in meta:
+        raise DataError(f"{source} lacks {key}; expected a meta.mat of YCB-Video, with {', '.join(_KEYS)}")
+    return np.asarray(meta[key], dtype=np.float64)
+
+
+def _camera(meta: Mapping[str, Any], source: Path) -> Camera:
+    matrix = _array(meta, "intrinsic_matrix", source)
+    return float(matrix[0, 0]), float(matrix[1, 1]), float(matrix[0, 2]), float(matrix[1, 2])
+
+
+def _with_trajectory(recording: Recording, metas: Mapping[int, Mapping[str, Any]], folder: Path) -> Recording:
+    known = {
+        number: invert(_rigid(_array(meta, "rotation_translation_matrix", folder)))
+        for number, meta in metas.items()
+        if "rotation_translation_matrix" in meta
+    }
+    if not known:
+        return without_poses(recording, "rotation_translation_matrix in meta.mat")
+    return with_poses(recording, known, without="without rotation_translation_matrix in meta.mat")
+
+
+def _rigid(rows: np.ndarray) -> Transform:
+    return rigid(np.ascontiguousarray(rows[:3, :3]), np.ascontiguousarray(rows[:3, 3]))
+
+
+def _classes(folder: Path) -> Sequence[str]:
+    """Names of the classes from 1, of the dataset the sequence lies in."""
+    for above in list(folder.parents)[:2]:
+        if (above / "image_sets" / "classes.txt").exists():
+            return read_text(above / "image_sets" / "classes.txt").split()
+    return CLASSES
+
+
+def _object_poses(
+    metas: Mapping[int, Mapping[str, Any]], classes: Sequence[str], folder: Path
+) -> dict[str, dict[int, Transform]]:
+    """camera_from_object by class name and frame."""
+    poses: dict[str, dict[int, Transform]] = {}
+    for number, meta in metas.items():
+        numbers = _array(meta, "cls_indexes", folder).ravel().astype(int)
+        matrices = _array(meta, "poses", folder)
+        matrices = matrices[..., None] if matrices.ndim == 2 else matrices
+        if matrices.shape != (3, 4, len(numbers)) or not all(1 <= n <= len(classes) for n in numbers):
+            raise DataError(
+                f"{folder / f'{number:06d}-meta.mat'}: poses {matrices.shape} and cls_indexes "
+                f"{numbers.tolist()} do not fit (3, 4, n) and n classes of 1-{len(classes)}; copy it again"
+            )
+        for row, one in enumerate(numbers.tolist()):
+            poses.setdefault(classes[one - 1], {})[number] = _rigid(matrices[:, :, row])
+    return poses
