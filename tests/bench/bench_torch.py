@@ -1,6 +1,6 @@
-"""Samples a second of KeypointDataset from JPEG, PNG and its caches, and heatmaps against the loop.
+"""Samples a second of KeypointDataset against the loop-and-resize loader, and its share of a training step.
 
-One core, no photometric augmentation: python tests/bench/bench_torch.py
+One core: python tests/bench/bench_torch.py
 """
 
 from __future__ import annotations
@@ -13,14 +13,23 @@ from pathlib import Path
 import cv2
 import numpy as np
 import torch
+from PIL import Image
 from pycocotools import mask as masks
 
-from rpl_data.formats.coco import CocoObject, image_to_coco, instance_to_coco, writing_coco
+from rpl_data.formats.coco import (
+    CocoObject,
+    image_to_coco,
+    instance_from_coco,
+    instance_to_coco,
+    read_coco,
+    writing_coco,
+)
 from rpl_data.geometry import box_around, from_rotvec, project, square_box, transform
-from rpl_data.torch.heatmaps import draw_heatmaps
 from rpl_data.torch.keypoints import KeypointDataset
 from rpl_data.torch.transforms import Augmentation
 from rpl_data.types import Frame, InstanceLabel, Intrinsics, KeypointModel, Rle
+from training.keypoint_training import untrained
+from training.options import Learning, Network
 
 CAMERA = Intrinsics(600.0, 600.0, 319.5, 239.5, 640, 480)
 CUBE = KeypointModel(
@@ -29,6 +38,8 @@ CUBE = KeypointModel(
     np.array([[x, y, z] for x in (-0.04, 0.04) for y in (-0.04, 0.04) for z in (-0.04, 0.04)]),
 )
 FRAMES = 60
+CPU = Network(stacks=1, features=64, input_px=128, heatmap_px=32, loss="entropy")
+"""Of training/configs/keypoints_cpu.yaml."""
 
 
 def photo_like(rng: np.random.Generator) -> np.ndarray:
@@ -74,7 +85,14 @@ def write_dataset(folder: Path, suffix: str) -> Path:
     return folder / f"{suffix}.json"
 
 
-def samples_per_second(dataset: KeypointDataset) -> float:
+def instances(coco_json: Path) -> list[tuple[Path, InstanceLabel]]:
+    """Image and label of each annotation."""
+    data = read_coco(coco_json)
+    files = {image["id"]: coco_json.parent / image["file_name"] for image in data["images"]}
+    return [(files[a["image_id"]], instance_from_coco(a, "cube")) for a in data["annotations"]]
+
+
+def samples_per_second(dataset: KeypointDataset | LoopAndResize) -> float:
     """CPU time of the best of three passes, so that other people's load on the machine does not count."""
     best = np.inf
     for _ in range(3):
@@ -97,44 +115,111 @@ def seconds(work: Callable[[], object], times: int) -> float:
     return best / times
 
 
-def naive_heatmaps(positions_px: np.ndarray, size_px: int) -> np.ndarray:
-    """A Gaussian over the whole grid, a keypoint at a time: what trainers usually do."""
-    maps = np.zeros((len(positions_px), size_px, size_px), dtype=np.float32)
-    for k, (u, v) in enumerate(positions_px):
-        columns, rows = np.meshgrid(np.arange(size_px), np.arange(size_px))
-        maps[k] = np.exp(-((columns - u) ** 2 + (rows - v) ** 2) / 2)
-    return maps
+class LoopAndResize:
+    """What the paper's trainer does for a sample, step by step, with libraries of today.
+
+    Labels from three text files; the whole image as floats, its channels times a gain each; the box cut out
+    into an array of zeros and resized by PIL (as scipy.misc.imresize did); a map a keypoint with a 7 x 7
+    Gaussian pasted at whole pixels. The box is shifted and scaled, never turned.
+    """
+
+    def __init__(self, folder: Path, files: list[Path], labels: list[InstanceLabel]) -> None:
+        self._files, self._folder = files, folder
+        for row, one in enumerate(labels):
+            box = one.square_box
+            np.savetxt(folder / f"label_{row}.txt", one.keypoints_px)
+            np.savetxt(folder / f"centre_{row}.txt", [box.cx_px, box.cy_px])
+            np.savetxt(folder / f"scale_{row}.txt", [box.side_px])
+
+    def __len__(self) -> int:
+        return len(self._files)
+
+    def __getitem__(self, row: int) -> tuple[torch.Tensor, torch.Tensor]:
+        keypoints, centre, side = (
+            np.loadtxt(self._folder / f"{name}_{row}.txt") for name in ("label", "centre", "scale")
+        )
+        whole = torch.from_numpy(np.array(Image.open(self._files[row])).transpose(2, 0, 1)).float()
+        if whole.max() > 1:
+            whole /= 255
+        centre, side = centre * np.random.uniform(0.75, 1.25), float(side) * np.random.uniform(0.75, 1.25)
+        for channel in whole:
+            channel.mul_(np.random.uniform(0.8, 1.2)).clamp_(0, 1)
+        crop = self._cut(whole.numpy().transpose(1, 2, 0), centre, side)
+        maps = np.zeros((len(keypoints), 64, 64), dtype=np.float32)
+        for heatmap, position in zip(maps, (keypoints - centre + side / 2) * 64 / side, strict=True):
+            self._paste(heatmap, *position.astype(int))
+        return torch.from_numpy(crop.transpose(2, 0, 1).copy()).float().div(255) - 0.5, torch.from_numpy(maps)
+
+    @staticmethod
+    def _cut(image: np.ndarray, centre: np.ndarray, side: float) -> np.ndarray:
+        left, top = (centre - side / 2).astype(int)
+        size = int(side)
+        cut = np.zeros((size, size, 3))
+        x0, y0, x1, y1 = max(0, left), max(0, top), min(640, left + size), min(480, top + size)
+        cut[y0 - top : y1 - top, x0 - left : x1 - left] = image[y0:y1, x0:x1]
+        grey_levels = ((cut - cut.min()) * (255 / np.ptp(cut))).astype(np.uint8)
+        return np.asarray(Image.fromarray(grey_levels).resize((256, 256), Image.Resampling.BILINEAR))
+
+    @staticmethod
+    def _paste(heatmap: np.ndarray, u: int, v: int) -> None:
+        steps = np.arange(-3.0, 4.0)
+        patch = np.exp(-(steps**2 + steps[:, None] ** 2) / 2)
+        u0, v0, u1, v1 = max(0, u - 3), max(0, v - 3), min(64, u + 4), min(64, v + 4)
+        if u0 < u1 and v0 < v1:
+            heatmap[v0:v1, u0:u1] = patch[v0 - v + 3 : v1 - v + 3, u0 - u + 3 : u1 - u + 3]
+
+
+def step_seconds(network: Network, batch: int) -> float:
+    """CPU seconds an image of a training step, without loading."""
+    module = untrained(CUBE, network, Learning(channels_last=True))
+    optimizer = torch.optim.Adam(module.parameters())
+    side = network.heatmap_px
+    sample = {"heatmaps": torch.rand(batch, 8, side, side), "weights": torch.ones(batch, 8)}
+    images = torch.rand(batch, 3, network.input_px, network.input_px)
+    images = images.contiguous(memory_format=torch.channels_last)
+
+    def step() -> None:
+        loss = module.loss_of(module.network(images), sample)
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+
+    return seconds(step, 2) / batch
 
 
 def main() -> None:
     """Print the table."""
     cv2.setNumThreads(1)
     torch.set_num_threads(1)
-    geometric = Augmentation(gain=0.0, offset=0.0)
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
         files = {suffix: write_dataset(folder, suffix) for suffix in ("jpg", "png")}
-        for name, suffix, cache, target in (
-            ("JPEG", "jpg", False, 150),
-            ("PNG", "png", False, 80),
-            ("cache in memory", "jpg", True, 700),
-            ("cache on disk", "jpg", folder / "cache", 700),
+        images, labels = zip(*instances(files["jpg"]), strict=True)
+        loop = samples_per_second(LoopAndResize(folder, list(images), list(labels)))
+        print(f"{'loop and resize':16s} {loop:6.0f} samples/s")
+        for name, suffix, cache in (
+            ("JPEG", "jpg", False),
+            ("PNG", "png", False),
+            ("cache in memory", "jpg", True),
+            ("cache on disk", "jpg", folder / "cache"),
         ):
-            plain = samples_per_second(KeypointDataset(files[suffix], cache=cache))
-            turned = samples_per_second(KeypointDataset(files[suffix], cache=cache, augment=geometric))
+            rate = samples_per_second(KeypointDataset(files[suffix], cache=cache, augment=Augmentation()))
+            print(f"{name:16s} {rate:6.0f} samples/s, all augmentation: {rate / loop:.1f}x")
+        print("asked: 20x with the cache")
+        for name, network in (("cpu preset", CPU), ("paper's network", Network())):
+            sizes = {"input_px": network.input_px, "heatmap_px": network.heatmap_px}
+            cached = KeypointDataset(files["jpg"], cache=True, augment=Augmentation(), **sizes)
+            loading, learning = 1 / samples_per_second(cached), step_seconds(network, 4)
+            share = loading / (loading + learning)
             print(
-                f"{name:16s} {plain:6.0f} samples/s; {turned:6.0f} with shift, scale, turn (asked {target})"
+                f"{name}: loading {1e3 * loading:.2f} ms, learning {1e3 * learning:.1f} ms an image: "
+                f"{share:.1%} of a step"
             )
-    positions = np.random.default_rng(0).uniform(0, 63, (8, 2))
-    tensor = torch.from_numpy(positions)
-    loop = seconds(lambda: naive_heatmaps(positions, 64), 50)
-    batch = tensor.expand(32, 8, 2).contiguous()
-    one = seconds(lambda: draw_heatmaps(tensor, size_px=64), 500)
-    many = seconds(lambda: draw_heatmaps(batch, size_px=64), 50) / 32
-    print(
-        f"8 heatmaps 64 x 64: loop {loop * 1e6:.0f} us, one sample {one * 1e6:.0f} us ({loop / one:.1f}x), "
-        f"batch of 32 {many * 1e6:.0f} us a sample ({loop / many:.1f}x) (asked 10x)"
-    )
+
+
+def test_loading() -> None:
+    """`make bench` runs this."""
+    main()
 
 
 if __name__ == "__main__":
