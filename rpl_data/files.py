@@ -8,7 +8,7 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, Literal
 
 from rpl_data.types import DataError
 
@@ -65,10 +65,13 @@ def read_json(path: Path) -> Any:
         raise DataError(f"{path} is not valid JSON: {error}; restore it or delete it") from error
 
 
-def read_text(path: Path) -> str:
-    """The content of a text file; DataError when it is missing or not text."""
+def read_text(path: Path, *, errors: Literal["strict", "replace"] = "strict") -> str:
+    """The content of a text file; DataError when it is missing or not text.
+
+    Bytes that are no text may be replaced instead, where the reader judges every line.
+    """
     try:
-        return path.read_text(encoding="utf-8")
+        return path.read_text(encoding="utf-8", errors=errors)
     except FileNotFoundError as error:
         raise DataError(f"{path} does not exist") from error
     except (OSError, UnicodeDecodeError) as error:

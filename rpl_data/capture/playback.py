@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -96,8 +97,14 @@ def playing(file: Path, scratch: Path) -> Iterator[tuple[Iterator[Shot], Streams
         choices = _choices(playback, file)
         playback.pause()  # else the first sensor plays before the second has started
         with opened(playback, choices, lossless=True) as streams:
-            playback.resume()
-            yield streams.shots(patience_s=PATIENCE_S, ended=lambda: _stopped(playback)), streams, lost
+            # It waits for the first frames to be taken, which only happens when it has returned.
+            resuming = threading.Thread(target=playback.resume)
+            resuming.start()
+            try:
+                yield streams.shots(patience_s=PATIENCE_S, ended=lambda: _stopped(playback)), streams, lost
+            finally:
+                streams.close()
+                resuming.join()
     finally:
         repaired.unlink(missing_ok=True)
 

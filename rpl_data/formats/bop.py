@@ -16,6 +16,8 @@ not those of the dataset's own layout.
 
 from __future__ import annotations
 
+import json
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -24,7 +26,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from rpl_data.files import read_json, write_json
+from rpl_data.files import read_json, read_text, write_json
 from rpl_data.formats.frame_files import (
     Camera,
     Listing,
@@ -43,6 +45,8 @@ RATE_HZ = 30.0
 """Of the camera; the layout has no timestamps."""
 
 Json = dict[str, Any]
+
+_KEY = re.compile(r'[\s,]*"(\d+)"\s*:\s*')
 
 
 def read_bop(
@@ -86,7 +90,7 @@ def is_bop_scene(folder: Path) -> bool:
 
 
 def _read_scene(name: str, folder: Path, unit_m: float | None, camera: Camera | None) -> Recording:
-    cameras = _by_id(folder / "scene_camera.json")
+    cameras, lost = _by_id(folder / "scene_camera.json")
     if not cameras:
         raise DataError(f"{folder / 'scene_camera.json'} lists no image")
     source = folder / "scene_camera.json"
@@ -99,6 +103,7 @@ def _read_scene(name: str, folder: Path, unit_m: float | None, camera: Camera | 
         source,
         _one_unit_m(cameras, source) if unit_m is None else unit_m,
         notes=(f"no timestamps: {RATE_HZ:g} image ids a second assumed",),
+        skipped=lost,
     )
     recording = examine(listing)
     poses = {i: invert(_pose(entry, "w2c", source)) for i, entry in cameras.items() if "cam_R_w2c" in entry}
@@ -109,13 +114,32 @@ def _read_scene(name: str, folder: Path, unit_m: float | None, camera: Camera | 
     return _with_truth(recording, folder / "scene_gt.json")
 
 
-def _by_id(path: Path) -> dict[int, Any]:
-    """The content of a file that lists images by their id, in the order of the ids."""
-    content = read_json(path)
+def _by_id(path: Path) -> tuple[dict[int, Any], tuple[str, ...]]:
+    """The entries of a file that lists images by their id, in the order of the ids; what was lost of them."""
+    lost: tuple[str, ...] = ()
     try:
-        return dict(sorted((int(key), value) for key, value in content.items()))
+        content = read_json(path)
+    except DataError:
+        content = _whole_entries(read_text(path))
+        if not content:
+            raise
+        lost = (f"{path.name} was cut off or is broken behind {len(content)} images; the rest of it is lost",)
+    try:
+        return dict(sorted((int(key), value) for key, value in content.items())), lost
     except (AttributeError, ValueError) as error:
         raise DataError(f'{path}: expected {{"<image id>": ...}}: {error}') from error
+
+
+def _whole_entries(text: str) -> dict[str, Any]:
+    """The entries of a JSON object up to the first that is broken."""
+    entries: dict[str, Any] = {}
+    decoder, at = json.JSONDecoder(), text.find("{") + 1
+    while key := _KEY.match(text, at):
+        try:
+            entries[key[1]], at = decoder.raw_decode(text, key.end())
+        except json.JSONDecodeError:
+            break
+    return entries
 
 
 def _color(folder: Path, index: int) -> Path:
@@ -167,7 +191,8 @@ def _with_truth(recording: Recording, path: Path) -> Recording:
         return recording
     poses: dict[str, dict[int, Transform]] = {}
     twice: list[int] = []
-    for index, instances in _by_id(path).items():
+    entries, lost = _by_id(path)
+    for index, instances in entries.items():
         ids = [instance.get("obj_id") for instance in instances]
         twice += [index] if len(set(ids)) < len(ids) else []
         for instance in instances:
@@ -175,7 +200,7 @@ def _with_truth(recording: Recording, path: Path) -> Recording:
                 name = f"obj_{int(_numbers(instance, 'obj_id', 1, path)[0]):06d}"
                 poses.setdefault(name, {})[index] = _pose(instance, "m2c", path)
     notes = grouped(twice, "with an object more than once: the truth leaves that object out")
-    return with_true_poses(replace(recording, notes=(*recording.notes, *notes)), poses)
+    return with_true_poses(replace(recording, notes=(*recording.notes, *lost, *notes)), poses)
 
 
 # Writing ------------------------------------------------------------------------------------------

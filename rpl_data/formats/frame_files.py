@@ -179,6 +179,15 @@ def examine(listing: Listing) -> Recording:
     return Recording(scene, None, (*listing.skipped, *skipped), tuple(notes))
 
 
+def unlisted(list_file: Path, colors: Sequence[Path]) -> tuple[str, ...]:
+    """A note when the folder of the listed colour images holds more: the list may have been cut off."""
+    images = {p for p in colors[0].parent.glob("*") if p.suffix in (".png", ".jpg", ".jpeg")}
+    more = len(images - set(colors))
+    if not more:
+        return ()
+    return (f"{more} images of {colors[0].parent.name}/ are not in {list_file.name}: was the list cut off?",)
+
+
 def with_poses(recording: Recording, poses: Mapping[int, Transform], *, without: str) -> Recording:
     """The recording with scene_from_camera by `Frame.index`; frames that have none are left out.
 

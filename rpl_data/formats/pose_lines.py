@@ -17,9 +17,34 @@ from rpl_data.types import DataError
 
 def data_lines(path: Path) -> Iterator[tuple[int, str]]:
     """Line numbers and lines that are neither empty nor a comment."""
-    for number, line in enumerate(read_text(path).splitlines(), start=1):
+    for number, line in enumerate(read_text(path, errors="replace").splitlines(), start=1):
         if line.strip() and not line.lstrip().startswith("#"):
             yield number, line.strip()
+
+
+def whole_lines(path: Path, words: int) -> tuple[list[tuple[int, str]], tuple[str, ...]]:
+    """The `data_lines` of a file, without the last where it was cut off in its middle; what was lost.
+
+    A writer that was killed, or a copy that was interrupted, leaves a last line without its end: with fewer
+    words, or with fewer decimals than the lines before it all have.
+
+    Args:
+        path: the file.
+        words: on a whole line.
+    """
+    lines = list(data_lines(path))
+    if not lines or read_text(path, errors="replace").endswith("\n"):
+        return lines, ()
+    last, before = lines[-1][1].split(), [line.split() for _, line in lines[-4:-1]]
+    usual = {_decimals(tokens[-1]) for tokens in before}
+    fewer = len(usual) == 1 and _decimals(last[-1]) < max(usual)
+    if len(last) == words and not fewer and "\0" not in last[-1]:
+        return lines, ()
+    return lines[:-1], (f"{path.name} was cut off in the middle of line {lines[-1][0]}, which is lost",)
+
+
+def _decimals(token: str) -> int:
+    return len(token.partition(".")[2])
 
 
 def finite_numbers(tokens: Sequence[str], path: Path, number: int) -> list[float]:
@@ -44,7 +69,7 @@ def read_pose_lines(path: Path) -> tuple[Float64[np.ndarray, " n"], Float64[np.n
     """
     times: list[float] = []
     poses: list[np.ndarray] = []
-    for number, line in data_lines(path):
+    for number, line in whole_lines(path, 8)[0]:  # a frame whose pose was lost is named for lack of it
         tokens = line.split()
         if len(tokens) != 8:
             raise DataError(f"{path} line {number}: expected 't tx ty tz qx qy qz qw', found {line!r}")

@@ -30,15 +30,16 @@ from rpl_data.formats.frame_files import (
     chosen,
     examine,
     match_poses,
+    unlisted,
     with_poses,
     without_poses,
 )
 from rpl_data.formats.image_files import probe
 from rpl_data.formats.pose_lines import (
-    data_lines,
     finite_numbers,
     nearest,
     read_pose_lines,
+    whole_lines,
     write_pose_lines,
 )
 from rpl_data.geometry import Transform
@@ -116,12 +117,21 @@ def _scene_folders(path: Path, names: Sequence[str] | None) -> dict[str, Path]:
 def _read_scene(
     folder: Path, name: str, camera: Camera, camera_file: Path, metres_per_unit: float | None
 ) -> Recording:
-    rows = _read_associations(folder)
+    rows, lost = _read_associations(folder)
     depth = _depth_column(folder, rows)
     unit_m = DEFAULT_METRES_PER_UNIT if metres_per_unit is None else metres_per_unit
     pairs = [Pair(row.index, row.times_s[1 - depth], row.pair[1 - depth], row.pair[depth]) for row in rows]
     listing = Listing(
-        name, folder, "rpl", pairs, camera, camera_file, unit_m, assumed_unit=metres_per_unit is None
+        name,
+        folder,
+        "rpl",
+        pairs,
+        camera,
+        camera_file,
+        unit_m,
+        assumed_unit=metres_per_unit is None,
+        notes=unlisted(folder / "associations.txt", [pair.color for pair in pairs]),
+        skipped=lost,
     )
     recording = examine(listing)
     if not (folder / "camera.poses").exists():
@@ -130,10 +140,12 @@ def _read_scene(
     return with_poses(recording, poses, without="without a pose in camera.poses at their time")
 
 
-def _read_associations(folder: Path) -> list[_Row]:
+def _read_associations(folder: Path) -> tuple[list[_Row], tuple[str, ...]]:
+    """The rows, and what was lost of them."""
     path = folder / "associations.txt"
     rows: list[_Row] = []
-    for number, line in data_lines(path):
+    lines, lost = whole_lines(path, 4)
+    for number, line in lines:
         tokens = line.split()
         if len(tokens) != 4:
             raise DataError(f"{path} line {number}: expected <t> depth/<file> <t> rgb/<file>, found {line!r}")
@@ -141,7 +153,7 @@ def _read_associations(folder: Path) -> list[_Row]:
         rows.append(_Row(len(rows), (times[0], times[1]), (folder / tokens[1], folder / tokens[3])))
     if not rows:
         raise DataError(f"{path} is empty; expected a line a frame: <t> depth/<file> <t> rgb/<file>")
-    return rows
+    return rows, lost
 
 
 def _depth_column(folder: Path, rows: Sequence[_Row]) -> int:

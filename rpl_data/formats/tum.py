@@ -30,16 +30,17 @@ from rpl_data.formats.frame_files import (
     Pair,
     chosen,
     examine,
+    unlisted,
     with_poses,
     without_poses,
 )
 from rpl_data.formats.image_files import probe
 from rpl_data.formats.pose_lines import (
-    data_lines,
     finite_numbers,
     interpolated,
     nearest,
     read_pose_lines,
+    whole_lines,
     write_pose_lines,
 )
 from rpl_data.geometry import Transform
@@ -109,12 +110,13 @@ def is_sequence(folder: Path) -> bool:
 
 def _read_sequence(name: str, folder: Path, unit_m: float | None, camera: Camera | None) -> Recording:
     lens, lens_source = _camera_of(folder, camera)
-    colors, depths = _lists(folder)
+    (colors, depths), lost = _lists(folder)
     pairs, skipped = _associate(colors, depths)
     if not pairs:
         raise DataError(f"{folder}: no image of rgb.txt is within {MAX_APART_S:g} s of one of depth.txt")
     counted = _counts_frames([time for time, _ in colors])
     unit_s = 1 / FRAME_RATE_HZ if counted else 1.0
+    assumed = (f"frames are counted, not timed: {FRAME_RATE_HZ:g} a second assumed",) if counted else ()
     listing = Listing(
         name,
         folder,
@@ -124,8 +126,8 @@ def _read_sequence(name: str, folder: Path, unit_m: float | None, camera: Camera
         lens_source,
         METRES_PER_UNIT if unit_m is None else unit_m,
         assumed_unit=unit_m is None,
-        notes=(f"frames are counted, not timed: {FRAME_RATE_HZ:g} a second assumed",) if counted else (),
-        skipped=skipped,
+        notes=(*assumed, *unlisted(folder / "rgb.txt", [color for _, color in colors])),
+        skipped=(*lost, *skipped),
     )
     recording = examine(listing)
     truth = _truth_file(folder)
@@ -160,19 +162,23 @@ def _camera_of(folder: Path, camera: Camera | None) -> tuple[Camera, Path]:
 # Lists --------------------------------------------------------------------------------------------
 
 
-def _lists(folder: Path) -> tuple[Stamped, Stamped]:
-    """Times and files of colour and depth."""
+def _lists(folder: Path) -> tuple[tuple[Stamped, Stamped], tuple[str, ...]]:
+    """Times and files of colour and depth, and what was lost of the lists."""
     if (folder / "rgb.txt").exists():
-        return _read_list(folder / "rgb.txt", 2)[0], _read_list(folder / "depth.txt", 2)[0]
-    first, second = _read_list(folder / "associations.txt", 4)
+        ((color,), no_color), ((depth,), no_depth) = (
+            _read_list(folder / name, 2) for name in ("rgb.txt", "depth.txt")
+        )
+        return (color, depth), (*no_color, *no_depth)
+    (first, second), lost = _read_list(folder / "associations.txt", 4)
     header = next((found for found in (probe(path) for _, path in first) if found is not None), None)
-    return (second, first) if header is None or header.is_depth else (first, second)
+    return ((second, first) if header is None or header.is_depth else (first, second)), lost
 
 
-def _read_list(path: Path, width: int) -> list[Stamped]:
-    """The columns "t file" of a list with `width` words a line, sorted by the time of the first."""
+def _read_list(path: Path, width: int) -> tuple[list[Stamped], tuple[str, ...]]:
+    """The columns "t file" of a list with `width` words a line, sorted by the time of the first; the loss."""
     rows: list[list[tuple[float, Path]]] = []
-    for number, line in data_lines(path):
+    lines, lost = whole_lines(path, width)
+    for number, line in lines:
         tokens = line.split()
         if len(tokens) != width:
             expected = " ".join(["<t> <file>"] * (width // 2))
@@ -182,7 +188,7 @@ def _read_list(path: Path, width: int) -> list[Stamped]:
     if not rows:
         raise DataError(f"{path} is empty; expected a line an image")
     rows.sort(key=lambda row: row[0][0])
-    return [list(column) for column in zip(*rows, strict=True)]
+    return [list(column) for column in zip(*rows, strict=True)], lost
 
 
 def _counts_frames(times: Sequence[float]) -> bool:
