@@ -99,10 +99,13 @@ class Reconstruct:
         method: `given` takes the poses of the recording. `track`, computing them from the images, is
             a word of the grammar that this version refuses.
         voxel_m: size of a voxel of the fused surface.
+        max_drift_mm: a recording whose poses stray farther than this over time, as its depth images show,
+            is cut into several scenes, each placed by its own clicks.
     """
 
     method: Literal["given", "track"] = "given"
     voxel_m: float = 0.003
+    max_drift_mm: float = 15.0
 
 
 @dataclass(frozen=True)
@@ -273,6 +276,10 @@ def _check(recipe: Recipe, source: str) -> None:
         raise DataError(
             f"{source}: reconstruct.method `track` is not part of this version; "
             "use `given` with a recording that has camera poses"
+        )
+    if not recipe.reconstruct.max_drift_mm > 0:
+        raise DataError(
+            f"{source}: reconstruct.max_drift_mm must be positive, got {recipe.reconstruct.max_drift_mm}"
         )
     if not 0 <= recipe.split.val_fraction < 1:
         raise DataError(f"{source}: split.val_fraction must be in [0, 1), got {recipe.split.val_fraction}")

@@ -69,11 +69,11 @@ def truth_from_poses(
     """
     objects = true_objects(read_json(poses), source=str(poses), meshes=meshes or {})
     scenes = {scene for one in objects for scene, _ in one.camera_from_object}
-    known = [name for name in workspace.scene_names() if name in scenes]
+    known = [name for name in workspace.video_names() if name in scenes]
     if not known:
         raise DataError(
             f"{poses} has poses for the scenes {sorted(scenes)}; the workspace has "
-            f"{workspace.scene_names()}; name them alike"
+            f"{workspace.video_names()}; name them alike"
         )
     for one in objects:
         count = len(one.model.keypoints)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -17,6 +17,7 @@ from rpl_data import records
 from rpl_data.clicklog import Annotation, Event, replay
 from rpl_data.files import read_json, read_text, write_bytes, write_json, write_text, writing
 from rpl_data.geometry import from_quaternion_xyzw, to_quaternion_xyzw
+from rpl_data.parts import Parts, Span
 from rpl_data.ply import cloud_to_ply, mesh_to_ply
 from rpl_data.types import (
     ColorImage,
@@ -43,7 +44,8 @@ class Workspace:
         recipe.yaml                   the resolved recipe that built it
         stages.json                   what each stage ran with
         recording/                    the synthetic recording of a twin, with recording/truth/
-        scenes/<scene>/               scene.json  trajectory.txt  surface.ply  cache/  images/
+        scenes/<scene>/               scene.json  trajectory.txt  drift.json  surface.ply  cache/  images/
+                                      parts.json, when it was cut into scenes/<scene>.1/, <scene>.2/, ...
         objects/<object>/             clicks.jsonl  solution.json  mesh.ply  cloud.ply
         labels/<scene>.jsonl          a line a frame
         export/<format>/              coco, coco_truth, ...
@@ -96,6 +98,14 @@ class Workspace:
         """Surface near the objects, in the scene frame."""
         return self.root / "scenes" / scene / "surface.ply"
 
+    def drift_file(self, scene: str) -> Path:
+        """How far the poses of a recording stray."""
+        return self.root / "scenes" / scene / "drift.json"
+
+    def parts_file(self, scene: str) -> Path:
+        """The scenes a recording was cut into; none while it is whole."""
+        return self.root / "scenes" / scene / "parts.json"
+
     def cache(self, scene: str) -> Path:
         """Decoded depth and other things that can be rebuilt at any time."""
         return self.root / "scenes" / scene / "cache"
@@ -127,8 +137,16 @@ class Workspace:
     # Names ----------------------------------------------------------------------------------------
 
     def scene_names(self) -> list[str]:
-        """Scenes of the workspace, sorted."""
-        return sorted(path.parent.name for path in self.root.glob("scenes/*/scene.json"))
+        """Scenes of the workspace, sorted; of a recording that was cut its parts."""
+        return sorted(self._all_scenes() - self.parts().spans.keys())
+
+    def video_names(self) -> list[str]:
+        """Recordings of the workspace as they were read, sorted; labels are kept by these."""
+        parts = self.parts()
+        return sorted({parts.video_of(name) for name in self._all_scenes()})
+
+    def _all_scenes(self) -> set[str]:
+        return {path.parent.name for path in self.root.glob("scenes/*/scene.json")}
 
     def object_names(self) -> list[str]:
         """Objects that have clicks or a solution, sorted."""
@@ -136,7 +154,7 @@ class Workspace:
         return sorted({path.parent.name for path in folders})
 
     def labelled_scene_names(self) -> list[str]:
-        """Scenes with labels, sorted."""
+        """Recordings with labels, sorted."""
         return sorted(path.stem for path in self.root.glob("labels/*.jsonl"))
 
     # Scenes ---------------------------------------------------------------------------------------
@@ -156,6 +174,39 @@ class Workspace:
     def load_scene(self, scene: str) -> Scene:
         """The scene alone."""
         return self.load_recording(scene).scene
+
+    def parts(self) -> Parts:
+        """How recordings were cut."""
+        spans = {path.parent.name: read_json(path) for path in self.root.glob("scenes/*/parts.json")}
+        return Parts({name: tuple((first, last) for first, last in found) for name, found in spans.items()})
+
+    def cut_scene(self, video: str, spans: Sequence[Span]) -> None:
+        """Make the parts of a recording scenes of their own; a single one makes it whole again.
+
+        Raises:
+            DataError: another recording has the name of a part.
+        """
+        for old in set(self.parts().scenes_of(video)) - {video}:
+            remove(self.scene_file(old).parent)
+        remove(self.parts_file(video))
+        if len(spans) < 2:
+            return
+        recording = self.load_recording(video)
+        trajectory = self.load_trajectory(recording.scene)
+        parts = Parts({video: tuple(spans)})
+        taken = self._all_scenes() & set(parts.scenes_of(video))
+        if taken:
+            raise DataError(
+                f"scene {video} is cut into {', '.join(parts.scenes_of(video))}, but another recording is "
+                f"called {', '.join(sorted(taken))}; rename it"
+            )
+        for name in parts.scenes_of(video):
+            frames = tuple(f for f in recording.scene.frames if parts.scene_at(video, f.index) == name)
+            rows = np.array([parts.scene_at(video, int(index)) == name for index in trajectory.frames])
+            scene = replace(recording.scene, name=name, frames=frames)
+            poses = Trajectory(trajectory.frames[rows], trajectory.scene_from_camera[rows])
+            self.save_recording(Recording(scene, poses))
+        write_json(self.parts_file(video), [list(span) for span in spans])
 
     def save_trajectory(self, scene: Scene, trajectory: Trajectory) -> None:
         """Write TUM lines `t tx ty tz qx qy qz qw`, scene_from_camera, in full precision."""
@@ -184,7 +235,8 @@ class Workspace:
     def append_events(self, object_name: str, events: Iterable[Event]) -> None:
         """Add events to the log of clicks, all or none; they are on the disk when this returns."""
         path = self.clicks_file(object_name)
-        lines = "".join(json.dumps(event) + "\n" for event in events)
+        parts = self.parts()
+        lines = "".join(json.dumps(parts.event_in_video(event)) + "\n" for event in events)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             _append(path, lines.encode())
@@ -208,7 +260,8 @@ class Workspace:
                 if number == len(lines):  # no newline at its end: never acknowledged
                     continue
                 raise DataError(f"{path} line {number} is broken: {error}; delete that line") from error
-        return events
+        parts = self.parts()
+        return [parts.event_in_scene(event) for event in events]
 
     def load_annotation(self, object_name: str) -> Annotation:
         """Keypoint names and clicks of an object."""

@@ -187,7 +187,7 @@ def test_shifted_depth_is_measured() -> None:
                    for n, (color, depth_m) in enumerate(shots)})  # fmt: skip
     np.testing.assert_allclose(found.shift_px, [-20, 0], atol=2.5)
     assert abs(found.lag_frames) < 0.25
-    assert found.contrast > 1.2
+    assert found.shift_contrast > 1.2
 
 
 def test_depth_of_another_field_of_view_is_found_and_the_named_option_mends_it(

@@ -16,10 +16,10 @@ STAGES = {
 LAYERS = [
     {"types"},
     {"clicklog", "files", "geometry", "ply", "records"},
-    {"masks", "mend", "regions", "split"},
+    {"masks", "mend", "parts", "regions", "reprojection", "split"},
     {
-        "adjustment", "completion", "formats", "lift", "occlusion", "overlay", "pool", "pose",
-        "raycast", "reprojection", "simplify", "steps", "views", "workspace",
+        "adjustment", "completion", "drift", "formats", "lift", "occlusion", "overlay", "pool", "pose",
+        "raycast", "simplify", "steps", "views", "workspace",
     },
     STAGES,
     {"recipe", "torch"},

@@ -21,11 +21,15 @@ from rpl_data.doctor.edges import STEP_PX, Edges, Pair
 NEARLY_PX = 6.0
 """Edges of depth are uncertain by this much; a registration within it is as good as can be seen."""
 
-ZOOMS = np.geomspace(1 / 1.3, 1.3, 19)
-"""A depth camera's field of view differs from its colour camera's by a quarter at most (D435: 0.79)."""
+ZOOMS = np.geomspace(1 / 1.7, 1.7, 27)
+"""In steps of 4 %. Without registration a Kinect has 0.9, a D435 at 640 x 480 has 1.6."""
 
 MUCH_HIGHER = 1.2
-"""A zoom must make the peak higher than without by this factor."""
+"""A zoom must make the peak higher by this factor than none does, and than all zooms that are not near."""
+
+NEAR_ZOOM = 1.12
+"""A true zoom is sharp: this far from it, edges at half the way to the sides are 10 px off. Where edges are
+few and close together a zoom and a shift do the same, and the height hardly depends on the zoom."""
 
 Spectrum = Complex64[np.ndarray, "rows half"]
 
@@ -40,9 +44,9 @@ class Alignment:
         shift_px: then be moved by this (u, v), to meet the colour images at that lag.
         lag_sigma, zoom_sigma, shift_sigma_px: standard errors by the jackknife (Efron and Stein, 1981);
             large where there are too few edges to tell.
-        contrast: how many times higher the peak is than the correlation of the images as they are
-            (no lag, no zoom, hardly a shift); 1 when that is the peak. Print along an object's edges can
-            make a second peak that is as high.
+        lag_contrast, shift_contrast: how many times higher the peak is than that of the images as they are
+            (no lag, no zoom, hardly a shift), and than that at the same lag; 1 when that is the peak. Print
+            along an object's edges can make a second peak that is as high.
         near: heights of the peaks of hardly any shift, a column a lag, a row a group that was left out.
     """
 
@@ -52,7 +56,8 @@ class Alignment:
     lag_sigma: float
     zoom_sigma: float
     shift_sigma_px: float
-    contrast: float
+    lag_contrast: float
+    shift_contrast: float
     near: Float64[np.ndarray, "groups lags"]
 
     def prefers(self, lag: int) -> float:
@@ -101,10 +106,11 @@ def align(
     by_lag = _best(lags.astype(float), plain, spectra.shape, reach_px)
     lag = round(by_lag.value) if by_lag.sigma < 0.5 else 0
     by_zoom = _best(ZOOMS, spectra.summed(np.full(len(ZOOMS), lag), ZOOMS), spectra.shape, reach_px)
-    zoomed = by_zoom.height > MUCH_HIGHER * by_lag.height
+    zoomed = by_zoom.height > MUCH_HIGHER * max(by_lag.height, by_zoom.elsewhere(NEAR_ZOOM))
     if zoomed:
         summed = spectra.summed(lags, np.full(len(lags), by_zoom.value))
         by_lag = _best(lags.astype(float), summed, spectra.shape, reach_px)
+    as_is = near.mean(axis=0)
     return Alignment(
         lag_frames=by_lag.value,
         zoom=by_zoom.value if zoomed else 1.0,
@@ -112,7 +118,8 @@ def align(
         lag_sigma=by_lag.sigma,
         zoom_sigma=by_zoom.sigma,
         shift_sigma_px=by_lag.shift_sigma_px,
-        contrast=by_lag.height / max(float(near[:, max_lag].mean()), 1e-3 * by_lag.height),
+        lag_contrast=by_lag.height / max(as_is[max_lag], 1e-3 * by_lag.height),
+        shift_contrast=by_lag.height / max(as_is[max_lag + round(by_lag.value)], 1e-3 * by_lag.height),
         near=near,
     )
 
@@ -174,17 +181,6 @@ def _zoomed(edges: Edges, zoom: float) -> Edges:
     return cv2.warpAffine(edges, matrix, (width, height)).astype(np.float32)
 
 
-@dataclass(frozen=True)
-class _Best:
-    """What makes the highest peak, of all that was tried; see `Alignment`."""
-
-    value: float
-    sigma: float
-    shift_px: Float64[np.ndarray, "2"]
-    shift_sigma_px: float
-    height: float
-
-
 def _near(summed: Summed, shape: tuple[int, int], reach_px: float) -> Float64[np.ndarray, "groups tried"]:
     """Height of the peak of hardly any shift of everything tried, leaving out a group at a time."""
     total = summed.sum(axis=0)
@@ -196,17 +192,39 @@ def _near(summed: Summed, shape: tuple[int, int], reach_px: float) -> Float64[np
     )
 
 
+@dataclass(frozen=True)
+class _Best:
+    """What makes the highest peak, of all that was tried; see `Alignment`.
+
+    Attributes:
+        tried, heights: all that was tried, and the peaks it makes.
+    """
+
+    value: float
+    sigma: float
+    shift_px: Float64[np.ndarray, "2"]
+    shift_sigma_px: float
+    height: float
+    tried: Float64[np.ndarray, " tried"]
+    heights: Float64[np.ndarray, " tried"]
+
+    def elsewhere(self, factor: float) -> float:
+        """The highest peak of what is larger or smaller than the best by more than a factor."""
+        apart = np.abs(np.log(self.tried / self.value)) > np.log(factor)
+        return float(self.heights[apart].max(initial=0.0))
+
+
 def _best(
     tried: Float64[np.ndarray, " tried"], summed: Summed, shape: tuple[int, int], reach_px: float
 ) -> _Best:
     """The value with the highest peak, and its standard error by leaving out a group at a time."""
     total = summed.sum(axis=0)
-    value, shift_px, height = _highest(tried, total, shape, reach_px)
+    value, shift_px, heights = _highest(tried, total, shape, reach_px)
     without = [_highest(tried, total - group, shape, reach_px) for group in summed]
     factor = np.sqrt(len(summed) - 1)
     sigma = float(factor * np.std([other for other, _, _ in without]))
     shift_sigma_px = float(factor * np.linalg.norm(np.std([other for _, other, _ in without], axis=0)))
-    return _Best(value, sigma, shift_px, shift_sigma_px, height)
+    return _Best(value, sigma, shift_px, shift_sigma_px, float(heights.max()), tried, heights)
 
 
 def _highest(
@@ -214,14 +232,14 @@ def _highest(
     total: Complex64[np.ndarray, "tried rows half"],
     shape: tuple[int, int],
     reach_px: float,
-) -> tuple[float, Float64[np.ndarray, "2"], float]:
-    """The value with the highest peak, refined by a parabola through its neighbours; its shift and height."""
+) -> tuple[float, Float64[np.ndarray, "2"], Float64[np.ndarray, " tried"]]:
+    """The value with the highest peak, refined by a parabola; the shift there; the heights of all."""
     peaks = [_peak(irfft2(spectrum, s=shape), reach_px) for spectrum in total]
-    heights = [height for height, _ in peaks]
+    heights = np.array([height for height, _ in peaks], dtype=float)
     best = int(np.argmax(heights))
     inner = 0 < best < len(tried) - 1
-    offset = _vertex(*heights[best - 1 : best + 2]) if inner else 0.0
-    return float(np.interp(best + offset, np.arange(len(tried)), tried)), peaks[best][1], heights[best]
+    offset = _vertex(*heights[best - 1 : best + 2].tolist()) if inner else 0.0
+    return float(np.interp(best + offset, np.arange(len(tried)), tried)), peaks[best][1], heights
 
 
 def _peak(

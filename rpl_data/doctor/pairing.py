@@ -36,7 +36,7 @@ def lag_of(aligned: Alignment) -> Lag:
     """The lag that the edges show; none in whole frames where it is not sure."""
     sure = aligned.sure_of_lag(LEAST_LAG_FRAMES)
     whole = round(aligned.lag_frames)
-    if whole and aligned.contrast < LEAST_CONTRAST:
+    if whole and aligned.lag_contrast < LEAST_CONTRAST:
         return Lag(aligned.lag_frames, 0, 0.0)
     return Lag(aligned.lag_frames, whole if sure >= SURE else 0, sure)
 
@@ -86,7 +86,7 @@ def misregistered(scene: Scene, aligned: Alignment) -> list[Finding]:
     sure_of_shift = aligned.sure_of_shift(LEAST_SHIFT * scene.intrinsics.width)
     sure_of_zoom = aligned.sure_of_zoom(LEAST_ZOOM) if aligned.zoom != 1 else 0.0
     sure = max(sure_of_shift, sure_of_zoom)
-    if sure < SURE or aligned.contrast < LEAST_CONTRAST:
+    if sure < SURE or aligned.shift_contrast < LEAST_CONTRAST:
         return []
     what, zoom = [], 1.0
     shift_px = tuple(np.rint(aligned.shift_px).tolist())

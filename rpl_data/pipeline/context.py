@@ -16,6 +16,8 @@ VERSIONS = {
     "twin": 3,
     "import": 1,
     "clicks": 1,
+    "drift": 1,
+    "cut": 1,
     "solve": 1,
     "surface": 1,
     "segment": 1,
@@ -61,6 +63,19 @@ class Context:
         """Solutions of the objects that stand in a scene."""
         solutions = [self.workspace.load_solution(name) for name in self.object_names]
         return [solution for solution in solutions if scene in solution.scene_from_object]
+
+    def placed_videos(self) -> list[str]:
+        """Recordings in which at least one object has a place."""
+        parts = self.workspace.parts()
+        return sorted({parts.video_of(scene) for scene in self.placed_scenes()})
+
+    def frames_of(self, scene: str) -> Json:
+        """Which frames of its recording a scene is, for the options of steps; nothing when it is whole."""
+        parts = self.workspace.parts()
+        video = parts.video_of(scene)
+        if video not in parts.spans:
+            return {}
+        return {"frames": list(parts.spans[video][parts.scenes_of(video).index(scene)])}
 
     def placed_scenes(self) -> list[str]:
         """Scenes in which at least one object has a place."""

@@ -57,7 +57,12 @@ def _surface_step(context: Context, name: str) -> Step:
     before = [f"solve/{item.model.name}" for item in context.solutions_in(name)]
     output = workspace.surface_file(name)
     return step(
-        "surface", name, run, options={"voxel_m": voxel_m}, after=["import", *before], outputs=[output]
+        "surface",
+        name,
+        run,
+        options={"voxel_m": voxel_m} | context.frames_of(name),
+        after=["import", *before],
+        outputs=[output],
     )
 
 

@@ -43,7 +43,8 @@ def import_steps(context: Context) -> list[Step]:
 
     def run(advance: Advance) -> Outcome:
         recordings = read_recordings(sources, unpack=lambda name: _emptied(workspace.images(name)))
-        for gone in set(workspace.scene_names()) - {recording.scene.name for recording in recordings}:
+        for gone in set(workspace.video_names()) - {recording.scene.name for recording in recordings}:
+            workspace.cut_scene(gone, ())
             remove(workspace.scene_file(gone).parent)
             remove(workspace.labels_file(gone))
         for recording in recordings:
@@ -58,7 +59,7 @@ def import_steps(context: Context) -> list[Step]:
     paths = [source.path for source in sources]
     seen = stamps(*paths, but_not=workspace.root.resolve() if not context.recipe.twin else workspace.truth)
     options = {"scenes": [asdict(source) | {"path": str(source.path)} for source in sources]}
-    outputs = [workspace.scene_file(name) for name in workspace.scene_names()]
+    outputs = [workspace.scene_file(name) for name in workspace.video_names()]
     return [step("import", "", run, options=options, sources=seen, after=["twin"], outputs=outputs)]
 
 
@@ -132,6 +133,7 @@ def import_clicks(workspace: Workspace, item: ObjectRecipe, path: Path) -> int:
     clicks = clicks_from_csv(
         read_text(path), source=str(path), object_name=item.name, keypoints=item.keypoint_names
     )
+    clicks = [workspace.parts().click_in_scene(click) for click in clicks]
     events = events_to(workspace.load_annotation(item.name), item.keypoint_names, clicks)
     if events:
         workspace.append_events(item.name, events)
@@ -153,6 +155,7 @@ def add_clicks(context: Context, path: Path) -> dict[str, int]:
         annotation = context.workspace.load_annotation(item.name)
         names = annotation.keypoints or item.keypoint_names
         clicks = clicks_from_csv(text, source=str(path), object_name=item.name, keypoints=names)
+        clicks = [context.workspace.parts().click_in_scene(click) for click in clicks]
         events[item.name] = events_to(annotation, names, [*annotation.clicks, *clicks])
     for name, found in events.items():  # after all of the file was understood
         context.workspace.append_events(name, found)
@@ -162,7 +165,10 @@ def add_clicks(context: Context, path: Path) -> dict[str, int]:
 def clicks_table(workspace: Workspace) -> str:
     """The clicks of all objects as CSV, the heading once."""
     annotations = [workspace.load_annotation(name) for name in workspace.object_names()]
-    tables = [clicks_to_csv(found.clicks, found.keypoints) for found in annotations if found.clicks]
+    in_video = workspace.parts().click_in_video
+    tables = [
+        clicks_to_csv(map(in_video, found.clicks), found.keypoints) for found in annotations if found.clicks
+    ]
     if not tables:
         raise DataError(f"{workspace.root} has no clicks to export")
     return tables[0] + "".join(table.split("\n", 1)[1] for table in tables[1:])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from rpl_data.geometry import Transform
@@ -15,41 +16,53 @@ from rpl_data.workspace import Workspace, load_mesh, read_depth_m, remove
 
 
 def label_steps(context: Context) -> list[Step]:
-    """Dense models and poses -> labels of the chosen frames, a scene."""
-    for gone in set(context.workspace.labelled_scene_names()) - set(context.placed_scenes()):
+    """Dense models and poses -> labels of the chosen frames, a recording."""
+    for gone in set(context.workspace.labelled_scene_names()) - set(context.placed_videos()):
         remove(context.workspace.labels_file(gone))
-    return [_label_step(context, name) for name in context.placed_scenes()]
+    return [_label_step(context, name) for name in context.placed_videos()]
 
 
-def _label_step(context: Context, name: str) -> Step:
+def _label_step(context: Context, video: str) -> Step:
     workspace, rate_hz = context.workspace, context.recipe.label.rate_hz
-    objects = [item.model.name for item in context.solutions_in(name)]
+    parts = workspace.parts()
+    standing = {scene: context.solutions_in(scene) for scene in parts.scenes_of(video)}
+    placed = {scene: [item.model.name for item in found] for scene, found in standing.items() if found}
+    names = [name for name in context.object_names if any(name in found for found in placed.values())]
 
     def run(advance: Advance) -> Outcome:
         counts: Counter[str] = Counter()
-        scene = workspace.load_scene(name)
+        scene = workspace.load_scene(video)
         frames = sample_frames(posed_frames(scene, workspace.load_trajectory(scene)), rate_hz=rate_hz)
-        ranges = context.pool.ranges(len(frames))
-        tasks = [(workspace.root, name, objects, [f.index for f in frames[a:b]]) for a, b in ranges]
+        chosen = {
+            name: [f.index for f in frames if parts.scene_at(video, f.index) == name] for name in placed
+        }
+        total = sum(map(len, chosen.values()))
+
+        def labels() -> Iterator[FrameLabel]:
+            for name, indices in chosen.items():
+                ranges = context.pool.ranges(len(indices))
+                tasks = [(workspace.root, name, video, placed[name], indices[a:b]) for a, b in ranges]
+                yield from context.pool.stream(label_range, tasks)
 
         def counted() -> Iterator[FrameLabel]:
-            for done, label in enumerate(context.pool.stream(label_range, tasks), start=1):
-                advance(done, len(frames))
+            for done, label in enumerate(labels(), start=1):
+                advance(done, total)
                 counts.update(instance.object for instance in label.instances)
                 yield label
 
-        workspace.save_labels(name, counted())
-        return Outcome(len(frames), details={"instances": {item: counts[item] for item in objects}})
+        workspace.save_labels(video, counted())
+        return Outcome(total, details={"instances": {item: counts[item] for item in names}})
 
-    before = [f"{stage}/{item}" for item in objects for stage in ("solve", "segment")]
-    output = workspace.labels_file(name)
-    return step("label", name, run, options={"rate_hz": rate_hz}, after=["import", *before], outputs=[output])
+    before = [f"{stage}/{item}" for item in names for stage in ("solve", "segment")]
+    options = {"rate_hz": rate_hz} | {name: context.frames_of(name) for name in placed if name != video}
+    output = workspace.labels_file(video)
+    return step("label", video, run, options=options, after=["import", *before], outputs=[output])
 
 
 def label_range(
-    root: Path, name: str, objects: Sequence[str], indices: Sequence[int]
+    root: Path, name: str, video: str, objects: Sequence[str], indices: Sequence[int]
 ) -> Iterator[FrameLabel]:
-    """Labels of some frames of a scene; runs in this process or in another."""
+    """Labels of some frames of a scene, under the name of its recording; runs here or in another process."""
     workspace = Workspace(root)
     scene = workspace.load_scene(name)
     trajectory = workspace.load_trajectory(scene)
@@ -57,7 +70,7 @@ def label_range(
     chosen = set(indices)
     frames = [frame for frame in scene.frames if frame.index in chosen]
     depths = ((f, None if f.depth is None else read_depth_m(scene, f)) for f in frames)
-    return label_frames(scene, trajectory, bodies, depths)
+    return label_frames(replace(scene, name=video), trajectory, bodies, depths)
 
 
 def scene_object(workspace: Workspace, object_name: str, scene: str) -> SceneObject:

@@ -45,7 +45,7 @@ def _export_step(context: Context, name: str) -> Step:
         name,
         run,
         options={"split": asdict(context.recipe.split), "objects": context.object_names},
-        after=[f"label/{scene}" for scene in context.placed_scenes()],
+        after=[f"label/{video}" for video in context.placed_videos()],
         outputs=[context.workspace.export(name)],
     )
 
@@ -135,7 +135,7 @@ def quality_steps(context: Context) -> list[Step]:
             sum(row.frames for row in rows), details={"rows": [finite_or_none(asdict(r)) for r in rows]}
         )
 
-    before = [f"label/{scene}" for scene in context.placed_scenes()]
+    before = [f"label/{video}" for video in context.placed_videos()]
     sources = {} if recipe.truth is None else stamps(recipe.truth)
     return [step("quality", "", run, options={}, sources=sources, after=["twin", *before])]
 

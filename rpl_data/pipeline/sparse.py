@@ -39,7 +39,12 @@ def _solve_step(context: Context, item: ObjectRecipe) -> Step:
         item.name,
         run,
         options=options
-        | {"keypoints": list(item.keypoint_names), "skeleton": [list(e) for e in item.skeleton]},
+        | {"keypoints": list(item.keypoint_names), "skeleton": [list(e) for e in item.skeleton]}
+        | {
+            "parts": {
+                video: [list(span) for span in spans] for video, spans in workspace.parts().spans.items()
+            }
+        },
         sources=stamps(workspace.clicks_file(item.name)),
         after=["import"],
         outputs=[workspace.solution_file(item.name)],

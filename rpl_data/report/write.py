@@ -36,7 +36,7 @@ def write_report(
         split: the summary of the split, plain text.
         warnings: lines of the build, shown with those of the solutions and the recordings.
     """
-    scenes = [summarise_scene(workspace, name) for name in workspace.scene_names()]
+    scenes = [summarise_scene(workspace, name) for name in workspace.video_names()]
     solutions = [
         workspace.load_solution(name)
         for name in workspace.object_names()

@@ -1,0 +1,166 @@
+"""How far the poses of a scene stray over time, and where to cut it so that no part strays too far.
+
+Labels carry one `scene_from_object` through a whole scene (Eq. 3), so they are wrong by what the poses
+have strayed since the clicked frames. Depth images say how much that is: some frames, evenly spread, are
+moved into one another by their poses; what they disagree by beyond the disagreement of neighbours, which
+is noise, is drift. Only what changes depth is seen, about a third to a half of a drift in any direction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+from rpl_data.geometry import invert
+from rpl_data.parts import Span
+from rpl_data.reprojection import depth_reprojection_error_m
+from rpl_data.types import DepthImage, Frame, Scene, Trajectory
+
+FEWEST_PAIRS = 3
+"""Fewer pairs of frames say little: one may be off by what hides between its views."""
+
+
+@dataclass(frozen=True)
+class Drift:
+    """How far apart the poses of some frames of a scene have strayed.
+
+    Attributes:
+        frames: `Frame.index` of the frames that were looked at, in order.
+        between_m: drift between two of them, beyond the noise; NaN where their views hardly overlap.
+        noise_m: what neighbouring frames of the recording disagree by.
+    """
+
+    frames: Int64[np.ndarray, " n"]
+    between_m: Float64[np.ndarray, "n n"]
+    noise_m: float
+
+    def of_stretch(self, first: int, behind: int) -> float:
+        """Drift in metres over the frames looked at, rows first to behind - 1.
+
+        Pairs of frames are taken together with those about as far apart, as many as there are frames; it
+        is the median of such a group, of the group where that is largest.
+        """
+        count = behind - first
+        i, j = np.triu_indices(count, 1)
+        between = self.between_m[first:behind, first:behind][i, j]
+        seen = np.isfinite(between)
+        farthest_first = between[seen][np.argsort(i[seen] - j[seen], kind="stable")]
+        groups = np.array_split(farthest_first, max(1, len(farthest_first) // max(FEWEST_PAIRS, count)))
+        return max((float(np.median(group)) for group in groups if len(group)), default=0.0)
+
+    @property
+    def whole_m(self) -> float:
+        """Drift over the whole scene."""
+        return self.of_stretch(0, len(self.frames))
+
+
+def measure_drift(
+    scene: Scene,
+    trajectory: Trajectory,
+    read_depth_m: Callable[[Scene, Frame], DepthImage],
+    *,
+    most_frames: int = 24,
+    most_neighbours: int = 8,
+    advance: Callable[[int, int], None] = lambda done, total: None,
+) -> Drift:
+    """Compare `most_frames` depth images with one another, and some with their neighbours.
+
+    Args:
+        read_depth_m: reads a depth image.
+        advance: called with the images read and how many will be.
+    """
+    posed = set(trajectory.frames.tolist())
+    frames = [frame for frame in scene.frames if frame.index in posed and frame.depth is not None]
+    rows = _spread(len(frames), most_frames)
+    beside = _spread(len(frames) - 1, most_neighbours)
+    wanted = sorted({*rows, *beside, *(row + 1 for row in beside)})
+    depths_m = {}
+    for number, row in enumerate(wanted):
+        advance(number, len(wanted))
+        depths_m[row] = read_depth_m(scene, frames[row])
+
+    def error_m(a: int, b: int) -> float:
+        a_from_b = invert(trajectory.at(frames[a].index)) @ trajectory.at(frames[b].index)
+        return depth_reprojection_error_m(scene.intrinsics, a_from_b, depths_m[a], depths_m[b])
+
+    neighbours = np.array([error_m(row, row + 1) for row in beside], dtype=float)
+    noise_m = float(np.median(neighbours[np.isfinite(neighbours)])) if np.isfinite(neighbours).any() else 0.0
+    between_m = np.zeros((len(rows), len(rows)))
+    for i, j in zip(*np.triu_indices(len(rows), 1), strict=True):
+        excess = np.sqrt(np.maximum(error_m(rows[i], rows[j]) ** 2 - noise_m**2, 0.0))
+        between_m[i, j] = between_m[j, i] = excess
+    indices = np.array([frames[row].index for row in rows], dtype=np.int64)
+    return Drift(indices, between_m, noise_m)
+
+
+def _spread(count: int, most: int) -> list[int]:
+    """At most so many of the numbers from 0 to count - 1, evenly spread."""
+    if count < 1:
+        return []
+    rows: list[int] = np.unique(np.linspace(0, count - 1, min(most, count)).round().astype(int)).tolist()
+    return rows
+
+
+def cut(
+    drift: Drift,
+    *,
+    max_drift_m: float,
+    most_parts: int = 6,
+    allowed: Callable[[int, int], bool] = lambda first, last: True,
+) -> list[Span] | None:
+    """The fewest stretches that stray no farther than allowed, the worst of them as little as can be.
+
+    Args:
+        allowed: whether frames first to last may be a part.
+
+    Returns:
+        First and last frame (`Frame.index`) of every part, between them all frames; a single one for a
+        scene that need not be cut, none without frames. None when `most_parts` would not do.
+    """
+    count = len(drift.frames)
+    if count == 0:
+        return []
+    strayed_m = {
+        (a, b): drift.of_stretch(a, b) if allowed(*_span(drift.frames, a, b)) else np.inf
+        for a in range(count)
+        for b in range(a + 1, count + 1)
+    }
+    # By the rows that are dealt out: drift of the worst part, and where parts begin, of their best cut.
+    best: dict[int, tuple[float, tuple[int, ...]]] = {
+        b: (drift.of_stretch(0, b) if b == count else strayed_m[0, b], (0,)) for b in range(1, count + 1)
+    }
+    for parts in range(1, most_parts + 1):
+        if count not in best:
+            break
+        if best[count][0] <= max_drift_m:
+            begins = (*best[count][1], count)
+            return [_span(drift.frames, a, b) for a, b in pairwise(begins)]
+        best = {
+            b: min((max(best[a][0], strayed_m[a, b]), (*best[a][1], a)) for a in range(parts, b))
+            for b in range(parts + 1, count + 1)
+        }
+    return None
+
+
+def _span(frames: Int64[np.ndarray, " n"], a: int, b: int) -> Span:
+    """Frames of the part of rows a to b - 1; a cut lies in the middle between the frames looked at."""
+    first = int(frames[0]) if a == 0 else int(frames[a - 1] + frames[a]) // 2 + 1
+    last = int(frames[-1]) if b == len(frames) else int(frames[b - 1] + frames[b]) // 2
+    return first, last
+
+
+def drift_to_json(drift: Drift) -> dict[str, Any]:
+    """JSON-ready; null where views hardly overlap."""
+    between = [[None if np.isnan(m) else round(float(m), 6) for m in row] for row in drift.between_m]
+    return {"frames": drift.frames.tolist(), "between_m": between, "noise_m": drift.noise_m}
+
+
+def drift_from_json(data: dict[str, Any]) -> Drift:
+    """The drift of `drift_to_json`."""
+    between_m = np.array(data["between_m"], dtype=float).reshape(2 * (len(data["frames"]),))
+    return Drift(np.array(data["frames"], dtype=np.int64), between_m, data["noise_m"])

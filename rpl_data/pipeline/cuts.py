@@ -1,0 +1,127 @@
+"""How far poses stray, and scenes cut so that labels do not."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from rpl_data.drift import Drift, cut, drift_from_json, drift_to_json, measure_drift
+from rpl_data.files import read_json, write_json
+from rpl_data.parts import Span
+from rpl_data.pipeline.context import Context, step
+from rpl_data.steps import Advance, Outcome, Step, stamps
+from rpl_data.types import Click, DataError
+from rpl_data.workspace import read_depth_m
+
+FEWEST_KEYPOINTS = 4
+"""Of an object, in every part, and clicked elsewhere too: three tie a part to the rest, one is spare."""
+
+
+def drift_steps(context: Context) -> list[Step]:
+    """Depth images and poses -> how far the poses stray, a recording."""
+    return [_drift_step(context, name) for name in context.workspace.video_names()]
+
+
+def _drift_step(context: Context, name: str) -> Step:
+    workspace = context.workspace
+
+    def run(advance: Advance) -> Outcome:
+        scene = workspace.load_scene(name)
+        drift = measure_drift(scene, workspace.load_trajectory(scene), read_depth_m, advance=advance)
+        write_json(workspace.drift_file(name), drift_to_json(drift))
+        return Outcome(len(drift.frames), details={"drift_mm": 1000 * drift.whole_m})
+
+    return step("drift", name, run, after=["import"], outputs=[workspace.drift_file(name)])
+
+
+def cut_steps(context: Context) -> list[Step]:
+    """Drift and clicks -> recordings cut into scenes where that is needed and clicks allow it."""
+    workspace, max_drift_mm = context.workspace, context.recipe.reconstruct.max_drift_mm
+    videos = workspace.video_names()
+
+    def run(advance: Advance) -> Outcome:
+        clicks = {
+            name: [workspace.parts().click_in_video(c) for c in workspace.load_annotation(name).clicks]
+            for name in context.object_names
+        }
+        messages: list[str] = []
+        for video in videos:
+            drift = drift_from_json(read_json(workspace.drift_file(video)))
+            chosen = choose_cut(video, drift, clicks, max_drift_m=max_drift_mm / 1000)
+            workspace.cut_scene(video, chosen.spans)
+            messages += chosen.messages
+        return Outcome(messages=tuple(messages))
+
+    return [
+        step(
+            "cut",
+            "",
+            run,
+            options={
+                "max_drift_mm": context.recipe.reconstruct.max_drift_mm,
+                "objects": context.object_names,
+            },
+            sources=stamps(*(workspace.clicks_file(name) for name in context.object_names)),
+            after=[f"drift/{video}" for video in videos],
+        )
+    ]
+
+
+@dataclass(frozen=True)
+class Cut:
+    """Parts of a recording, one where it stays whole, and lines for a person."""
+
+    spans: tuple[Span, ...]
+    messages: tuple[str, ...] = ()
+
+
+def choose_cut(video: str, drift: Drift, clicks: Mapping[str, Sequence[Click]], *, max_drift_m: float) -> Cut:
+    """The fewest parts within which poses stray no farther than allowed.
+
+    Every part must have clicks enough to be placed by itself; where it has not, the recording stays whole
+    and a line says where to click.
+
+    Args:
+        clicks: of all recordings, by object, with the names of videos.
+
+    Raises:
+        DataError: the poses stray too fast to be mended by cutting.
+    """
+    strayed = f"{video}: its poses stray by {1000 * drift.whole_m:.0f} mm"
+    limit = f"max_drift_mm: {1000 * max_drift_m:.0f}"
+    wanted = cut(drift, max_drift_m=max_drift_m)
+    if wanted is None:
+        raise DataError(
+            f"scene {strayed}, and too fast for cutting to mend that ({limit}): labels would be off by as "
+            "much. Record it again more slowly, leave it out by `names:`, or label it all the same with a "
+            "larger `reconstruct: {max_drift_mm: ...}`; `rpl check` looks for wrongly stored poses"
+        )
+    if len(wanted) < 2:
+        return Cut(tuple(wanted))
+    found = cut(
+        drift, max_drift_m=max_drift_m, allowed=lambda first, last: not _lacking(video, (first, last), clicks)
+    )
+    if found is not None:
+        listed = ", ".join(f"frames {first} to {last}" for first, last in found)
+        return Cut(tuple(found), (f"scene {strayed} ({limit}), so it was cut into {len(found)}: {listed}",))
+    missing = [
+        f"{name} in frames {span[0]} to {span[1]}"
+        for span in wanted
+        for name in _lacking(video, span, clicks)
+    ]
+    line = (
+        f"scene {strayed} ({limit}) and its labels with them; to have it cut into {len(wanted)}, click at "
+        f"least {FEWEST_KEYPOINTS} keypoints of {', '.join(missing) or 'each object in each part'}"
+    )
+    return Cut((), (line,))
+
+
+def _lacking(video: str, span: Span, clicks: Mapping[str, Sequence[Click]]) -> list[str]:
+    """Objects clicked in this video whose clicks in a part of it would not place them there."""
+    lacking = []
+    for name, of_object in clicks.items():
+        here = {c.keypoint for c in of_object if c.scene == video and span[0] <= c.frame <= span[1]}
+        elsewhere = {c.keypoint for c in of_object if c.scene != video or not span[0] <= c.frame <= span[1]}
+        if any(c.scene == video for c in of_object) and len(here & elsewhere) < FEWEST_KEYPOINTS:
+            lacking.append(name)
+    return lacking
