@@ -14,7 +14,7 @@ from rpl_data.workspace import Workspace
 from training.mask_scores import ClassScore, SplitScore
 from training.mask_settings import comparable, load_settings
 from training.reproduce.__main__ import main
-from training.reproduce.segmentation import Progress, segmentation, sources_of, train_epoch
+from training.reproduce.segmentation import Progress, segmentation, sources_of, train_round
 from training.reproduce.segmentation_page import verdict
 from training.train_masks import train
 
@@ -22,7 +22,7 @@ SETTINGS = """
 settings:
   model: {backbone: resnet18, size_px: 64, channels: 32, hidden: 64, proposals: 20, rois: 16, detections: 5}
   weights: scratch
-  epochs: 2
+  epochs: 4
   head_epochs: 0
   batch: 4
   optimizer: adamw
@@ -59,9 +59,9 @@ def test_figure_page_and_numbers(workspace: Workspace, command: list[str]) -> No
     out = Path(command[3])
     found = json.loads((out / "segmentation.json").read_text())
     assert set(found["scores"]) == {"val", "test"} and set(found["scores"]["test"]) == {"OURS", "MANUAL"}
-    assert found["progress"]["epochs"] == 2 and len(found["progress"]["history"]) == 2
+    assert found["progress"]["epochs"] == 4 and len(found["progress"]["history"]) == 2
     assert found["progress"]["cpu_seconds"] > 0
-    assert found["verdict"]["test"]["valid"] is False  # two epochs of eleven images teach nothing
+    assert found["verdict"]["test"]["valid"] is False  # four epochs of eleven images teach nothing
     images = json.loads((workspace.export("coco_truth") / "test.json").read_text())["images"]
     assert found["scores"]["test"]["OURS"]["images"] == len(images) == 6
     assert cv2.imread(str(out / "segmentation.png")) is not None
@@ -74,11 +74,11 @@ def test_figure_page_and_numbers(workspace: Workspace, command: list[str]) -> No
 def test_an_interrupted_run_goes_on_as_if_it_had_not_been(
     workspace: Workspace, command: list[str], tmp_path: Path
 ) -> None:
-    """It stops after OURS of the second epoch, before MANUAL."""
+    """It stops after OURS of the second round, before MANUAL."""
     preset = Path(command[5])
     settings, sources = load_settings(preset), sources_of(workspace.root)
-    train_epoch(sources, settings, Progress(comparable(settings)), tmp_path)
-    train(settings, sources["OURS"], tmp_path / "ours", until=2)
+    train_round(sources, settings, Progress(comparable(settings)), tmp_path)
+    train(settings, sources["OURS"], tmp_path / "ours", until=4)
     segmentation(workspace.root, tmp_path, preset)
     straight, paused = (
         json.loads((f / "segmentation.json").read_text()) for f in (Path(command[3]), tmp_path)

@@ -10,7 +10,14 @@ from torchvision import tv_tensors
 from torchvision.transforms import v2
 
 from rpl_data.formats.coco import read_coco
-from rpl_data.torch.instances import InstanceDataset, InstanceTarget, RandomAffine, collate, warp_instances
+from rpl_data.torch.instances import (
+    InstanceDataset,
+    InstanceTarget,
+    RandomAffine,
+    collate,
+    warp_instances,
+    warp_pixels,
+)
 from rpl_data.torch.transforms import Augmentation, crop_from_square, moved
 
 
@@ -136,3 +143,21 @@ def test_mask_rcnn_trains_a_step(coco):
     total.backward()
     optimizer.step()
     assert len(losses) == 5 and all(torch.isfinite(loss) for loss in losses.values()) and total < 100
+
+
+@pytest.mark.parametrize("suffix", [".jpg", ".png"])
+def test_a_halved_image_shows_the_same(tmp_path, suffix):
+    dataset = InstanceDataset(exported(tmp_path, suffix=suffix) / "train.json")
+    whole, target = dataset.read(LAST_FRAME)
+    half, same = dataset.read(LAST_FRAME, halved=True)
+    assert half.shape == (CAMERA.height // 2, CAMERA.width // 2, 3)
+    assert torch.equal(target["masks"], same["masks"])
+    means = whole.reshape(CAMERA.height // 2, 2, CAMERA.width // 2, 2, 3).mean(axis=(1, 3))
+    assert abs(half - means).mean() < 1
+    assert dataset.size(LAST_FRAME) == (CAMERA.width, CAMERA.height)
+    crop = crop_from_square(np.array([70.0, 60.0]), 120.0, input_px=48, rotation_rad=0.1)
+    seen, there = warp_pixels(whole, target, crop, size=(48, 48))
+    seen_halved, there_halved = warp_pixels(half, same, crop, size=(48, 48), halved=True)
+    assert torch.equal(there["masks"], there_halved["masks"]) and len(there["labels"]) == 2
+    shift = (seen[:, :, 1:] - seen[:, :, :-1]).abs().mean()  # what an error of a pixel would change
+    assert (seen - seen_halved).abs().mean() < 0.15 * shift

@@ -10,7 +10,7 @@ import torch
 from torch.utils.data import DataLoader, Dataset, Sampler
 
 from rpl_data.torch.instances import InstanceDataset, InstanceSample, collate, warp_pixels
-from rpl_data.torch.transforms import Affine, Augmentation, crop_from_square
+from rpl_data.torch.transforms import Affine, Augmentation, crop_from_square, zoom_of
 
 SMALLEST_PX = 2
 """Instances of which a crop shows less (a sliver, a degenerate box) are not trained on."""
@@ -36,16 +36,17 @@ class SquareCrops(Dataset[InstanceSample]):
 
     def __getitem__(self, row: int) -> InstanceSample:
         """This epoch's crop of an image."""
-        pixels, target = self.images.read(row)
+        width, height = self.images.size(row)
         rng = np.random.default_rng((self._seed, self.epoch, row))
-        crop_from_image = random_square(
-            pixels.shape[1], pixels.shape[0], self._augmentation, rng, size_px=self._size_px
-        )
+        crop_from_image = random_square(width, height, self._augmentation, rng, size_px=self._size_px)
+        halved = zoom_of(crop_from_image) <= 0.5 and width % 2 == height % 2 == 0
+        pixels, target = self.images.read(row, halved=halved)
         return warp_pixels(
             pixels,
             target,
             crop_from_image,
             size=(self._size_px, self._size_px),
+            halved=halved,
             smallest_px=SMALLEST_PX,
             augmentation=self._augmentation,
             rng=rng,

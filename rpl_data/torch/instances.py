@@ -17,9 +17,11 @@ from rpl_data.formats.coco import read_coco
 from rpl_data.torch.keypoints import to_unit_range
 from rpl_data.torch.regions import read_image
 from rpl_data.torch.transforms import (
+    FULL_FROM_HALF,
     Affine,
     Augmentation,
     Image,
+    chained,
     jittered,
     moved,
     random_crop_from_square,
@@ -97,13 +99,17 @@ class InstanceDataset(Dataset[InstanceSample]):
         image = tv_tensors.Image(to_unit_range(pixels))
         return (image, target) if self._transforms is None else self._transforms(image, target)
 
-    def read(self, row: int) -> tuple[Image, InstanceTarget]:
-        """An image as it is in its file (RGB) and its target; no transforms."""
+    def size(self, row: int) -> tuple[int, int]:
+        """Width and height of an image, pixels."""
+        return self._images[row]["width"], self._images[row]["height"]
+
+    def read(self, row: int, *, halved: bool = False) -> tuple[Image, InstanceTarget]:
+        """An image as in its file (RGB), or `halved`, and the target of the whole one; no transforms."""
         if get_worker_info() is not None:
             cv2.setNumThreads(0)  # as in KeypointDataset
         entry = self._images[row]
         target = _target(entry, self._annotations[entry["id"]], self._most_keypoints)
-        return read_image(str(self._folder / entry["file_name"])), target
+        return read_image(str(self._folder / entry["file_name"]), halved=halved), target
 
 
 def collate(batch: Sequence[InstanceSample]) -> tuple[list[Tensor], list[InstanceTarget]]:
@@ -136,8 +142,8 @@ def _masks(annotations: Sequence[Json], size: tuple[int, int]) -> Tensor:
 
     if not annotations:
         return torch.zeros((0, *size), dtype=torch.uint8)
-    stacked = masks.decode([a["segmentation"] for a in annotations])  # height x width x n, Fortran order
-    return torch.from_numpy(np.ascontiguousarray(stacked.transpose(2, 0, 1)))
+    columns_first = masks.decode([a["segmentation"] for a in annotations]).T  # n x width x height
+    return torch.from_numpy(np.stack([cv2.transpose(mask) for mask in columns_first]))
 
 
 class RandomAffine:
@@ -177,6 +183,7 @@ def warp_pixels(
     out_from_image: Affine,
     *,
     size: tuple[int, int] | None = None,
+    halved: bool = False,
     smallest_px: int = 1,
     augmentation: Augmentation | None = None,
     rng: np.random.Generator | None = None,
@@ -186,12 +193,15 @@ def warp_pixels(
     Keypoints that leave the image become 0, 0, 0.
 
     Args:
-        size: width and height of what comes out; the image's own when left out.
+        out_from_image: from the whole image, whose masks the target has.
+        size: width and height of what comes out; those of `pixels` when left out.
+        halved: `pixels` are the image at half its size.
         smallest_px: instances whose box is narrower or lower than this leave the target.
         augmentation, rng: colours are changed when both are given.
     """
     width, height = size or (pixels.shape[1], pixels.shape[0])
-    pixels = warped_smoothly(pixels, out_from_image, size=(width, height))
+    out_from_pixels = chained(out_from_image, FULL_FROM_HALF) if halved else out_from_image
+    pixels = warped_smoothly(pixels, out_from_pixels, size=(width, height))
     if augmentation is not None and rng is not None:
         pixels = jittered(pixels, augmentation, rng)
     white = target["masks"].numpy() * np.uint8(255)

@@ -39,6 +39,10 @@ class Augmentation:
     offset: float = 0.1
 
 
+FULL_FROM_HALF: Affine = np.array([[2, 0, 0.5], [0, 2, 0.5]])
+"""The map from an image half as wide and high to the whole one; their edges coincide."""
+
+
 # Affine maps --------------------------------------------------------------------------------------
 
 
@@ -78,6 +82,11 @@ def chained(a_from_b: Affine, b_from_c: Affine) -> Affine:
     )
 
 
+def zoom_of(a_from_b: Affine) -> float:
+    """How many pixels of a one of b is long."""
+    return float(np.sqrt(abs(np.linalg.det(a_from_b[:, :2]))))
+
+
 def warped(image: Pixels, out_from_image: Affine, *, size: tuple[int, int]) -> Resampled:
     """The image seen through the map, (width, height) = `size`, black beyond the image's edge."""
     import cv2
@@ -90,7 +99,7 @@ def warped_smoothly(image: Pixels, out_from_image: Affine, *, size: tuple[int, i
     """`warped`, but pixels are averaged where the map shrinks, so that fine texture does not alias."""
     import cv2
 
-    zoom = float(np.sqrt(abs(np.linalg.det(out_from_image[:, :2]))))
+    zoom = zoom_of(out_from_image)
     if zoom > 0.75:
         return warped(image, out_from_image, size=size)
     height, width = image.shape[:2]
