@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Literal
 
 from rpl_data.files import write_text
-from rpl_data.pipeline import cuts, dense, inputs, labels, products, sparse
+from rpl_data.pipeline import cuts, dense, inputs, labels, poses, products, sparse
 from rpl_data.pipeline.context import Context
 from rpl_data.pool import Pool
 from rpl_data.recipe import Recipe, load_recipe, recipe_to_yaml
@@ -23,6 +23,7 @@ from rpl_data.workspace import Workspace
 STAGES: dict[str, Callable[[Context], list[Step]]] = {
     "twin": inputs.twin_steps,
     "import": inputs.import_steps,
+    "track": poses.track_steps,
     "clicks": inputs.clicks_steps,
     "drift": cuts.drift_steps,
     "cut": cuts.cut_steps,

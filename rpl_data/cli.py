@@ -39,7 +39,7 @@ def build(
 ) -> None:
     """Make everything a recipe asks for; only what is out of date is run.
 
-    Stages, in order: twin, import, clicks, solve, surface, segment, label, export, quality, report.
+    Stages, in order: twin, import, track, clicks, solve, surface, segment, label, export, quality, report.
     Interrupt it whenever you like: run again, it goes on.
 
     Args:

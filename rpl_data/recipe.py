@@ -96,8 +96,8 @@ class Reconstruct:
     """Where the camera's trajectory comes from.
 
     Attributes:
-        method: `given` takes the poses of the recording. `track`, computing them from the images, is
-            a word of the grammar that this version refuses.
+        method: `given` takes the poses of the recording; `track` computes them from its images, and
+            leaves out the frames where that fails.
         voxel_m: size of a voxel of the fused surface.
         max_drift_mm: a recording whose poses stray farther than this over time, as its depth images show,
             is cut into several scenes, each placed by its own clicks.
@@ -272,11 +272,6 @@ def _check(recipe: Recipe, source: str) -> None:
             raise DataError(f"{source}: the skeleton of {item.name} names keypoints beyond 0..{count - 1}")
     if recipe.label.rate_hz is not None and recipe.label.rate_hz <= 0:
         raise DataError(f"{source}: label.rate must be positive or `all`, got {recipe.label.rate}")
-    if recipe.reconstruct.method == "track":
-        raise DataError(
-            f"{source}: reconstruct.method `track` is not part of this version; "
-            "use `given` with a recording that has camera poses"
-        )
     if not recipe.reconstruct.max_drift_mm > 0:
         raise DataError(
             f"{source}: reconstruct.max_drift_mm must be positive, got {recipe.reconstruct.max_drift_mm}"

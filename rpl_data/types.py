@@ -20,6 +20,8 @@ DepthImage = Float32[np.ndarray, "height width"]
 """Metres along the optical axis; 0 = no depth."""
 ColorImage = UInt8[np.ndarray, "height width 3"]
 """RGB."""
+GreyImage = UInt8[np.ndarray, "rows columns"]
+"""Brightness."""
 
 
 class DataError(ValueError):

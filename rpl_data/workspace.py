@@ -26,6 +26,7 @@ from rpl_data.types import (
     DepthWarp,
     Frame,
     FrameLabel,
+    GreyImage,
     Mesh,
     PointCloud,
     Recording,
@@ -312,12 +313,35 @@ def _append(path: Path, content: bytes) -> None:
             raise
 
 
+REDUCED_GREY = {
+    1: cv2.IMREAD_GRAYSCALE,
+    2: cv2.IMREAD_REDUCED_GRAYSCALE_2,
+    4: cv2.IMREAD_REDUCED_GRAYSCALE_4,
+    8: cv2.IMREAD_REDUCED_GRAYSCALE_8,
+}
+
+
 # Pixels -------------------------------------------------------------------------------------------
 
 
 def read_color(frame: Frame) -> ColorImage:
     """The colour image as RGB; DataError when it is missing or broken."""
     image = cv2.imread(str(frame.color), cv2.IMREAD_COLOR_RGB) if frame.color.exists() else None
+    if image is None:
+        raise DataError(
+            f"frame {frame.index}: cannot read the colour image {frame.color}; it is missing or broken"
+        )
+    return image
+
+
+def read_grey(frame: Frame, *, reduce: int) -> GreyImage:
+    """The brightness of the colour image at `1 / reduce` (1, 2, 4, 8) of its size.
+
+    DataError when it is missing or broken.
+
+    A JPEG is decoded at the small size, which takes a fraction of the time.
+    """
+    image = cv2.imread(str(frame.color), REDUCED_GREY[reduce]) if frame.color.exists() else None
     if image is None:
         raise DataError(
             f"frame {frame.index}: cannot read the colour image {frame.color}; it is missing or broken"

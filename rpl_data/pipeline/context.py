@@ -15,6 +15,7 @@ from rpl_data.workspace import Workspace
 VERSIONS = {
     "twin": 3,
     "import": 1,
+    "track": 1,
     "clicks": 1,
     "drift": 1,
     "cut": 1,
@@ -58,6 +59,18 @@ class Context:
     def object_names(self) -> list[str]:
         """Names in the recipe's order, which is that of the categories."""
         return [item.name for item in self.objects]
+
+    @property
+    def tracks(self) -> bool:
+        """Camera poses are computed from the images."""
+        return self.recipe.reconstruct.method == "track"
+
+    def poses_of(self, *scenes: str) -> list[str]:
+        """Names of the steps that the poses of scenes (of all, when none is named) come from."""
+        if not self.tracks:
+            return ["import"]
+        parts, known = self.workspace.parts(), scenes or tuple(self.workspace.scene_names())
+        return ["import", *sorted({f"track/{parts.video_of(scene)}" for scene in known})]
 
     def solutions_in(self, scene: str) -> list[Solution]:
         """Solutions of the objects that stand in a scene."""

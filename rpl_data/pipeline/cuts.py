@@ -31,7 +31,7 @@ def _drift_step(context: Context, name: str) -> Step:
         write_json(workspace.drift_file(name), drift_to_json(drift))
         return Outcome(len(drift.frames), details={"drift_mm": 1000 * drift.whole_m})
 
-    return step("drift", name, run, after=["import"], outputs=[workspace.drift_file(name)])
+    return step("drift", name, run, after=context.poses_of(name), outputs=[workspace.drift_file(name)])
 
 
 def cut_steps(context: Context) -> list[Step]:

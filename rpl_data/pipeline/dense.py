@@ -61,7 +61,7 @@ def _surface_step(context: Context, name: str) -> Step:
         name,
         run,
         options={"voxel_m": voxel_m} | context.frames_of(name),
-        after=["import", *before],
+        after=[*context.poses_of(name), *before],
         outputs=[output],
     )
 

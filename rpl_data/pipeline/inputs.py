@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 
 from rpl_data import capture
@@ -12,7 +13,7 @@ from rpl_data.clicklog import clicks_from_csv, clicks_to_csv, events_to, keypoin
 from rpl_data.files import read_text
 from rpl_data.pipeline.context import Context, step
 from rpl_data.recipe import ObjectRecipe, SceneSource
-from rpl_data.steps import Advance, Outcome, Step, stamps
+from rpl_data.steps import Advance, Json, Outcome, Step, stamps
 from rpl_data.types import DataError, Recording
 from rpl_data.workspace import Workspace, remove
 
@@ -42,13 +43,14 @@ def import_steps(context: Context) -> list[Step]:
     workspace, sources = context.workspace, context.scene_sources
 
     def run(advance: Advance) -> Outcome:
-        recordings = read_recordings(sources, unpack=lambda name: _emptied(workspace.images(name)))
+        unpack = partial(_emptied, workspace)
+        recordings = read_recordings(sources, unpack=unpack, poses=not context.tracks)
         for gone in set(workspace.video_names()) - {recording.scene.name for recording in recordings}:
             workspace.cut_scene(gone, ())
             remove(workspace.scene_file(gone).parent)
             remove(workspace.labels_file(gone))
         for recording in recordings:
-            workspace.save_recording(recording)
+            workspace.save_recording(replace(recording, trajectory=None) if context.tracks else recording)
         lines = [
             f"scene {recording.scene.name}: {line}"
             for recording in recordings
@@ -58,24 +60,28 @@ def import_steps(context: Context) -> list[Step]:
 
     paths = [source.path for source in sources]
     seen = stamps(*paths, but_not=workspace.root.resolve() if not context.recipe.twin else workspace.truth)
-    options = {"scenes": [asdict(source) | {"path": str(source.path)} for source in sources]}
+    options: Json = {"scenes": [asdict(source) | {"path": str(source.path)} for source in sources]}
+    if context.tracks:
+        options |= {"poses": "tracked"}
     outputs = [workspace.scene_file(name) for name in workspace.video_names()]
     return [step("import", "", run, options=options, sources=seen, after=["twin"], outputs=outputs)]
 
 
-def _emptied(folder: Path) -> Path:
+def _emptied(workspace: Workspace, scene: str) -> Path:
+    folder = workspace.images(scene)
     remove(folder)
     return folder
 
 
 def read_recordings(
-    sources: Sequence[SceneSource], *, unpack: Callable[[str], Path] | None = None
+    sources: Sequence[SceneSource], *, unpack: Callable[[str], Path] | None = None, poses: bool = True
 ) -> list[Recording]:
     """All scenes of all sources; DataError when two share a name or one has no poses.
 
     Args:
         sources: where they are.
         unpack: an empty folder for the images of a scene whose recording is one file.
+        poses: whether a scene without poses is refused.
     """
     recordings: dict[str, Recording] = {}
     for source in sources:
@@ -86,8 +92,11 @@ def read_recordings(
                     f"two scenes are called {name}: {recordings[name].scene.source} and "
                     f"{recording.scene.source}; rename a folder, or choose scenes by `names`"
                 )
-            if recording.trajectory is None:
-                raise DataError(f"scene {name} in {source.path} has no camera poses; record it with poses")
+            if recording.trajectory is None and poses:
+                raise DataError(
+                    f"scene {name} in {source.path} has no camera poses; write "
+                    "`reconstruct: {method: track}` in the recipe to compute them"
+                )
             recordings[name] = recording
     return list(recordings.values())
 

@@ -46,7 +46,7 @@ def _solve_step(context: Context, item: ObjectRecipe) -> Step:
             }
         },
         sources=stamps(workspace.clicks_file(item.name)),
-        after=["import"],
+        after=context.poses_of(),
         outputs=[workspace.solution_file(item.name)],
     )
 

@@ -1,0 +1,58 @@
+"""Images -> camera poses, where the recipe does not take those of the recording."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+from rpl_data.pipeline.context import Context, step
+from rpl_data.steps import Advance, Outcome, Step
+from rpl_data.types import DepthImage, Frame, GreyImage, Scene
+from rpl_data.workspace import read_depth_m, read_grey
+
+AHEAD = 8
+"""Frames that are decoded while others are tracked."""
+
+
+def track_steps(context: Context) -> list[Step]:
+    """Images -> the path of the camera, a scene."""
+    return [_track_step(context, name) for name in context.workspace.video_names()] if context.tracks else []
+
+
+def _track_step(context: Context, name: str) -> Step:
+    workspace = context.workspace
+
+    def run(advance: Advance) -> Outcome:
+        from rpl_data.reconstruct.tracking import collected, losses, track
+
+        scene = workspace.load_scene(name)
+        frames = [frame for frame in scene.frames if frame.depth is not None]
+        found = collected(scene, track(scene, decoded(scene, frames, advance)))
+        workspace.save_trajectory(scene, found.trajectory)
+        lines = [f"scene {name}: {line}" for line in losses(scene, found)]
+        return Outcome(len(frames), tuple(lines), {"lost": len(found.lost)})
+
+    return step("track", name, run, after=["import"], outputs=[workspace.trajectory_file(name)])
+
+
+def decoded(
+    scene: Scene, frames: Sequence[Frame], advance: Advance
+) -> Iterator[tuple[Frame, GreyImage, DepthImage]]:
+    """Frames with small brightness and depth, decoded in a thread ahead of whoever uses them."""
+    from rpl_data.reconstruct.view import REDUCE
+
+    def read(frame: Frame) -> tuple[Frame, GreyImage, DepthImage]:
+        return frame, read_grey(frame, reduce=REDUCE), read_depth_m(scene, frame)
+
+    with ThreadPoolExecutor(1) as thread:
+        waiting = [thread.submit(read, frame) for frame in frames[:AHEAD]]
+        try:
+            for number in range(len(frames)):
+                advance(number, len(frames))
+                ready = waiting.pop(0)
+                if number + AHEAD < len(frames):
+                    waiting.append(thread.submit(read, frames[number + AHEAD]))
+                yield ready.result()
+        finally:
+            for future in waiting:
+                future.cancel()

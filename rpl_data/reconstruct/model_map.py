@@ -1,0 +1,134 @@
+"""What frames are aligned to: keyframes with their images, and a map of Gaussians of all their depth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from jaxtyping import Float32
+
+from rpl_data.geometry import Transform
+from rpl_data.reconstruct.information import (
+    INDEPENDENT,
+    Estimate,
+    Information,
+    above_noise,
+    motion_between,
+    size_m,
+)
+from rpl_data.reconstruct.relocalise import Landmarks, landmarks_of
+from rpl_data.reconstruct.view import Level, View
+
+VOXEL_M = 0.03
+"""A Gaussian a voxel: 2 to 4 cm were measured to be the best of all."""
+
+NORMALS_RAD = 0.15
+"""Error of a point's normal, fitted to its neighbours' noisy depth."""
+
+BIAS = 0.02
+"""Voxels blur edges, so many points err alike: the map's word counts this much less than its noise says."""
+
+Slopes = Float32[np.ndarray, "_ _ 4"]
+"""Change of brightness a pixel in u and in v, then of depth in m; depth is NaN near missing depth."""
+
+
+@dataclass(frozen=True)
+class Keyframe:
+    """A frame the map was made of; other frames are aligned to its images.
+
+    Attributes:
+        index: of the frame.
+        levels, slopes: its images, largest first.
+        landmarks: by which it is found again when the track was lost.
+    """
+
+    index: int
+    scene_from_camera: Transform
+    levels: tuple[Level, ...]
+    slopes: tuple[Slopes, ...]
+    landmarks: Landmarks
+
+
+class ModelMap:
+    """Keyframes, and Gaussians in voxels for VGICP (Koide et al., ICRA 2021).
+
+    It grows with the space the camera sees and with the directions it sees it from, not with the length
+    of the recording.
+    """
+
+    def __init__(self) -> None:
+        import small_gicp
+
+        self._gaussians = small_gicp.GaussianVoxelMap(VOXEL_M)
+        self._gaussians.set_lru(horizon=1_000_000, clear_cycle=1_000)  # forget nothing
+        self.keyframes: list[Keyframe] = []
+
+    def add(self, index: int, view: View, scene_from_camera: Transform) -> Keyframe:
+        """Make a keyframe of a frame."""
+        self._gaussians.insert(view.cloud, scene_from_camera)
+        slopes = tuple(_slopes(level) for level in view.levels)
+        landmarks = landmarks_of(view.levels[0])
+        self.keyframes.append(Keyframe(index, scene_from_camera, view.levels, slopes, landmarks))
+        return self.keyframes[-1]
+
+    def by_distance(self, scene_from_camera: Transform) -> Sequence[tuple[float, Keyframe]]:
+        """The keyframes, most similar view first, and how far the camera was from there in m."""
+        distances = [size_m(motion_between(k.scene_from_camera, scene_from_camera)) for k in self.keyframes]
+        return [(distances[row], self.keyframes[row]) for row in np.argsort(distances)]
+
+    def align(self, view: View, guess: Transform) -> Estimate:
+        """Fit a frame's points to the Gaussians of all keyframes, starting at a guess of its pose."""
+        import small_gicp
+
+        found = small_gicp.align(
+            self._gaussians,
+            view.cloud,
+            init_T_target_source=guess,
+            max_correspondence_distance=3 * VOXEL_M,
+            max_iterations=15,
+            rotation_epsilon=1e-4,
+            translation_epsilon=1e-4,
+        )
+        return Estimate(found.T_target_source, _information(view, found))
+
+
+def _information(view: View, found: Any) -> Information:
+    """What point-to-plane distances say about the motion; nothing about sliding along a plane.
+
+    small_gicp's own Hessian cannot be used: it also pulls points to the middle of the voxels they are in
+    at the moment, a friction that is not there. Nor can the normals as they are, whose noise looks like
+    slopes to hold on to: what it would show of a plane is taken off.
+    """
+    points, normals = view.cloud.points()[:, :3], view.cloud.normals()[:, :3]
+    noise = np.zeros((6, 6))
+    for axis in np.eye(3):
+        noise += NORMALS_RAD**2 * _outer(points, np.broadcast_to(axis, points.shape))
+    known = above_noise(_outer(points, normals), noise)
+    # A Gaussian is 1e-3 m^2 thick, the sum of the point's and the voxel's 2e-3; half of r^2 / 2e-3 is the
+    # error of small_gicp.
+    variance_m2 = max(4e-3 * found.error / max(found.num_inliers, 1), 1e-7)
+    share = found.num_inliers / max(len(points), 1)
+    information: Information = known * (share * BIAS * INDEPENDENT / variance_m2)
+    return information
+
+
+def _outer(points: Any, directions: Any) -> Information:
+    """Sum of J^T J where J is the derivative of ``directions . points`` by the motion."""
+    derivative = np.hstack([np.cross(points, directions), directions])
+    product: Information = derivative.T @ derivative
+    return product
+
+
+def _slopes(level: Level) -> Slopes:
+    smooth_m = cv2.blur(level.depth_m, (3, 3))
+    slopes = [
+        cv2.Scharr(image, cv2.CV_32F, *axes, scale=1 / 32)
+        for image in (level.grey, smooth_m)
+        for axes in ((1, 0), (0, 1))
+    ]
+    missing = cv2.dilate((level.depth_m == 0).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+    slopes[2][missing] = np.nan
+    return np.dstack(slopes)
