@@ -144,6 +144,19 @@ def check(
         )
 
 
+def track(workspace: Path = HERE, again: bool = False) -> None:
+    """Images to camera poses, for a recipe with `reconstruct: {method: track}`.
+
+    Every frame is aligned to keyframes by brightness and depth. Frames that cannot be are left out of
+    `trajectory.txt`, and named.
+
+    Args:
+        workspace: a folder made by `rpl build` or `rpl import`.
+        again: even if nothing has changed.
+    """
+    _stage(workspace, "track", again)
+
+
 def solve(workspace: Path = HERE, again: bool = False) -> None:
     """Clicks to sparse models: where every keypoint is, and where the objects stand in every scene.
 
@@ -330,6 +343,7 @@ COMMANDS: dict[str, Any] = {
     "capture": capture,
     "check": check,
     "import": import_,
+    "track": track,
     "annotate": annotate,
     "clicks": {
         "_help": "Clicks in and out as CSV files.",

@@ -70,7 +70,7 @@ def test_everything_is_there(tiny_workspace: Workspace) -> None:
     }  # fmt: skip
     assert len(list(tiny_workspace.load_labels("00"))) == 6
     table = timings(Ledger(tiny_workspace.stages_file))
-    assert list(table) == list(module.STAGES)
+    assert list(table) == [stage for stage in module.STAGES if stage != "track"]  # a twin brings its poses
     assert table["label"]["frames"] == 18
     assert all(row["seconds"] >= 0 for row in table.values())
 
