@@ -56,7 +56,9 @@ def _label_step(context: Context, video: str) -> Step:
     before = [f"{stage}/{item}" for item in names for stage in ("solve", "segment")]
     options = {"rate_hz": rate_hz} | {name: context.frames_of(name) for name in placed if name != video}
     output = workspace.labels_file(video)
-    return step("label", video, run, options=options, after=[*context.poses_of(video), *before], outputs=[output])
+    return step(
+        "label", video, run, options=options, after=[*context.poses_of(video), *before], outputs=[output]
+    )
 
 
 def label_range(
