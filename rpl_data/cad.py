@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from rpl_data.geometry import Points, Transform, fit_rigid, invert, rigid, transform
 from rpl_data.raycast import RayScene
-from rpl_data.regions import oriented_points, thinned
+from rpl_data.regions import oriented_points, select, thinned
 from rpl_data.types import DataError, KeypointModel, Mesh, PointCloud
 
 REACHES_M = (0.015, 0.010, 0.006, 0.004)
@@ -129,7 +129,7 @@ def align_scene(cad: Cad, surface: Mesh, start: Transform, *, voxel_m: float = 0
     for reach_m in REACHES_M:
         for _ in range(ROUNDS):
             before = found.scene_from_cad
-            found = _step(shape, seen, before, reach_m)
+            found = _step(shape, _around(cad.mesh, seen, before, reach_m), before, reach_m)
             if found.points < LEAST_POINTS:
                 raise DataError(
                     f"object {cad.object}: only {found.points} points of the surface lie within "
@@ -147,6 +147,13 @@ class _Fit:
     scene_from_cad: Transform
     rms_m: float
     points: int
+
+
+def _around(mesh: Mesh, seen: PointCloud, scene_from_cad: Transform, reach_m: float) -> PointCloud:
+    """The points in the CAD's box and its reach; of the others the closest points would cost most."""
+    points = transform(invert(scene_from_cad), seen.points)
+    low, high = mesh.vertices.min(axis=0) - reach_m, mesh.vertices.max(axis=0) + reach_m
+    return select(seen, ((points > low) & (points < high)).all(axis=1))
 
 
 def _step(shape: RayScene, seen: PointCloud, scene_from_cad: Transform, reach_m: float) -> _Fit:

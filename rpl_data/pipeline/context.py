@@ -13,7 +13,7 @@ from rpl_data.types import Frame, Scene, Solution, Trajectory
 from rpl_data.workspace import Workspace
 
 VERSIONS = {
-    "twin": 3,
+    "twin": 4,
     "import": 1,
     "track": 1,
     "clicks": 1,

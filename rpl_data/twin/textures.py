@@ -40,16 +40,18 @@ def blend(amount: Float32[np.ndarray, "height width"], dark: Rgb, light: Rgb) ->
 
 
 def wood(rng: np.random.Generator, size: int = 1024) -> ColorImage:
-    """Planks with grain along the columns."""
+    """Boards with fibres along the columns and dark lines of late wood, each cut from another place."""
     bend = fractal_noise(rng, size, size, cells=2, octaves=3)
+    strands = rng.random((size, size // 32), dtype=np.float32)
+    shade = rng.uniform(0.82, 1.08, 8).astype(np.float32)
+    board = np.arange(size) * 8 // size
+    bend = np.where(board[:, None] % 2 == 0, bend, bend[::-1, ::-1])
     across = np.arange(size, dtype=np.float32)[:, None] / size
-    rings = 0.5 + 0.5 * np.sin(2 * np.pi * (14 * across + 3 * bend))
-    fibre = cv2.resize(
-        rng.random((size, size // 32), dtype=np.float32), (size, size), interpolation=cv2.INTER_LINEAR
-    )
-    tone = blend((0.55 * rings + 0.45 * fibre).astype(np.float32), (112, 74, 44), (190, 143, 96))
-    shade = np.repeat(rng.uniform(0.82, 1.08, 8), size // 8)[:, None, None]
-    tone = (tone * shade).clip(0, 255).astype(np.uint8)
+    ring = (22 * across + 3.5 * bend + 50 * shade[board, None]) % 1
+    late = np.exp(-np.square(np.minimum(12 * ring, 3.5 * (1 - ring))))  # comes slowly, ends at once
+    fibre = cv2.resize(strands, (size, size), interpolation=cv2.INTER_LINEAR)
+    tone = blend((0.35 + 0.55 * fibre - 0.33 * late).astype(np.float32), (112, 74, 44), (190, 143, 96))
+    tone = (tone * shade[board, None, None]).clip(0, 255).astype(np.uint8)
     tone[:: size // 8] = (60, 40, 25)
     return tone
 
