@@ -8,17 +8,22 @@ these figures flatter; where true poses are known, `quality.py`'s strict protoco
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Float64
 from scipy.spatial.transform import Rotation
 
+from rpl_data.formats.meshlab import read_picked_points
 from rpl_data.geometry import Points, Transform, fit_rigid, invert, rigid, transform
 from rpl_data.raycast import RayScene
 from rpl_data.regions import oriented_points, select, thinned
 from rpl_data.types import DataError, KeypointModel, Mesh, PointCloud
+from rpl_data.workspace import load_mesh
+
+MESHES = (".obj", ".ply", ".stl", ".glb", ".off")
 
 REACHES_M = (0.015, 0.010, 0.006, 0.004)
 """How far a surface may lie from the CAD to be taken for it, from the first to the last rounds."""
@@ -180,6 +185,41 @@ def _step(shape: RayScene, seen: PointCloud, scene_from_cad: Transform, reach_m:
     moved = rigid(turn, centre - turn @ centre + step[3:])
     rms_m = float(np.sqrt(np.mean(distances**2)))
     return _Fit(scene_from_cad @ invert(moved), rms_m, int(chosen.sum()))
+
+
+def cads_in(folder: Path, objects: Mapping[str, Sequence[str]], *, metres_per_unit: float) -> dict[str, Cad]:
+    """The CADs of a folder: `<object>.obj` (or .ply .stl .glb .off) with `<object>.pp` beside it.
+
+    Args:
+        folder: where they are.
+        objects: names of the keypoints by object.
+        metres_per_unit: of the meshes and the points picked on them.
+
+    Raises:
+        DataError: the folder has a CAD for none of the objects, or one without picked points.
+    """
+    cads = {}
+    for name, keypoints in objects.items():
+        mesh = mesh_of(folder, name)
+        if mesh is None:
+            continue
+        picks = folder / f"{name}.pp"
+        if not picks.exists():
+            raise DataError(
+                f"{mesh} has no picked points; pick the keypoints on it with MeshLab and save {picks}"
+            )
+        picked = read_picked_points(picks, metres_per_unit=metres_per_unit)
+        points = picked_in_order(picked.names, picked.points_mesh, keypoints, source=str(picks))
+        cads[name] = Cad(name, scaled(load_mesh(mesh), metres_per_unit), points)
+    if not cads:
+        names = ", ".join(objects)
+        raise DataError(f"{folder} has a CAD for none of {names}; name the files <object>.obj, <object>.pp")
+    return cads
+
+
+def mesh_of(folder: Path, name: str) -> Path | None:
+    """The file with the CAD of an object; None where there is none."""
+    return next((path for path in (folder / f"{name}{suffix}" for suffix in MESHES) if path.exists()), None)
 
 
 def picked_in_order(

@@ -247,6 +247,39 @@ def quality(workspace: Path = HERE, again: bool = False) -> None:
         )
 
 
+def truth(
+    recipe: Path, cads: Path, out: Path, root: Path | None = None, metres_per_unit: float = 1.0
+) -> None:
+    """True poses that came with recordings (BOP, YCB-Video, LabelFusion), as a file for `truth:` of a recipe.
+
+    They are poses of CAD models, so the keypoints must be picked on these too: open the CAD in MeshLab, pick
+    them in the order of the recipe (PickPoints) and save <object>.pp beside it. Labelling never sees them.
+
+    Args:
+        recipe: the YAML file; its objects are called as in the dataset (obj_000005, 006_mustard_bottle).
+        cads: folder with <object>.obj (or .ply, .stl) and <object>.pp.
+        out: the JSON file to write.
+        root: where the relative paths of the recipe start; the recipe's own folder when left out.
+        metres_per_unit: of the CADs; 0.001 for millimetres, as BOP's are.
+    """
+    from tempfile import TemporaryDirectory
+
+    from rpl_data.capture import open_scenes
+    from rpl_data.pipeline.true_poses import write_true_poses
+    from rpl_data.recipe import load_recipe
+
+    loaded = load_recipe(recipe, root=root)
+    with TemporaryDirectory() as scratch:
+        recordings = [
+            recording
+            for source in loaded.scenes
+            for recording in open_scenes(**vars(source), unpack=lambda scene: Path(scratch) / scene)
+        ]
+        counts = write_true_poses(recordings, loaded, cads, out, metres_per_unit=metres_per_unit)
+    for name, frames in counts.items():
+        print(f"{name}: {frames} frames with a true pose")
+
+
 def report(workspace: Path = HERE, again: bool = False) -> None:
     """The page to look at: pictures, clicks, models, counts, timings.
 
@@ -357,6 +390,7 @@ COMMANDS: dict[str, Any] = {
     "label": label,
     "export": export,
     "quality": quality,
+    "truth": truth,
     "report": report,
 }
 

@@ -1,14 +1,16 @@
 """A truth workspace out of true poses: projected keypoints and ray-cast silhouettes.
 
-The poses come as JSON: `points_<object>` (a row a keypoint, metres, object frame) and
+The poses come as JSON: `points_<object>` (a row a keypoint, metres, object frame; null where unknown) and
 `camera_from_<object>`: {scene: [a 4x4 matrix a frame, by `Frame.index`]}; a null in place of a
-matrix is a frame whose pose is not known.
+matrix is a frame whose pose is not known. `mesh_<object>`: {file, metres_per_unit} is its mesh in the
+object frame, the file relative to the JSON; an object without one is taken to be the box of its points'
+extents.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +39,7 @@ from rpl_data.types import (
     Scene,
     Solution,
 )
-from rpl_data.workspace import Workspace, save_mesh
+from rpl_data.workspace import Workspace, load_mesh, save_mesh
 
 HIDDEN_BEHIND_M = 0.004
 """A keypoint this far behind the surface is hidden; less is the mesh's own inaccuracy."""
@@ -56,18 +58,14 @@ class TrueObject:
     camera_from_object: Mapping[tuple[str, int], Transform]
 
 
-def truth_from_poses(
-    workspace: Workspace, truth: Workspace, poses: Path, *, meshes: Mapping[str, Mesh] | None = None
-) -> None:
+def truth_from_poses(workspace: Workspace, truth: Workspace, poses: Path) -> None:
     """Write models, meshes and labels of the scenes of `workspace` for which `poses` has the truth.
-
-    `meshes` are by object name, in the frame of the points; an object without one is taken to be the
-    box of its points' extents.
 
     Raises:
         DataError: the file has no object, a matrix is not 4x4, or no scene of it is in the workspace.
     """
-    objects = true_objects(read_json(poses), source=str(poses), meshes=meshes or {})
+    content = read_json(poses)
+    objects = true_objects(content, source=str(poses), meshes=_meshes(content, poses))
     scenes = {scene for one in objects for scene, _ in one.camera_from_object}
     known = [name for name in workspace.video_names() if name in scenes]
     if not known:
@@ -103,6 +101,17 @@ def true_objects(
         }
         objects.append(TrueObject(model, meshes.get(name) or box_mesh(points), poses))
     return tuple(objects)
+
+
+def _meshes(content: Mapping[str, Any], source: Path) -> dict[str, Mesh]:
+    """The meshes the JSON names, by object, in metres."""
+    meshes = {}
+    for key, entry in content.items():
+        if key.startswith("mesh_"):
+            mesh = load_mesh(source.parent / entry["file"])
+            vertices = mesh.vertices * float(entry.get("metres_per_unit", 1.0))
+            meshes[key.removeprefix("mesh_")] = replace(mesh, vertices=vertices)
+    return meshes
 
 
 def _matrix(values: Any, where: str) -> Transform:

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
-from rpl_data.cad import Cad, CadInScene, SparseOnCad, align_scene, align_sparse, picked_in_order, scaled
-from rpl_data.formats.meshlab import read_picked_points
+from rpl_data.cad import Cad, CadInScene, SparseOnCad, align_scene, align_sparse
 from rpl_data.geometry import Transform, invert
 from rpl_data.pipeline.sparse import observe
 from rpl_data.quality import LabelErrors, ModelError, label_errors, merged, summarise
@@ -20,7 +18,6 @@ from rpl_data.workspace import Workspace, load_mesh
 
 PICKED_WITHIN_M = 0.002
 """Standard deviation on each axis of a hand that picks a landmark on a CAD."""
-MESHES = (".obj", ".ply", ".stl", ".glb", ".off")
 
 
 @dataclass(frozen=True)
@@ -39,31 +36,6 @@ class CadResult:
 
 
 # The CAD models -----------------------------------------------------------------------------------
-
-
-def cads_in(folder: Path, models: Sequence[KeypointModel], *, metres_per_unit: float) -> dict[str, Cad]:
-    """The CADs of a folder: `<object>.obj` (or .ply .stl .glb .off) with `<object>.pp` beside it.
-
-    Raises:
-        DataError: the folder has a CAD for none of the objects, or one without picked points.
-    """
-    cads = {}
-    for model in models:
-        found = [path for path in (folder / f"{model.name}{suffix}" for suffix in MESHES) if path.exists()]
-        if not found:
-            continue
-        picks = folder / f"{model.name}.pp"
-        if not picks.exists():
-            raise DataError(
-                f"{found[0]} has no picked points; pick the keypoints on it with MeshLab and save {picks}"
-            )
-        picked = read_picked_points(picks, metres_per_unit=metres_per_unit)
-        points = picked_in_order(picked.names, picked.points_mesh, model.keypoints, source=str(picks))
-        cads[model.name] = Cad(model.name, scaled(load_mesh(found[0]), metres_per_unit), points)
-    if not cads:
-        names = ", ".join(model.name for model in models)
-        raise DataError(f"{folder} has a CAD for none of {names}; name the files <object>.obj, <object>.pp")
-    return cads
 
 
 def true_cads(truth: Workspace, names: Sequence[str], *, seed: int) -> dict[str, Cad]:

@@ -176,11 +176,13 @@ def _cads(
     metres_per_unit: float,
     seed: int,
 ) -> dict[str, Cad]:
-    from training.reproduce.cad_protocol import cads_in, true_cads
+    from rpl_data.cad import cads_in
+    from training.reproduce.cad_protocol import true_cads
 
     if folder is not None:
         models = [workspace.load_solution(name).model for name in names]
-        return cads_in(folder, models, metres_per_unit=metres_per_unit)
+        keypoints = {model.name: model.keypoints for model in models}
+        return cads_in(folder, keypoints, metres_per_unit=metres_per_unit)
     return {} if truth is None else true_cads(truth, names, seed=seed)
 
 
