@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import test_ycb_video
 from recordings import CAMERA
+from software_camera import record
 
 from rpl_data.build import build
 from rpl_data.capture import open_scenes
@@ -91,3 +92,12 @@ def test_truth_without_a_cad_or_of_other_objects(dataset: Path, tmp_path: Path) 
     with pytest.raises(DataError, match=r"true poses of 006_mustard_.*objects are cup; call them alike"):
         write_true_poses(recordings, other, tmp_path, tmp_path / "out.json", metres_per_unit=1.0)
     assert not (tmp_path / "out.json").exists()
+
+
+def test_realsense_tracks_what_capture_and_the_viewer_record(tmp_path: Path) -> None:
+    recipe = load_recipe(DATASETS / "realsense.yaml", root=tmp_path)
+    assert recipe.reconstruct.method == "track"
+    record(tmp_path / "00.db3", 3)
+    source = replace(recipe.scenes[0], format="realsense")
+    (recording,) = open_scenes(**vars(source), unpack=lambda scene: tmp_path / "images" / scene)
+    assert recording.trajectory is None and len(recording.scene.frames) == 3
