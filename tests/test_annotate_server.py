@@ -243,8 +243,13 @@ def test_depth_and_poses_are_those_of_the_recording(client: TestClient, tiny_wor
     from rpl_data.workspace import read_depth_m
 
     scene = tiny_workspace.load_scene("01")
-    units = np.frombuffer(client.get("/api/scenes/01/frames/3.depth").content, "<u2").reshape(240, 320)
-    np.testing.assert_allclose(units * scene.metres_per_unit, read_depth_m(scene, scene.frame(3)), atol=1e-6)
+    depth_m = np.pad(read_depth_m(scene, scene.frame(3)), 16)
+    for column, row in ((0, 0), (1, 0), (2, 1), (9, 9)):
+        answer = client.get(f"/api/scenes/01/frames/3.depth?column={column}&row={row}")
+        tile = np.frombuffer(answer.content, "<u2").reshape(160, 160) * scene.metres_per_unit
+        expected = depth_m[128 * row : 128 * row + 160, 128 * column : 128 * column + 160]
+        np.testing.assert_allclose(tile[: expected.shape[0], : expected.shape[1]], expected, atol=1e-6)
+        assert tile.sum() == pytest.approx(expected.sum())
     table = np.frombuffer(client.get("/api/scenes/01/poses").content, "<f4").reshape(-1, 8)
     poses = tiny_workspace.load_trajectory(scene)
     np.testing.assert_array_equal(table[:, 0], poses.frames)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
+from collections.abc import Callable
 
 import cv2
 import numpy as np
@@ -15,6 +16,10 @@ from rpl_data.workspace import read_color
 
 WIDTHS = (96, 160, 320, 640, 960, 1280, 1920)
 """Widths that are made; a request is served the next larger one, so that they can be cached."""
+LOOK_PX = 51
+"""Side of what is shown around a click elsewhere."""
+TILE_PX, MARGIN_PX = 128, 16
+"""A tile of depth; its margin is more than what is looked at around a position."""
 KEPT_BYTES = 48 * 2**20
 QUALITY = 90
 JPEG_SUFFIXES = (".jpg", ".jpeg")
@@ -26,18 +31,20 @@ class PictureStore:
 
     def __init__(self, scenes: SceneStore) -> None:
         self._scenes = scenes
-        self._kept: OrderedDict[tuple[str, int, int], bytes] = OrderedDict()
+        self._kept: OrderedDict[tuple[str | int | float, ...], bytes] = OrderedDict()
         self._bytes = 0
         self._lock = threading.Lock()
 
     def jpeg(self, scene: str, frame: int, width_px: int) -> bytes:
         """The frame at least that wide (the whole image for 0), as JPEG; edges stay edges."""
-        key = (scene, frame, width_px)
+        return self._keep((scene, frame, width_px), lambda: self._make(scene, frame, width_px))
+
+    def _keep(self, key: tuple[str | int | float, ...], make: Callable[[], bytes]) -> bytes:
         with self._lock:
             if key in self._kept:
                 self._kept.move_to_end(key)
                 return self._kept[key]
-        content = self._make(scene, frame, width_px)
+        content = make()
         with self._lock:
             if key not in self._kept:
                 self._kept[key] = content
@@ -45,6 +52,16 @@ class PictureStore:
             while self._bytes > KEPT_BYTES:
                 self._bytes -= len(self._kept.popitem(last=False)[1])
         return content
+
+    def look(self, scene: str, frame: int, u_px: float, v_px: float) -> bytes:
+        """What is around a position, as a small JPEG with the position in its middle."""
+        key = (scene, frame, u_px, v_px)
+        return self._keep(key, lambda: self._cut_out(scene, frame, u_px, v_px))
+
+    def _cut_out(self, scene: str, frame: int, u_px: float, v_px: float) -> bytes:
+        image = read_color(self._scenes.get(scene).frame(frame))
+        near = (min(max(u_px, 0.0), image.shape[1] - 1.0), min(max(v_px, 0.0), image.shape[0] - 1.0))
+        return encoded(cv2.getRectSubPix(image, (LOOK_PX, LOOK_PX), near).astype(np.uint8))
 
     def _make(self, scene: str, frame: int, width_px: int) -> bytes:
         posed = self._scenes.get(scene)
@@ -90,6 +107,18 @@ def encoded(image: ColorImage, suffix: str = ".jpg") -> bytes:
     return content.tobytes()
 
 
-def depth_units(depth_m: DepthImage, metres_per_unit: float) -> bytes:
-    """Depth as it was stored: 16-bit little-endian rows, 0 = none."""
-    return np.rint(depth_m / metres_per_unit).clip(0, 65535).astype("<u2").tobytes()
+def depth_tile(depth_m: DepthImage, metres_per_unit: float, column: int, row: int) -> bytes:
+    """A square of depth as it was stored, with a margin on every side: 16-bit little-endian rows, 0 = none.
+
+    A page asks for what is around its cursor; a whole image is too much for a slow link.
+    """
+    side = TILE_PX + 2 * MARGIN_PX
+    tile = np.zeros((side, side), dtype="<u2")
+    top, left = row * TILE_PX - MARGIN_PX, column * TILE_PX - MARGIN_PX
+    rows = slice(max(0, top), max(0, min(depth_m.shape[0], top + side)))
+    columns = slice(max(0, left), max(0, min(depth_m.shape[1], left + side)))
+    stored = np.rint(depth_m[rows, columns] / metres_per_unit).clip(0, 65535)
+    if stored.size:
+        y, x = rows.start - top, columns.start - left
+        tile[y : y + stored.shape[0], x : x + stored.shape[1]] = stored
+    return tile.tobytes()

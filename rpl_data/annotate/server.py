@@ -16,7 +16,7 @@ from starlette.middleware.gzip import GZipMiddleware
 
 from rpl_data.annotate.clicks_routes import clicks_routes
 from rpl_data.annotate.guard import Guard
-from rpl_data.annotate.images import depth_units
+from rpl_data.annotate.images import depth_tile
 from rpl_data.annotate.log import Conflict, NotSaved
 from rpl_data.annotate.payload import Json, object_payload, result_payload, scene_payload
 from rpl_data.annotate.scenes import poses_table
@@ -121,10 +121,15 @@ def _add_scenes(app: FastAPI, session: Session) -> None:
         return Response(content, media_type="image/jpeg", headers=headers)
 
     @app.get("/api/scenes/{scene}/frames/{frame}.depth")
-    def depth(scene: str, frame: int) -> Response:
+    def depth(scene: str, frame: int, column: int, row: int) -> Response:
         units = session.scenes.get(scene).scene.metres_per_unit
-        content = depth_units(session.scenes.depth_m(scene, frame), units)
+        content = depth_tile(session.scenes.depth_m(scene, frame), units, column, row)
         return Response(content, media_type="application/octet-stream", headers=KEEP)
+
+    @app.get("/api/scenes/{scene}/frames/{frame}.look.jpg")
+    def look(scene: str, frame: int, u_px: float, v_px: float) -> Response:
+        content = session.pictures.look(scene, frame, u_px, v_px)
+        return Response(content, media_type="image/jpeg", headers=KEEP)
 
     @app.get("/api/scenes/{scene}/frames/{frame}.mask.png")
     def mask(scene: str, frame: int, object: str) -> Response:

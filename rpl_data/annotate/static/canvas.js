@@ -1,7 +1,7 @@
 // The image and what is marked on it: zoom at the cursor, pan, click, drag. Screen and image are tied by
 // x = (u + 0.5) * zoom + left: (0, 0) is the centre of the top-left pixel.
 
-import { fetchNeighbours, picture, wantedWidth } from "./frames.js";
+import { fetchNeighbours, onlyFetch, picture, wantedWidth } from "./frames.js";
 import { drawMarks, markAt } from "./marks.js";
 import { app, change, clicksIn, frame, poses, scene } from "./store.js";
 
@@ -11,7 +11,7 @@ const stage = document.getElementById("stage");
 const MOST_ZOOM = 64, STILL_PX = 4;
 
 export const view = { zoom: 1, left: 0, top: 0, fitted: true };
-let shownScene = null, placing = () => {}, moving = () => {}, drag = null, last = null;
+let shownScene = null, placing = () => {}, moving = () => {}, drag = null, last = null, wanted = null;
 
 export const toScreen = ([u, v]) => [(u + 0.5) * view.zoom + view.left, (v + 0.5) * view.zoom + view.top];
 export const toImage = (x, y) => [(x - view.left) / view.zoom - 0.5, (y - view.top) / view.zoom - 0.5];
@@ -145,11 +145,15 @@ export function draw() {
     last = null;
     fit();
   }
-  const entry = picture(app.scene, frame(), wantedWidth(view.zoom), () => change({}));
+  const here = `${app.scene}/${frame()}`, width = wantedWidth(view.zoom);
+  if (here !== wanted) onlyFetch(here);
+  wanted = here;
+  const entry = picture(app.scene, frame(), width, () => change({}));
   if (entry.ready) {
     last = entry;
-    fetchNeighbours(wantedWidth(view.zoom));
+    if (!app.hurried) fetchNeighbours(width);
   }
+  if ((entry.ready || entry.failed) && app.shown !== here) change({ shown: here });
   drawPicture(entry);
   drawMarks(marksCanvas, app.dragged);
 }

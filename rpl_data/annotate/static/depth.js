@@ -3,12 +3,11 @@
 
 const RADIUS_PX = 14;
 
-// {text, warn} for the cursor; raw is the depth image in units, 0 = none.
-export function describeDepth(raw, scene, u, v) {
-  if (!raw) return { text: "depth …", warn: false };
-  const unit = scene.metres_per_unit;
-  const here = raw[Math.round(v) * scene.width + Math.round(u)] * unit;
-  const found = surfaces(raw, scene, u, v);
+// {text, warn} for the cursor; tile is the depth around it in units, 0 = none.
+export function describeDepth(tile, scene, u, v) {
+  if (!tile) return { text: "depth …", warn: false };
+  const here = at(tile, Math.round(u), Math.round(v)) * scene.metres_per_unit;
+  const found = surfaces(tile, scene, u, v);
   const metres = here > 0 ? `${here.toFixed(3)} m` : "no depth";
   if (!found.length) return { text: `${metres} · hole: no depth around here, choose another frame`, warn: true };
   if (here === 0) return { text: `${metres} here · nearest ${found[0].toFixed(3)} m beside it`, warn: true };
@@ -19,12 +18,14 @@ export function describeDepth(raw, scene, u, v) {
   return { text: metres, warn: false };
 }
 
+const at = ({ data, left, top, side }, x, y) => data[(y - top) * side + x - left];
+
 // Nearest depth (m) of every surface with at least four pixels around a position, nearest first.
-export function surfaces(raw, scene, u, v) {
+export function surfaces(tile, scene, u, v) {
   const depths = [];
   for (let y = Math.max(0, Math.ceil(v - RADIUS_PX)); y <= Math.min(scene.height - 1, v + RADIUS_PX); y++)
     for (let x = Math.max(0, Math.ceil(u - RADIUS_PX)); x <= Math.min(scene.width - 1, u + RADIUS_PX); x++) {
-      const d = raw[y * scene.width + x];
+      const d = at(tile, x, y);
       if (d && Math.hypot(x - u, y - v) <= RADIUS_PX) depths.push(d * scene.metres_per_unit);
     }
   depths.sort((a, b) => a - b);

@@ -8,12 +8,14 @@ export function element(tag, properties = {}, ...children) {
   return made;
 }
 
-// New children for a list; what had the keyboard's focus in it keeps it.
+// New children for a list; the button that had the keyboard's focus keeps it: by its data-key, else its place.
 export function refill(list, ...children) {
-  const focusable = () => [...list.querySelectorAll("button, [tabindex]")];
-  const at = focusable().indexOf(document.activeElement);
+  const buttons = () => [...list.querySelectorAll("button")];
+  const at = buttons().indexOf(document.activeElement), key = document.activeElement.dataset.key;
   list.replaceChildren(...children);
-  if (at >= 0) focusable()[at]?.focus();
+  if (at < 0) return;
+  const again = key ? buttons().find((button) => button.dataset.key === key) : buttons()[at];
+  again?.focus();
 }
 
 const dialog = document.getElementById("dialog");

@@ -58,7 +58,7 @@ export function picture(sceneName, index, width, then) {
     return entry;
   }
   const image = new Image();
-  entry = { image, ready: false, failed: false, waiting: then ? [then] : [] };
+  entry = { image, of: `${sceneName}/${index}`, ready: false, failed: false, waiting: then ? [then] : [] };
   image.decoding = "async";
   image.onload = () => done(entry, true);
   image.onerror = () => done(entry, false);
@@ -74,8 +74,21 @@ function done(entry, ready) {
   for (const then of entry.waiting.splice(0)) then();
 }
 
-// The width to ask for: what the screen shows, 0 = the whole image.
+// Stop fetching pictures of other frames: on a slow link they would come first.
+export function onlyFetch(shown) {
+  for (const [address, entry] of pictures) {
+    if (entry.ready || entry.failed || entry.of === shown) continue;
+    pictures.delete(address);
+    entry.image.onload = entry.image.onerror = null;
+    entry.image.src = "";
+  }
+}
+
+const HURRIED_PX = 320;
+
+// The width to ask for: what the screen shows, 0 = the whole image; less while frames rush by.
 export function wantedWidth(zoom) {
+  if (app.hurried && scene().width > HURRIED_PX) return HURRIED_PX;
   const pixels = scene().width * zoom * (window.devicePixelRatio || 1);
   return pixels >= scene().width ? 0 : [320, 640, 960, 1280, 1920].find((w) => w >= pixels) || 0;
 }
@@ -95,23 +108,26 @@ export function fetchNeighbours(width) {
 
 // Depth -----------------------------------------------------------------------------------------------
 
-const depths = new Map(); // "scene/frame" -> Uint16Array | null while it comes
+const TILE_PX = 128, MARGIN_PX = 16, MOST_TILES = 60;
+const tiles = new Map(); // "scene/frame/column/row" -> {data, left, top, side}; null while it comes
 let asked = null;
 
-// The depth image of the current frame, as stored; null until it is here.
-export function depthNow(then) {
-  const key = `${app.scene}/${frame()}`;
-  if (depths.has(key)) return depths.get(key);
+// The depth around a pixel of the current frame, as stored; null until it is here.
+export function depthAround(u, v, then) {
+  const [column, row] = [u, v].map((value) => Math.floor(Math.max(0, value) / TILE_PX));
+  const key = `${app.scene}/${frame()}/${column}/${row}`;
+  if (tiles.has(key)) return tiles.get(key);
   asked?.abort();
   asked = new AbortController();
-  depths.set(key, null);
-  binary(`${scenePath(app.scene)}/frames/${frame()}.depth`, asked.signal).then(
+  tiles.set(key, null);
+  binary(`${scenePath(app.scene)}/frames/${frame()}.depth?column=${column}&row=${row}`, asked.signal).then(
     (buffer) => {
-      depths.set(key, new Uint16Array(buffer));
-      while (depths.size > 12) depths.delete(depths.keys().next().value);
+      const [left, top] = [column * TILE_PX - MARGIN_PX, row * TILE_PX - MARGIN_PX];
+      tiles.set(key, { data: new Uint16Array(buffer), left, top, side: TILE_PX + 2 * MARGIN_PX });
+      while (tiles.size > MOST_TILES) tiles.delete(tiles.keys().next().value);
       then();
     },
-    () => depths.delete(key),
+    () => tiles.delete(key),
   );
   return null;
 }

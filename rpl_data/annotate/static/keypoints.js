@@ -108,6 +108,7 @@ function row({ name, color }, k) {
     badge(k, color),
     element("span", { className: name === String(k) ? "name quiet" : "name", textContent: keypointTitle(k) }),
     element("span", { className: `small ${kind}`, textContent: word }));
+  button.dataset.key = `keypoint ${k}`;
   button.addEventListener("click", () => select(k));
   const item = element("li", {}, button);
   item.setAttribute("aria-current", k === app.keypoint);
@@ -120,10 +121,10 @@ function whereMarked(k) {
   return names.length ? `marked in scene ${names.sort().join(", ")}` : "not marked yet";
 }
 
-// Black or white on a colour, whichever is read better.
+// Black or white on a colour, whichever has more contrast (WCAG's relative luminance).
 export function inkOn(color) {
-  const [r, g, b] = [1, 3, 5].map((i) => parseInt(color.slice(i, i + 2), 16) / 255);
-  return 0.299 * r + 0.587 * g + 0.114 * b > 0.5 ? "#000" : "#fff";
+  const [r, g, b] = [1, 3, 5].map((i) => (parseInt(color.slice(i, i + 2), 16) / 255) ** 2.2);
+  return 0.2126 * r + 0.7152 * g + 0.0722 * b > 0.18 ? "#000" : "#fff";
 }
 
 export const badge = (k, color) =>
@@ -141,6 +142,7 @@ function tools(here) {
   ];
   return element("div", { className: "tools" }, ...all.map(([text, title, does, disabled = false]) => {
     const button = element("button", { textContent: text, title, disabled });
+    button.dataset.key = text;
     button.addEventListener("click", does);
     return button;
   }));

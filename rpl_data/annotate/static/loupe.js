@@ -2,7 +2,7 @@
 
 import { currentPicture, toScreen } from "./canvas.js";
 import { describeDepth } from "./depth.js";
-import { depthNow, picture } from "./frames.js";
+import { depthAround, picture } from "./frames.js";
 import { app, change, frame, scene } from "./store.js";
 
 const canvas = document.getElementById("loupe");
@@ -23,7 +23,8 @@ export function draw() {
 
 function drawPixels(u, v) {
   const context = canvas.getContext("2d"), half = canvas.width / 2;
-  const whole = picture(app.scene, frame(), 0, () => change({})), shown = whole.ready ? whole : currentPicture();
+  const whole = app.hurried ? null : picture(app.scene, frame(), 0, () => change({}));
+  const shown = whole?.ready ? whole : currentPicture();
   context.fillStyle = "#000";
   context.fillRect(0, 0, canvas.width, canvas.height);
   context.imageSmoothingEnabled = false;
@@ -46,7 +47,7 @@ function drawPixels(u, v) {
 }
 
 function drawReadout(u, v) {
-  const depth = describeDepth(depthNow(() => change({})), scene(), u, v);
+  const depth = describeDepth(app.hurried ? null : depthAround(u, v, () => change({})), scene(), u, v);
   const span = document.createElement("span");
   span.textContent = `${depth.warn ? "⚠ " : ""}${depth.text}`;
   span.className = depth.warn ? "warn" : "";

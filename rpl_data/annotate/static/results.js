@@ -15,7 +15,7 @@ const STEPS = [
 const DEPTH_WORDS = { agrees: "", "other surface": "other surface", rejected: "depth not used", none: "no depth" };
 
 export function setUp() {
-  onChange(draw, () => [app.state, app.result, app.scene, app.row, app.keypoint, app.picturesCame]);
+  onChange(draw, () => [app.state, app.result, app.scene, app.row, app.keypoint]);
 }
 
 const go = (click) => openScene(click.scene, click.frame, { keypoint: click.keypoint, view: "mark" });

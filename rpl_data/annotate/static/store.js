@@ -9,6 +9,8 @@ export const app = {
   suggestions: {}, // by scene: [{frame, why}]
   next: null, // {text, scene, frame, keypoint, view, action}
   scene: null, row: 0, keypoint: 0, view: "mark",
+  shown: null, // "scene/frame" of the picture on the screen
+  hurried: false, // frames rush by: while one scrubs or plays
   cursor: null, // {u, v} in image pixels
   showModel: true, showMask: false, brightness: 1,
   waiting: 0, offline: false, job: null, fresh: {},

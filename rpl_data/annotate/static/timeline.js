@@ -9,10 +9,16 @@ const bar = document.getElementById("bar");
 const scrub = document.getElementById("scrub");
 const text = document.getElementById("frame-text");
 const THUMBNAIL_PX = 78;
-let shown = "", playing = null;
+let shown = "", playing = null, scrubbing = false, wanted = null; // the row the slider is at
 
 export function setUp() {
-  scrub.addEventListener("input", () => goToRow(Number(scrub.value)));
+  scrub.addEventListener("input", () => {
+    wanted = Number(scrub.value);
+    scrubbing = true;
+    hurry();
+    follow();
+  });
+  scrub.addEventListener("change", () => { scrubbing = false; hurry(); });
   thumbnails.addEventListener("click", (event) => {
     if (event.target.dataset.row) goToRow(Number(event.target.dataset.row));
   });
@@ -27,7 +33,19 @@ export function setUp() {
   on("random", random);
   on("suggested", () => jump(1));
   new ResizeObserver(() => { shown = ""; change({ timelineWidth: thumbnails.clientWidth }); }).observe(thumbnails);
+  onChange(follow, () => [app.shown]);
   onChange(draw, () => [app.scene, app.row, app.view, app.state, app.suggestions, app.poses[app.scene], app.timelineWidth, app.theme]);
+}
+
+const hurry = () => change({ hurried: scrubbing || playing !== null });
+const isShown = () => app.shown === `${app.scene}/${frame()}`;
+
+// After the slider, as fast as pictures come.
+function follow() {
+  if (wanted === null || !isShown()) return;
+  const row = wanted;
+  wanted = null;
+  goToRow(row);
 }
 
 export function play() {
@@ -35,15 +53,17 @@ export function play() {
   if (playing) {
     clearInterval(playing);
     playing = null;
+    hurry();
     button.textContent = "▶ play";
     return;
   }
   button.textContent = "❚❚ stop";
   playing = setInterval(() => {
     // A slow link is waited for: the next frame comes when this one is shown.
-    if (document.getElementById("picture").dataset.frame !== `${app.scene}/${frame()}`) return;
+    if (!isShown()) return;
     if (app.row + 1 >= poses().index.length) play(); else goToRow(app.row + 1);
   }, 80);
+  hurry();
 }
 
 export const random = () => goToRow(Math.floor(Math.random() * poses().index.length));
@@ -62,7 +82,7 @@ function draw() {
   const rows = poses()?.index;
   if (!rows || app.view !== "mark") return;
   scrub.max = rows.length - 1;
-  if (Number(scrub.value) !== app.row) scrub.value = app.row;
+  if (wanted === null && Number(scrub.value) !== app.row) scrub.value = app.row;
   const why = (app.suggestions[app.scene] || []).find((s) => s.frame === frame())?.why;
   text.textContent = `${why ? `★ ${why} · ` : ""}scene ${app.scene} · frame ${frame()} (${app.row + 1} of ${rows.length})`;
   drawThumbnails(rows);
