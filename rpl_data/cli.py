@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from rpl_data.types import DataError
+# Before NumPy is loaded: our matrices are small, and threads that wait for one another make a solve of
+# 0.15 s take more than a second on a busy machine.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+from rpl_data.types import DataError  # noqa: E402
 
 if TYPE_CHECKING:
     from rpl_data.steps import Ledger

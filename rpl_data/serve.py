@@ -6,11 +6,13 @@ import ipaddress
 import secrets
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 
 from rpl_data.annotate import Place, Work
 from rpl_data.annotate.work import Tell
 from rpl_data.build import Progress, build, context_of, recipe_of, save_recipe, stale_steps
+from rpl_data.pipeline.context import Context
 from rpl_data.pipeline.sparse import solve_annotation
 from rpl_data.recipe import ObjectRecipe
 from rpl_data.solve import register
@@ -31,17 +33,31 @@ def place_of(host: str, port: int) -> Place:
 
 def work_of(workspace: Workspace) -> Work:
     """The stages, for the page of a workspace."""
-    context_of(workspace)  # says what is wrong before the page opens
+    _context(workspace)  # says what is wrong before the page opens
     return Work(
         solve=lambda annotation, observations: solve_annotation(
-            context_of(workspace), annotation, observations
+            _context(workspace), annotation, observations
         ),
         register=register,
-        objects=lambda: context_of(workspace).object_names,
+        objects=lambda: _context(workspace).object_names,
         add_object=lambda name, keypoints: _add_object(workspace, name, keypoints),
         run=lambda stage, tell: _run(workspace, stage, tell),
         fresh=lambda: _fresh(workspace),
     )
+
+
+def _context(workspace: Workspace) -> Context:
+    """The context of the recipe as it is on the disk; read again when it has changed."""
+    try:
+        status = workspace.recipe_file.stat()
+    except OSError:
+        return context_of(workspace)  # which says what is wrong
+    return _context_at(workspace, status.st_mtime_ns, status.st_size)
+
+
+@lru_cache(4)
+def _context_at(workspace: Workspace, *stamp: int) -> Context:
+    return context_of(workspace)
 
 
 def _add_object(workspace: Workspace, name: str, keypoints: Sequence[str]) -> None:

@@ -39,6 +39,8 @@ from rpl_data.types import ClickResidual, DataError, DepthState, KeypointModel, 
 Method = Literal["robust", "slsqp"]
 ROUNDS = 5
 """How often keypoints may jump to another of their places before the answer stands."""
+SAME_START_M = 1e-3
+"""Keypoints that jump back to where the last adjustment began would come to the same answer again."""
 
 
 def solve(
@@ -73,12 +75,13 @@ def solve(
     known: np.ndarray = fragments.clicked.sum(axis=0) > 0
     rays = rays_of(observations, scenes)
     bundle = adjust_rays(rays, adjusted.scene_from_model, adjusted.points_model)
+    before: np.ndarray = bundle.points_model
     for _ in range(ROUNDS):
         places = _places_in_model(groups, bundle.scene_from_model, len(keypoints))
         points = choose_places(rays, bundle.scene_from_model, bundle.points_model, places)
-        if np.array_equal(points, bundle.points_model):
+        if np.array_equal(points, bundle.points_model) or np.abs(points - before).max() < SAME_START_M:
             break
-        bundle = adjust_rays(rays, bundle.scene_from_model, points)
+        bundle, before = adjust_rays(rays, bundle.scene_from_model, points), points
     if method == "slsqp":  # the paper's answer, with our description of how well it fits
         bundle = bundle._replace(
             scene_from_model=adjusted.scene_from_model, points_model=adjusted.points_model
