@@ -20,6 +20,9 @@ from jaxtyping import UInt8, UInt16
 from rpl_data.types import DataError, Intrinsics
 
 POLL_S = 0.1
+LIVE_QUEUE = 120
+"""Frames of both streams that a camera may be ahead of their reader: 2 s at 30 Hz."""
+
 LONGEST_WAIT = 30
 """Frames that wait for their partner; one that is still alone then stays alone."""
 
@@ -90,7 +93,7 @@ class Streams:
         self.camera = camera
         self.counts = StreamCounts()
         self._lossless = lossless
-        self._queue: queue.Queue[Any] = queue.Queue(maxsize=16)
+        self._queue: queue.Queue[Any] = queue.Queue(maxsize=16 if lossless else LIVE_QUEUE)
         self._closed = False
         self.settings: dict[str, float] = {}
         self._aligner = None if self._share_one_camera() else _Aligner()

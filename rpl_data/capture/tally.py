@@ -8,8 +8,9 @@ from rpl_data.capture.streams import Shot, StreamCounts
 class Tally:
     """Counts frames as they come; every loss has one of three places.
 
-    A colour image the camera numbered and nobody received was lost on the way here (cable, USB); one that
-    came faster than it could be aligned is counted by `StreamCounts`; one found the disk's queue full.
+    A colour image the camera numbered and nobody received was lost on the way here (cable, USB); one came
+    faster than it could be aligned, or without depth, as `StreamCounts` counts; one found the disk's queue
+    full.
 
     Attributes:
         shots: pairs that came.
@@ -44,27 +45,37 @@ class Tally:
         self.at_disk += not kept
 
     @property
+    def too_fast(self) -> int:
+        """Colour images between the first pair and the last that came faster than they could be aligned."""
+        return min(self._counts.late, self._jumped - self.alone)
+
+    @property
+    def alone(self) -> int:
+        """Colour images between the first pair and the last without depth at their time."""
+        return min(self._counts.color_alone, self._jumped)
+
+    @property
     def on_the_way(self) -> int:
-        """Colour images that never arrived."""
-        return max(0, self._jumped - self._counts.late - self._counts.color_alone)
+        """Colour images between the first pair and the last that never arrived."""
+        return self._jumped - self.alone - self.too_fast
 
     def losses(self) -> list[str]:
         """A line for every place where frames were lost."""
-        lines = list(self._counts.lines())
-        if self.on_the_way:
-            lines.append(
-                f"{self.on_the_way} colour images were lost between camera and computer; use a USB 3 port, a "
-                "shorter cable, or a lower --fps"
-            )
-        if self.at_disk:
-            lines.append(
-                f"{self.at_disk} frames were dropped because the disk is too slow; record to a faster one"
-            )
-        return lines
+        found = {
+            f"{self.alone} colour images came without depth at their time": self.alone,
+            f"{self.too_fast} colour images came faster than they could be aligned to and were dropped; "
+            "record smaller images, or at a lower --fps": self.too_fast,
+            f"{self.on_the_way} colour images were lost between camera and computer; use a USB 3 port, a "
+            "shorter cable, or a lower --fps": self.on_the_way,
+            f"{self.at_disk} frames were dropped because the disk is too slow; record to a faster one": (
+                self.at_disk
+            ),
+        }
+        return [line for line, count in found.items() if count]
 
     def news(self) -> list[str]:
         """The losses, when they have doubled since they were last asked for; else nothing."""
-        lost = self.at_disk + self.on_the_way + self._counts.late + self._counts.color_alone
+        lost = self.at_disk + self._jumped
         if lost < self._next_news:
             return []
         self._next_news = 2 * lost
