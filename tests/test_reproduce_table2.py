@@ -13,8 +13,9 @@ import pytest
 from rpl_data.pose.errors import INFINITE, PoseErrors
 from rpl_data.workspace import Workspace
 from training.options import DetectorNetwork, Learning, Machine, Network
-from training.pose_evaluation import Judged, PoseScore
-from training.reproduce.table2 import Cell, counts, ratios, table2
+from training.pose_scores import Judged, PoseScore
+from training.reproduce.pose_comparison import Cell, counts, ratios
+from training.reproduce.table2 import table2
 
 NETWORK = Network(stacks=1, features=16, levels=2, input_px=32, heatmap_px=8, loss="entropy")
 DETECTOR = DetectorNetwork(width_px=96, features=32)

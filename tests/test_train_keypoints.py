@@ -18,9 +18,10 @@ from training.evaluate_pose import evaluate_pose
 from training.keypoint_training import load_keypoints, untrained
 from training.options import DetectorNetwork, Learning, Machine, Network
 from training.predict import predict
+from training.program import main
 from training.runs import trained_epochs
 from training.train_detector import train_detector
-from training.train_keypoints import main, train_keypoints
+from training.train_keypoints import train_keypoints
 
 CONFIGS = Path(__file__).parent.parent / "training" / "configs"
 WEDGE = KeypointModel(
@@ -102,7 +103,7 @@ def test_paper_preset_takes_a_step(coco, tmp_path, capsys):
     smaller = ["--learning.epochs=1", "--learning.batch=1", "--machine.workers=0", "--validate_every=2"]
     few = edited(coco, tmp_path / "few", keep_one)
     arguments[2] = str(few)
-    assert main([*arguments, *smaller]) == 0, capsys.readouterr().err
+    assert main(train_keypoints, [*arguments, *smaller]) == 0, capsys.readouterr().err
     trained = load_keypoints(tmp_path / "last.ckpt")
     assert trained.options == Network() and len(trained.network.heads) == 2
 
@@ -213,7 +214,7 @@ def test_checkpoints_of_something_else(coco, run, tmp_path):
 
 
 def test_mistakes_are_one_line(tmp_path, capsys):
-    assert main([str(tmp_path / "none"), "--out", str(tmp_path)]) == 1
+    assert main(train_keypoints, [str(tmp_path / "none"), "--out", str(tmp_path)]) == 1
     said = capsys.readouterr().err
     assert said.startswith("train_keypoints: ") and said.count("\n") == 1
     with pytest.raises(DataError, match="a quarter"):

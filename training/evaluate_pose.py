@@ -33,8 +33,9 @@ def evaluate_pose(
         methods: of PnP.
         out: a JSON file for the figures and every instance.
     """
-    from training.pose_evaluation import evaluate, score, true_objects
+    from training.pose_evaluation import evaluate, true_objects
     from training.pose_pipeline import load_pipeline
+    from training.pose_scores import score
 
     pipeline = load_pipeline(keypoints, detector)
     coco_json = coco / f"{split}.json"
@@ -44,11 +45,11 @@ def evaluate_pose(
     for name in pipeline.networks:
         for method in methods:
             rows = [each for each in judged if (each.object, each.method) == (name, method)]
-            found = figures[f"{name} {method}"] = asdict(score(rows, truth[name]))
+            found = figures[f"{name} {method}"] = asdict(score(rows, truth[name].surface))
             print(f"{name:14s} {method:9s} {line_of(found)}")
     if out is not None:
         from rpl_data.files import write_json
-        from training.pose_evaluation import finite
+        from training.pose_scores import finite
 
         rows = [
             {"object": e.object, "image": e.image, "method": e.method, "found": e.found, **asdict(e.errors)}
@@ -66,6 +67,6 @@ def line_of(found: dict[str, float]) -> str:
 
 
 if __name__ == "__main__":
-    from training.train_keypoints import main
+    from training.program import main
 
-    sys.exit(main(program=evaluate_pose))
+    sys.exit(main(evaluate_pose))

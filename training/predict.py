@@ -166,6 +166,6 @@ def _write_overlay(
 
 
 if __name__ == "__main__":
-    from training.train_keypoints import main
+    from training.program import main
 
-    sys.exit(main(program=predict))
+    sys.exit(main(predict))

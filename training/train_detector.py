@@ -110,6 +110,6 @@ def _loader(dataset: DetectionDataset, learning: Learning, machine: Machine, *, 
 
 
 if __name__ == "__main__":
-    from training.train_keypoints import main
+    from training.program import main
 
-    sys.exit(main(program=train_detector))
+    sys.exit(main(train_detector))

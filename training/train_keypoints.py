@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rpl_data.torch.transforms import Augmentation
 from rpl_data.types import DataError
@@ -101,17 +100,7 @@ def check_resumable(checkpoint: Path, module: KeypointTraining) -> None:
         )
 
 
-def main(arguments: Sequence[str] | None = None, program: Any = train_keypoints) -> int:
-    """Run a program of this package; 1 with one line on stderr when the user can mend it."""
-    from jsonargparse import auto_cli
-
-    try:
-        auto_cli(program, args=None if arguments is None else list(arguments))
-    except DataError as error:
-        print(f"{program.__name__}: {error}", file=sys.stderr)
-        return 1
-    return 0
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    from training.program import main
+
+    sys.exit(main(train_keypoints))

@@ -11,8 +11,8 @@ from training.reproduce.paper import TABLE_2
 
 if TYPE_CHECKING:
     from rpl_data.report.html import Cell as HtmlCell
-    from training.pose_evaluation import Judged
-    from training.reproduce.table2 import Cell, Ratio
+    from training.pose_scores import Judged
+    from training.reproduce.pose_comparison import Cell, Ratio
 
 METHODS = {"epnp": "EPnP (paper)", "consensus": "consensus + LM"}
 SPLITS = {
@@ -24,8 +24,8 @@ SPLITS = {
 def write_page(out: Path, workspace: Path, objects: list[str]) -> Path:
     """table2.json and table2.html of what has been trained so far."""
     from rpl_data.report.html import section
+    from training.reproduce.pose_comparison import counts, measure, ratios
     from training.reproduce.results import write_results
-    from training.reproduce.table2 import counts, measure, ratios
 
     found = list(measure(out, workspace, objects))
     cells, compared = [cell for cell, _ in found], ratios(found)
