@@ -106,6 +106,12 @@ def test_meta_data_of_the_original_by_hand(tmp_path: Path) -> None:
     np.testing.assert_array_equal(meta.clicked_scene[1], [[np.nan] * 3, [7, 9, 11]])
     np.savez(before, model=np.ones((2, 3)), scenes=scenes[[3, 4, 5, 10, 11, 12, 13]], ref=ref, sm=sm)
     np.testing.assert_array_equal(read_meta_data(before).scene_from_world, meta.scene_from_world)
+    oldest, points = tmp_path / "oldest.npz", np.array([[1.0, 2, 3], [4, 5, 6]])
+    np.savez(oldest, res=np.concatenate([scenes[[3, 4, 5, 10, 11, 12, 13]], points.ravel()]), ref=ref, sm=sm)
+    found = read_meta_data(oldest)
+    np.testing.assert_array_equal(found.points_world, points)
+    np.testing.assert_array_equal(found.scene_from_world, meta.scene_from_world)
+    np.testing.assert_array_equal(found.clicked_scene, meta.clicked_scene)
 
 
 def arrays(scenes: int, ref: tuple[int, ...], sm: tuple[int, ...]) -> dict[str, np.ndarray]:

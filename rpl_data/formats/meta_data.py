@@ -6,6 +6,9 @@ With N scenes (in the order of their sorted names), K keypoints and M clicks:
 - ``scenes`` (7 N): N translations, then N quaternions w x y z, of scene_from_world
 - ``ref`` (N, 3, K): clicked points in the frame of their scene; meaningless where not clicked
 - ``sm`` (3 M, 3 N K): selection matrix, an identity block a click, scene by scene
+
+Two older generations: one whose ``scenes`` leaves out the first scene, and one with ``res`` instead of
+``model`` and ``scenes``, the vector that was optimised: such scenes, then the keypoints row by row.
 """
 
 from __future__ import annotations
@@ -39,14 +42,12 @@ class MetaData:
 
 
 def read_meta_data(path: Path) -> MetaData:
-    """The content of a saved_meta_data.npz.
-
-    The generation before today's, which leaves the first scene out of ``scenes``, is read too.
+    """The content of a saved_meta_data.npz of any generation.
 
     Raises:
         DataError: the file is missing, none of these, or its arrays do not fit each other.
     """
-    arrays = _load(path)
+    arrays = _as_today(_load(path))
     missing = [key for key in ("model", "scenes", "ref", "sm") if key not in arrays]
     if missing:
         raise DataError(
@@ -72,6 +73,15 @@ def _load(path: Path) -> dict[str, np.ndarray]:
             return {key: np.asarray(archive[key], dtype=float) for key in archive.files}
     except (OSError, ValueError, EOFError) as error:
         raise DataError(f"{path} is not an npz archive of numbers: {error}") from error
+
+
+def _as_today(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The arrays, ``res`` of the oldest generation taken apart."""
+    if "res" not in arrays or "model" in arrays or arrays.get("ref", np.empty(0)).ndim != 3:
+        return arrays
+    result, model = arrays["res"].ravel(), 3 * arrays["ref"].shape[2]
+    parts = {"scenes": result[:-model], "model": result[-model:].reshape(-1, 3)}
+    return {key: value for key, value in arrays.items() if key != "res"} | parts
 
 
 def _transforms(path: Path, values: np.ndarray, scenes: int) -> Float64[np.ndarray, "n 4 4"]:
