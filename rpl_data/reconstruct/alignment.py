@@ -10,11 +10,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float32, Float64
+from jaxtyping import Bool, Float32
 
 from rpl_data.geometry import Transform, invert
 from rpl_data.reconstruct.information import (
@@ -46,7 +45,7 @@ PLAIN = 6.0
 """Brightness that varies less than this (standard deviation, of 255) shows nothing to correlate."""
 
 Values = Float32[np.ndarray, " n"]
-Derivative = Float32[np.ndarray, "n 6"]
+Derivative = Float32[np.ndarray, "6 n"]
 
 
 @dataclass(frozen=True)
@@ -68,9 +67,9 @@ class Fit:
 
 @dataclass(frozen=True)
 class _Pixels:
-    """Pixels of the frame: points in its camera, and brightness."""
+    """Pixels of the frame: points in its camera, a column a pixel, and brightness."""
 
-    points: Float32[np.ndarray, "n 3"]
+    points: Float32[np.ndarray, "3 n"]
     grey: Values
 
 
@@ -83,7 +82,7 @@ class _Compared:
         agrees: at about its depth.
         smooth: and it has depth all around.
         grey, step_m: the keyframe's brightness, and how much farther than the pixel it is.
-        u_by_motion, v_by_motion: derivatives of the pixel's place in the keyframe by the motion.
+        u_by_motion, v_by_motion: derivatives of the place in its image by a motion along its axes.
         grey_by_motion, step_by_motion: of the other two.
     """
 
@@ -119,19 +118,18 @@ def align(
     for level in levels:
         pixels = _chosen_pixels(view.levels[level])
         for _ in range(ITERATIONS):
-            compared = _compare(pixels, keyframe, level, pose)
+            compared, axes = _compare(pixels, keyframe, level, pose)
             bright, deep = _brightness(pixels, compared), _depth(compared)
-            pull = color_trust * bright.pull + deep.pull
+            pull = axes.T @ (color_trust * bright.pull + deep.pull)
             pull += prior.information @ motion_between(pose, prior.scene_from_camera)
-            motion = np.linalg.solve(
-                color_trust * bright.information + deep.information + prior.information, pull
-            )
+            information = axes.T @ (color_trust * bright.information + deep.information) @ axes
+            motion = np.linalg.solve(information + prior.information, pull)
             pose = pose @ moved(motion)
             if np.abs(motion).max() < CONVERGED_M:
                 break
-    known = color_trust * above_noise(bright.information, bright.noise)
-    known = known + above_noise(deep.information, deep.noise) + prior.information
-    return Fit(Estimate(pose, known), *_agreement(pixels, compared))
+    known = color_trust * bright.above_noise(compared) + deep.above_noise(compared)
+    estimate = Estimate(pose, axes.T @ known @ axes + prior.information)
+    return Fit(estimate, *_agreement(pixels, compared))
 
 
 def _chosen_pixels(level: Level) -> _Pixels:
@@ -150,51 +148,63 @@ def _chosen_pixels(level: Level) -> _Pixels:
     camera, depth_m = level.camera, level.depth_m[rows, columns]
     x = (columns - camera.cx) / camera.fx * depth_m
     y = (rows - camera.cy) / camera.fy * depth_m
-    points = np.column_stack([x, y, depth_m]).astype(np.float32)
-    return _Pixels(points, level.grey[rows, columns])
+    return _Pixels(np.stack([x, y, depth_m]).astype(np.float32), level.grey[rows, columns])
 
 
 def _thinned(numbers: np.ndarray, count: int) -> np.ndarray:
     return numbers[:: max(1, len(numbers) // count)]
 
 
-def _compare(pixels: _Pixels, keyframe: Keyframe, number: int, scene_from_camera: Transform) -> _Compared:
+def _compare(
+    pixels: _Pixels, keyframe: Keyframe, number: int, scene_from_camera: Transform
+) -> tuple[_Compared, Information]:
+    """The pixels in the keyframe, and the axes that take a motion of the frame to one along its axes."""
     level = keyframe.levels[number]
     camera = level.camera
     keyframe_from_camera = (invert(keyframe.scene_from_camera) @ scene_from_camera).astype(np.float32)
-    rotation = keyframe_from_camera[:3, :3]
-    x, y, z = (pixels.points @ rotation.T + keyframe_from_camera[:3, 3]).T
-    per_z = 1 / np.maximum(z, 1e-3)
+    turned = keyframe_from_camera[:3, :3] @ pixels.points
+    x, y, z = turned + keyframe_from_camera[:3, 3:]
+    per_z = 1 / np.maximum(z, np.float32(1e-3))
     u, v = camera.fx * x * per_z + camera.cx, camera.fy * y * per_z + camera.cy
     seen = (z > 1e-3) & (u >= 1) & (u < camera.width - 2) & (v >= 1) & (v < camera.height - 2)
-    u, v = np.where(seen, u, 0).astype(np.float32), np.where(seen, v, 0).astype(np.float32)
+    u, v = np.where(seen, u, np.float32(0)), np.where(seen, v, np.float32(0))
     nearest_m = level.depth_m[np.rint(v).astype(int), np.rint(u).astype(int)]
     seen &= nearest_m > 0
     agrees = seen & (np.abs(nearest_m - z) < 0.02 * z + 0.005)
-    grey, depth_m, slopes = (
-        cv2.remap(image, u, v, cv2.INTER_LINEAR).reshape(len(u), -1)
+    grey, depth_m, *slopes = (
+        channel
         for image in (level.grey, level.depth_m, keyframe.slopes[number])
+        for channel in cv2.remap(image, u, v, cv2.INTER_LINEAR).reshape(len(u), -1).T
     )
-
-    def by_motion(by_point: list[Any]) -> Derivative:
-        """A derivative by the point in the keyframe, turned into the frame, then by the camera's motion."""
-        turned = np.stack(np.broadcast_arrays(*by_point), axis=1) @ rotation
-        return np.hstack([np.cross(pixels.points, turned), turned])
-
-    zero = np.zeros_like(z)
-    u_by_motion = by_motion([camera.fx * per_z, zero, -camera.fx * x * per_z**2])
-    v_by_motion = by_motion([zero, camera.fy * per_z, -camera.fy * y * per_z**2])
-    return _Compared(
+    u_by, v_by, z_by = _by_motion(turned, per_z * camera.fx, per_z * camera.fy, x * per_z, y * per_z)
+    compared = _Compared(
         seen,
         agrees,
-        agrees & np.isfinite(slopes[:, 2]),
-        grey[:, 0],
-        depth_m[:, 0] - z,
-        u_by_motion,
-        v_by_motion,
-        slopes[:, :1] * u_by_motion + slopes[:, 1:2] * v_by_motion,
-        slopes[:, 2:3] * u_by_motion + slopes[:, 3:] * v_by_motion - by_motion([zero, zero, zero + 1]),
+        agrees & np.isfinite(slopes[2]),
+        grey,
+        depth_m - z,
+        u_by,
+        v_by,
+        slopes[0] * u_by + slopes[1] * v_by,
+        slopes[2] * u_by + slopes[3] * v_by - z_by,
     )
+    return compared, np.kron(np.eye(2), keyframe_from_camera[:3, :3].astype(float))
+
+
+def _by_motion(
+    turned: Float32[np.ndarray, "3 n"], fx_per_z: Values, fy_per_z: Values, x_per_z: Values, y_per_z: Values
+) -> tuple[Derivative, Derivative, Derivative]:
+    """Derivatives of u, v and z of points by a motion, with axes turned to the keyframe's.
+
+    A motion (w, t) moves a point by ``w x turned + t``.
+    """
+    qx, qy, qz = turned
+    zero = np.zeros_like(qx)
+    du, dv = -fx_per_z * x_per_z, -fy_per_z * y_per_z  # by z
+    u_by = np.stack([qy * du, qz * fx_per_z - qx * du, -qy * fx_per_z, fx_per_z, zero, du])
+    v_by = np.stack([qy * dv - qz * fy_per_z, -qx * dv, qx * fy_per_z, zero, fy_per_z, dv])
+    z_by = np.stack([qy, -qx, zero, zero, zero, zero + 1])
+    return u_by, v_by, z_by
 
 
 @dataclass(frozen=True)
@@ -203,57 +213,72 @@ class _Evidence:
 
     Attributes:
         information, pull: of the normal equations.
-        noise: information that noisy slopes would show where there are none.
+        weights: of the pixels.
+        slope_noise: standard deviation of the keyframe's slopes.
     """
 
     information: Information
     pull: Motion
-    noise: Information
+    weights: Values
+    slope_noise: float
+
+    def above_noise(self, compared: _Compared) -> Information:
+        """The information without what noisy slopes show where there are none."""
+        weights = self.weights * np.float32(self.slope_noise**2)
+        u, v = compared.u_by_motion, compared.v_by_motion
+        noise = (u * weights) @ u.T + (v * weights) @ v.T
+        return above_noise(self.information, noise.astype(float))
 
 
 def _brightness(pixels: _Pixels, compared: _Compared) -> _Evidence:
     """Differences of brightness, with a gain and an offset between the exposures."""
-    use = compared.agrees
-    if np.count_nonzero(use) < LEAST_PIXELS:
-        return _Evidence(np.zeros((6, 6)), np.zeros(6), np.zeros((6, 6)))
-    there, here = compared.grey[use].astype(float), pixels.grey[use].astype(float)
-    gain, offset = _exposure(there, here)
-    residuals = here - (gain * there + offset)
-    return _evidence(compared, use, residuals, gain * compared.grey_by_motion[use], GREY_NOISE, floor=1.0)
+    gain, offset = _exposure(compared.grey[compared.agrees], pixels.grey[compared.agrees])
+    residuals = pixels.grey - (gain * compared.grey + offset)
+    return _evidence(
+        residuals, gain * compared.grey_by_motion, compared.agrees, slope_noise=GREY_NOISE, floor=1.0
+    )
 
 
 def _depth(compared: _Compared) -> _Evidence:
     """Differences of depth."""
-    use = compared.smooth
-    if np.count_nonzero(use) < LEAST_PIXELS:
-        return _Evidence(np.zeros((6, 6)), np.zeros(6), np.zeros((6, 6)))
-    residuals = -compared.step_m[use].astype(float)
-    return _evidence(compared, use, residuals, compared.step_by_motion[use], DEPTH_NOISE, floor=5e-4)
+    return _evidence(
+        -compared.step_m, compared.step_by_motion, compared.smooth, slope_noise=DEPTH_NOISE, floor=5e-4
+    )
 
 
 def _evidence(
-    compared: _Compared,
+    residuals: Values,
+    derivative: Derivative,
     use: Bool[np.ndarray, " n"],
-    residuals: Float64[np.ndarray, " m"],
-    derivative: Float32[np.ndarray, "m 6"] | Float64[np.ndarray, "m 6"],
-    slope_noise: float,
     *,
+    slope_noise: float,
     floor: float,
 ) -> _Evidence:
-    """Normal equations with Cauchy's weights; the scale is the residuals' own, and `floor` more."""
-    sigma = 1.4826 * float(np.median(np.abs(residuals))) + floor
-    weights = INDEPENDENT / sigma**2 / (1 + (residuals / (2 * sigma)) ** 2)
-    weighted = derivative * weights[:, None]
-    moves = np.vstack([compared.u_by_motion[use], compared.v_by_motion[use]]).astype(float)
-    noise = moves.T @ (moves * np.tile(weights, 2)[:, None]) * (slope_noise * sigma) ** 2
-    return _Evidence(weighted.T @ derivative, weighted.T @ residuals, noise)
+    """Normal equations with Cauchy's weights; the scale is the residuals' own, and `floor` more.
+
+    Args:
+        slope_noise: for a scale of 1.
+    """
+    count = int(np.count_nonzero(use))
+    if count < LEAST_PIXELS:
+        return _Evidence(np.zeros((6, 6)), np.zeros(6), np.zeros_like(residuals), slope_noise)
+    sizes = np.abs(residuals[use])
+    sigma = 1.4826 * float(np.partition(sizes, count // 2)[count // 2]) + floor
+    weights = use * np.float32(INDEPENDENT / sigma**2) / (1 + (residuals / np.float32(2 * sigma)) ** 2)
+    weighted = np.where(use, derivative * weights, np.float32(0))
+    derivative = np.where(use, derivative, np.float32(0))  # NaN near missing depth
+    information = (weighted @ derivative.T).astype(float)
+    return _Evidence(information, (weighted @ residuals).astype(float), weights, slope_noise * sigma)
 
 
-def _exposure(there: Float64[np.ndarray, " n"], here: Float64[np.ndarray, " n"]) -> tuple[float, float]:
+def _exposure(there: Values, here: Values) -> tuple[np.float32, np.float32]:
     """Gain and offset between two exposures by quartiles: edges that do not meet yet hardly move them."""
-    a, b = np.percentile(there, [25, 50, 75]), np.percentile(here, [25, 50, 75])
-    gain = float(np.clip((b[2] - b[0]) / max(a[2] - a[0], 1.0), 0.5, 2.0))
-    return gain, float(b[1] - gain * a[1])
+    if len(there) < LEAST_PIXELS:
+        return np.float32(1), np.float32(0)
+    quartiles = (np.array([0.25, 0.5, 0.75]) * len(there[::4])).astype(int)
+    a, b = np.sort(there[::4])[quartiles], np.sort(here[::4])[quartiles]
+    gain = np.clip((b[2] - b[0]) / max(a[2] - a[0], np.float32(1)), np.float32(0.5), np.float32(2))
+    return gain, b[1] - gain * a[1]
 
 
 def _agreement(pixels: _Pixels, compared: _Compared) -> tuple[float, float, float]:

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from jaxtyping import Float64
-from scipy.spatial.transform import Rotation
 
-from rpl_data.geometry import Transform, from_rotvec, invert
+from rpl_data.geometry import Transform, invert, rigid
 
 INDEPENDENT = 0.1
 """Neighbouring pixels and points err alike: each is worth this much of an independent measurement."""
@@ -39,14 +39,23 @@ class Estimate:
 
 def moved(motion: Motion) -> Transform:
     """The transform of a small motion."""
-    return from_rotvec(motion[:3], motion[3:])
+    return rigid(cv2.Rodrigues(motion[:3])[0], motion[3:])
 
 
 def motion_between(a: Transform, b: Transform) -> Motion:
     """The motion that takes pose `a` to pose `b`: ``b = a @ moved(motion)``."""
     change = invert(a) @ b
-    motion: Motion = np.r_[Rotation.from_matrix(change[:3, :3]).as_rotvec(), change[:3, 3]]
-    return motion
+    return np.concatenate([cv2.Rodrigues(change[:3, :3])[0].ravel(), change[:3, 3]])
+
+
+def distances_m(
+    poses: Float64[np.ndarray, "n 4 4"], scene_from_camera: Transform
+) -> Float64[np.ndarray, " n"]:
+    """Size of the motions from some poses to another, as `size_m` has it."""
+    turned = (np.einsum("nij,ij->n", poses[:, :3, :3], scene_from_camera[:3, :3]) - 1) / 2  # cosines
+    moved_m = np.linalg.norm(poses[:, :3, 3] - scene_from_camera[:3, 3], axis=1)
+    sizes_m: Float64[np.ndarray, " n"] = np.hypot(moved_m, LEVER_M * np.arccos(np.clip(turned, -1, 1)))
+    return sizes_m
 
 
 def size_m(motion: Motion) -> float:

@@ -31,7 +31,7 @@ PREDICTED = np.diag([10.0**2] * 3 + [20.0**2] * 3)
 SURE_M = 0.002
 """Alignment to a keyframe that is less sure than this asks the map, too."""
 
-KNOWN_M = 0.01
+KNOWN_M = 0.02
 """A pose that is less sure than this is not known."""
 
 UNREGISTERED_TRUST = 0.01

@@ -20,7 +20,7 @@ REDUCE = 2
 LEVELS = 3
 """Sizes a view: 320 x 240, 160 x 120 and 80 x 60 of a 640 x 480 recording."""
 
-SPACING_M = 0.02
+SPACING_M = 0.03
 """The point cloud is thinned to one point a cube of this size."""
 
 Image = Float32[np.ndarray, "rows columns"]
