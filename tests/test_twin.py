@@ -18,7 +18,8 @@ from rpl_data.twin import TwinSpec, write_twin
 from rpl_data.twin.annotator import Mistakes, click
 from rpl_data.twin.film import Film, film
 from rpl_data.twin.objects import OBJECTS, build
-from rpl_data.twin.scene import compose, resting_rotations
+from rpl_data.twin.resting import resting_rotations
+from rpl_data.twin.scene import compose
 from rpl_data.twin.trajectory import hand_held
 from rpl_data.types import DataError, FrameLabel
 from rpl_data.workspace import Workspace, load_mesh, read_color, read_depth_m

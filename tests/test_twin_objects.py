@@ -13,7 +13,7 @@ from rpl_data.recipe import load_recipe, parse_recipe
 from rpl_data.twin import TwinSpec
 from rpl_data.twin.film import film
 from rpl_data.twin.objects import OBJECTS, build, spread_order
-from rpl_data.twin.scene import resting_rotations
+from rpl_data.twin.resting import resting_rotations
 from rpl_data.twin.spec import Cast, Thing
 from rpl_data.types import DataError
 

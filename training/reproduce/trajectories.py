@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import yaml
@@ -17,9 +16,9 @@ from rpl_data.recipe import Recipe, SceneSource, parse_recipe, recipe_to_yaml
 from rpl_data.twin.drift import Drift, drifted
 from rpl_data.types import DataError
 from rpl_data.workspace import Workspace
+from training.reproduce.table1 import Trajectories
 
 POSES = "camera.poses"
-Trajectories = Literal["given", "drifting", "tracked"]
 
 
 def with_trajectories(workspace: Workspace, kind: Trajectories, folder: Path, *, seed: int) -> Recipe:
