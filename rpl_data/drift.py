@@ -8,7 +8,7 @@ is noise, is drift. Only what changes depth is seen, about a third to a half of 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -19,7 +19,10 @@ from jaxtyping import Float64, Int64
 from rpl_data.geometry import invert
 from rpl_data.parts import Span
 from rpl_data.reprojection import depth_reprojection_error_m
-from rpl_data.types import DepthImage, Frame, Scene, Trajectory
+from rpl_data.types import DepthImage, Frame, Observation, Scene, Trajectory
+
+MAX_DRIFT_MM = 15.0
+"""Poses that stray farther are cut, unless the recipe says otherwise."""
 
 FEWEST_PAIRS = 3
 """Fewer pairs of frames say little: one may be off by what hides between its views."""
@@ -45,13 +48,26 @@ class Drift:
         Pairs of frames are taken together with those about as far apart, as many as there are frames; it
         is the median of such a group, of the group where that is largest.
         """
+        return max((float(np.median(group)) for group in self._groups(first, behind)), default=0.0)
+
+    def sure_beyond(self, limit_m: float, *, resamples: int = 200) -> float:
+        """Share of bootstrap resamples of the pairs in which the whole scene strays farther than that."""
+        groups = self._groups(0, len(self.frames))
+        if not groups:
+            return 0.0
+        widest = max(groups, key=np.median)
+        chosen = np.random.default_rng(0).choice(widest, (resamples, len(widest)))
+        return float((np.median(chosen, axis=1) > limit_m).mean())
+
+    def _groups(self, first: int, behind: int) -> list[Float64[np.ndarray, " pairs"]]:
+        """Drift of the pairs of frames, in groups of those about as far apart."""
         count = behind - first
         i, j = np.triu_indices(count, 1)
         between = self.between_m[first:behind, first:behind][i, j]
         seen = np.isfinite(between)
         farthest_first = between[seen][np.argsort(i[seen] - j[seen], kind="stable")]
         groups = np.array_split(farthest_first, max(1, len(farthest_first) // max(FEWEST_PAIRS, count)))
-        return max((float(np.median(group)) for group in groups if len(group)), default=0.0)
+        return [group for group in groups if len(group)]
 
     @property
     def whole_m(self) -> float:
@@ -152,6 +168,36 @@ def _span(frames: Int64[np.ndarray, " n"], a: int, b: int) -> Span:
     first = int(frames[0]) if a == 0 else int(frames[a - 1] + frames[a]) // 2 + 1
     last = int(frames[-1]) if b == len(frames) else int(frames[b - 1] + frames[b]) // 2
     return first, last
+
+
+def click_spreads_m(
+    points_scene: Mapping[str, Float64[np.ndarray, "k 3"]], observations: Sequence[Observation]
+) -> dict[tuple[str, int], float]:
+    """How far the clicks of a keypoint lie apart over the frames of a scene, seen through its poses.
+
+    Every click's ray misses the keypoint's place by a vector; the spread is the standard deviation of
+    those, on an axis. It holds the hand's error (2 px are 2 mm at 0.6 m) and the drift of the poses.
+
+    Args:
+        points_scene: places of the keypoints by scene, scene frame; NaN where not known.
+
+    Returns:
+        By scene and keypoint, of those with clicks in two frames or more.
+    """
+    misses: dict[tuple[str, int], list[np.ndarray]] = {}
+    for o in observations:
+        place = (o.click.scene, o.click.keypoint)
+        if o.click.scene not in points_scene or not np.isfinite(points_scene[place[0]][place[1]]).all():
+            continue
+        ray = o.scene_from_camera[:3, :3] @ o.ray_camera
+        ray = ray / np.linalg.norm(ray)
+        toward = points_scene[place[0]][place[1]] - o.scene_from_camera[:3, 3]
+        misses.setdefault(place, []).append(toward - (toward @ ray) * ray)
+    return {
+        place: float(np.sqrt(np.var(found, axis=0, ddof=1).sum() / 2))
+        for place, found in misses.items()
+        if len(found) > 1
+    }
 
 
 def drift_to_json(drift: Drift) -> dict[str, Any]:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import filecmp
-from dataclasses import dataclass, replace
+import json
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -48,7 +49,7 @@ class Mend:
 def mended(recording: Recording, mend: Mend) -> Recording:
     """The recording with its poses re-read and its images and poses paired anew.
 
-    Frames whose partner lies beyond an end of the recording are left out and counted.
+    Frames whose partner lies beyond an end of the recording are left out; notes say what was done.
 
     Raises:
         DataError: a lag leaves no frame.
@@ -66,12 +67,20 @@ def mended(recording: Recording, mend: Mend) -> Recording:
         left_out += unposed
     if not scene.frames:
         raise DataError(f"scene {scene.name}: with {mend} no frame is left; the lags are in frames")
-    lines = [f"{left_out} frames without a partner after mending a lag"] if left_out else []
-    lines += [f"{repeats} frames whose depth image is the one before over again"] if repeats else []
+    lines = [f"read with `{in_recipe(mend)}`"]
+    lines += [f"{left_out} frames left out: they have no partner after mending a lag"] if left_out else []
+    lines += [f"{repeats} frames left out: their depth image is the one before over again"] if repeats else []
+    kept = {frame.index for frame in scene.frames}
+    gone = tuple(frame.index for frame in recording.scene.frames if frame.index not in kept)
     return replace(
-        recording, scene=scene, trajectory=trajectory, skipped=(*recording.skipped, *lines),
-        notes=(*recording.notes, f"read with {mend}"),
-    )  # fmt: skip
+        recording, scene=scene, trajectory=trajectory, notes=(*recording.notes, *lines), left_out=gone
+    )
+
+
+def in_recipe(mend: Mend) -> str:
+    """The field of a recipe, with what differs from the default."""
+    changed = {key: value for key, value in asdict(mend).items() if value != getattr(Mend(), key)}
+    return f"mend: {{{', '.join(f'{key}: {json.dumps(value)}' for key, value in changed.items())}}}"
 
 
 def mended_poses(poses: Float64[np.ndarray, "n 4 4"], mend: Mend) -> Float64[np.ndarray, "n 4 4"]:

@@ -17,6 +17,7 @@ from typing import Any, Literal, TypeVar
 
 import yaml
 
+from rpl_data.drift import MAX_DRIFT_MM
 from rpl_data.files import read_text
 from rpl_data.mend import Mend
 from rpl_data.split import SplitRule
@@ -105,7 +106,7 @@ class Reconstruct:
 
     method: Literal["given", "track"] = "given"
     voxel_m: float = 0.003
-    max_drift_mm: float = 15.0
+    max_drift_mm: float = MAX_DRIFT_MM
 
 
 @dataclass(frozen=True)

@@ -157,6 +157,7 @@ class Recording:
     trajectory: Trajectory | None
     skipped: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    left_out: tuple[int, ...] = ()
     true_poses: Mapping[str, Mapping[int, Float64[np.ndarray, "4 4"]]] = field(default_factory=dict)
 
 

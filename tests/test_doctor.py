@@ -168,6 +168,24 @@ def test_a_planted_fault_is_found_first_and_alone(sound: Recording, fault: str) 
     assert found.findings[0].sure >= 0.9
 
 
+def test_repeats_that_were_left_out_are_no_gap(sound: Recording) -> None:
+    """The option that the finding names leaves nothing to find."""
+    repeated = FAULTS["repeated depth"][0](sound)
+    (finding,) = examine(repeated).findings
+    assert finding.mend is not None
+    found = examine(mended(repeated, finding.mend))
+    assert found.findings == (), describe(found)
+    assert any("mend: {no_repeats: true}" in fact for fact in found.facts)
+
+
+def test_poses_that_stray_are_found(sound: Recording) -> None:
+    poses = poses_of(sound).copy()
+    poses[:, :3, 3] += np.linspace(0, 0.06, FRAMES)[:, None] * poses[:, :3, 2]
+    (finding,) = examine(with_poses(sound, poses)).findings
+    assert finding.kind == "drift"
+    assert "`rpl build` cuts it into" in finding.todo
+
+
 def test_two_faults_are_found_one_after_the_other(sound: Recording) -> None:
     found = examine(with_unit(with_poses(sound, invert(poses_of(sound))), 5))
     assert sorted(kinds(found)) == ["depth scale", "pose convention"]
@@ -287,4 +305,4 @@ def test_the_desk_has_its_repeated_depth_and_its_lag(real_data: Path) -> None:
     for recording in open_scenes(real_data / "desk", "rpl"):
         found = kinds(examine(recording))
         assert "repeated frames" in found
-        assert set(found) <= {"repeated frames", "depth lag"}
+        assert set(found) <= {"repeated frames", "depth lag", "drift"}

@@ -61,7 +61,7 @@ def test_depth_of_a_frame_is_taken_from_where_it_is_stored(lag: int) -> None:
     assert len(found.scene.frames) == 6
     assert found.trajectory is not None
     assert found.trajectory.frames.tolist() == [frame.index for frame in found.scene.frames]
-    assert "2 frames" in found.skipped[0]
+    assert "2 frames left out" in found.notes[1]
 
 
 def test_pose_of_a_frame_is_taken_from_where_it_is_stored() -> None:
@@ -108,7 +108,11 @@ def test_repeated_depth_is_left_out_with_its_pose(tmp_path: Path) -> None:
     assert [frame.index for frame in found.scene.frames] == [0, 1, 2, 3, 4, 6, 7]
     assert found.trajectory is not None
     np.testing.assert_allclose(found.trajectory.at(6), POSES[6])
-    assert found.skipped == ("1 frames whose depth image is the one before over again",)
+    assert found.left_out == (5,)
+    assert found.notes == (
+        "read with `mend: {no_repeats: true}`",
+        "1 frames left out: their depth image is the one before over again",
+    )
 
 
 def test_a_zoom_of_nothing_is_refused() -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64
 
 from rpl_data.geometry import invert, rays
-from rpl_data.types import DepthImage, Intrinsics
+from rpl_data.types import Intrinsics
 
 WORST = 0.05
 """Relative differences of depth are cut off here: beyond it, it is another surface or a wrong pose."""
@@ -82,40 +82,44 @@ def differences(views: Views, geometry: Geometry) -> Float64[np.ndarray, " pairs
     Differences are cut off at `WORST`, and points that leave the image count as that, so that a pose that
     takes everything out of sight does not win. NaN for a pair without a pose or with too little depth.
     """
-    toward = rays(geometry.intrinsics, views.grid_px)
-    return np.array([_difference(views, geometry, toward, int(i), int(j)) for i, j in views.pairs])
-
-
-def _difference(
-    views: Views, geometry: Geometry, toward: Float64[np.ndarray, "points 3"], i: int, j: int
-) -> float:
-    j_from_i = invert(geometry.scene_from_camera[j]) @ geometry.scene_from_camera[i]
+    i, j = views.pairs.T
     u, v = views.grid_px.astype(int).T
-    depth_m = views.depths_m[i, v, u].astype(float) * geometry.metres_factor
-    seen = depth_m > 0
-    if seen.sum() < FEWEST or not np.isfinite(j_from_i).all():
-        return float("nan")
-    points = (toward[seen] * depth_m[seen, None]) @ j_from_i[:3, :3].T + j_from_i[:3, 3]
-    found_m, inside = _looked_up(views.depths_m[j], geometry, points)
-    measured = found_m > 0
-    relative = np.abs(points[measured, 2] - found_m[measured]) / points[measured, 2]
-    relative = np.concatenate([np.minimum(relative, WORST), np.full((~inside).sum(), WORST)])
-    return float(np.median(relative)) if len(relative) >= FEWEST else float("nan")
+    depth_m = views.depths_m[i[:, None], v, u].astype(float) * geometry.metres_factor
+    j_from_i = invert(geometry.scene_from_camera[j]) @ geometry.scene_from_camera[i]
+    points_i = rays(geometry.intrinsics, views.grid_px) * depth_m[..., None]
+    points_j = points_i @ j_from_i[:, :3, :3].transpose(0, 2, 1) + j_from_i[:, None, :3, 3]
+    found_m, inside = _looked_up(views, j, geometry, points_j)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        relative = np.minimum(np.abs(1 - found_m / points_j[..., 2]), WORST)
+    relative[~inside] = WORST
+    relative[(depth_m == 0) | (inside & (found_m == 0))] = np.nan
+    relative[~np.isfinite(j_from_i).all(axis=(1, 2))] = np.nan
+    return _medians(relative)
+
+
+def _medians(values: Float64[np.ndarray, "rows n"]) -> Float64[np.ndarray, " rows"]:
+    """The upper median of the numbers of each row; NaN where they are fewer than `FEWEST`."""
+    counts = np.isfinite(values).sum(axis=1)
+    middle = np.sort(values, axis=1)[np.arange(len(values)), counts // 2 % values.shape[1]]  # NaN goes last
+    return np.where(counts >= FEWEST, middle, np.nan)
 
 
 def _looked_up(
-    image_m: DepthImage, geometry: Geometry, points_camera: Float64[np.ndarray, "n 3"]
-) -> tuple[Float64[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
-    """The measured depth where each point projects (0 = none), and which points project into the image.
+    views: Views,
+    rows: Int64[np.ndarray, " pairs"],
+    geometry: Geometry,
+    points_camera: Float64[np.ndarray, "pairs n 3"],
+) -> tuple[Float64[np.ndarray, "pairs n"], Bool[np.ndarray, "pairs n"]]:
+    """The depth measured where each point projects (0 = none), and which points project into the image.
 
     Lens distortion is left out: here the question is one of factors, not of pixels.
     """
-    camera, z = geometry.intrinsics, points_camera[:, 2]
+    camera, z = geometry.intrinsics, points_camera[..., 2]
+    _, height, width = views.depths_m.shape
     ahead = np.where(z > 1e-3, z, np.inf)
-    u = camera.fx * points_camera[:, 0] / ahead + camera.cx
-    v = camera.fy * points_camera[:, 1] / ahead + camera.cy
-    height, width = image_m.shape
+    u = camera.fx * points_camera[..., 0] / ahead + camera.cx
+    v = camera.fy * points_camera[..., 1] / ahead + camera.cy
     inside = np.isfinite(ahead) & (u > 0) & (u < width - 1) & (v > 0) & (v < height - 1)
-    found_m = np.zeros(len(z))
-    found_m[inside] = image_m[np.rint(v[inside]).astype(int), np.rint(u[inside]).astype(int)]
+    column, row = (np.rint(np.where(inside, number, 0)).astype(int) for number in (u, v))
+    found_m = np.where(inside, views.depths_m[rows[:, None], row, column].astype(float), 0.0)
     return found_m * geometry.metres_factor, inside

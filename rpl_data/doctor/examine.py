@@ -14,8 +14,9 @@ from rpl_data.doctor.consistency import Geometry, Views, differences, views_of
 from rpl_data.doctor.corrections import faults, shifted
 from rpl_data.doctor.edges import Pair, edges_of
 from rpl_data.doctor.findings import Diagnosis, Finding
-from rpl_data.doctor.pairing import lag_findings, lag_of, misregistered, which_lags
-from rpl_data.types import DataError, DepthImage, Recording, Scene, Trajectory
+from rpl_data.doctor.pairing import SURE, lag_findings, lag_of, misregistered, which_lags
+from rpl_data.drift import MAX_DRIFT_MM, cut, measure_drift
+from rpl_data.types import DataError, DepthImage, Frame, Recording, Scene, Trajectory
 from rpl_data.workspace import read_color, read_depth_m
 
 UNSURE_FRAMES, UNSURE_PX = 1.0, 8.0
@@ -53,7 +54,7 @@ def examine(recording: Recording, *, progress: Callable[[int, int], None] | None
     if unreadable:
         what = f"{len(unreadable)} of the images looked at cannot be read: {unreadable[0]}"
         findings.append(Finding("unreadable", what, 1.0, "record again, or take them off the list"))
-    findings += timing.dropped_frames(scene)
+    findings += timing.dropped_frames(scene, recording.left_out)
     facts = [_summary(scene, look), *recording.notes]
     if not len(look.depths_m):
         return Diagnosis(scene.name, tuple(facts), tuple(findings))
@@ -70,6 +71,9 @@ def examine(recording: Recording, *, progress: Callable[[int, int], None] | None
         said, found = _geometry(scene, trajectory, look, lag.whole)
         facts.append(said)
         lag, found = which_lags(aligned, lag, found)
+        if not found and not lag.whole:  # else it is not the poses' fault
+            said, found = _drift(scene, trajectory, progress)
+            facts.append(said)
         found = timing.pose_jumps(scene, trajectory) + found
     findings += lag_findings(lag) + misregistered(scene, aligned) + found
     return Diagnosis(scene.name, tuple(facts), tuple(findings))
@@ -136,6 +140,37 @@ def _geometry(scene: Scene, trajectory: Trajectory, look: _Look, lag: int) -> tu
     geometry = Geometry(scene.intrinsics, poses)
     fit = _agreement(views, geometry)
     return f"depth images agree to {fit:.1%} of the depth under the given poses", faults(views, geometry)
+
+
+def _drift(
+    scene: Scene, trajectory: Trajectory, progress: Callable[[int, int], None] | None
+) -> tuple[str, list[Finding]]:
+    """How far the poses stray from the start to the end."""
+
+    def depth_m(scene: Scene, frame: Frame) -> DepthImage:
+        try:
+            return read_depth_m(scene, frame)
+        except DataError:  # said already
+            return np.zeros((scene.intrinsics.height, scene.intrinsics.width), np.float32)
+
+    drift = measure_drift(scene, trajectory, depth_m, advance=progress or (lambda done, total: None))
+    said = (
+        f"over the recording the poses stray by {1000 * drift.whole_m:.0f} mm, beyond the "
+        f"{1000 * drift.noise_m:.0f} mm that neighbouring depth images differ by"
+    )
+    sure = drift.sure_beyond(MAX_DRIFT_MM / 1000)
+    if sure < SURE:
+        return said, []
+    spans = cut(drift, max_drift_m=MAX_DRIFT_MM / 1000)
+    what = f"the poses stray by {1000 * drift.whole_m:.0f} mm over the recording, and labels with them"
+    todo = "too fast for cutting to mend that: record again, more slowly, or have it tracked"
+    if spans is not None:
+        todo = (
+            f"`rpl build` cuts it into {len(spans)} scenes when each has clicks on 4 keypoints (frames "
+            f"{', '.join(f'{first} to {last}' for first, last in spans)}); the limit is "
+            f"`reconstruct: {{max_drift_mm: {MAX_DRIFT_MM:.0f}}}`"
+        )
+    return said, [Finding("drift", what, sure, todo)]
 
 
 def _agreement(views: Views, geometry: Geometry) -> float:

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import json
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Literal
 
-from rpl_data.mend import Mend
+from rpl_data.mend import Mend, in_recipe
 
 Kind = Literal[
     "unreadable", "left out", "dropped frames", "repeated frames", "depth lag", "registration",
-    "pose convention", "pose lag", "pose jump", "depth scale", "intrinsics", "blur", "missing depth",
+    "pose convention", "pose lag", "pose jump", "depth scale", "intrinsics", "drift", "blur",
+    "missing depth",
 ]  # fmt: skip
 
 
@@ -49,6 +49,4 @@ class Diagnosis:
 
 def option(mend: Mend) -> str:
     """The line of a recipe that mends it."""
-    changed = {key: value for key, value in asdict(mend).items() if value != getattr(Mend(), key)}
-    words = ", ".join(f"{key}: {json.dumps(value)}" for key, value in changed.items())
-    return f"in the recipe, give these scenes `mend: {{{words}}}`"
+    return f"in the recipe, give these scenes `{in_recipe(mend)}`"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Float64
 
@@ -26,8 +28,8 @@ def times_s(scene: Scene) -> Float64[np.ndarray, " n"]:
     return np.array([frame.timestamp_s for frame in scene.frames], dtype=float)
 
 
-def dropped_frames(scene: Scene) -> list[Finding]:
-    """Intervals so long that frames must be missing in them."""
+def dropped_frames(scene: Scene, left_out: Sequence[int] = ()) -> list[Finding]:
+    """Intervals so long that frames must be missing in them, beside those left out on purpose."""
     steps = np.diff(times_s(scene))
     if len(steps) < 2:
         return []
@@ -36,6 +38,9 @@ def dropped_frames(scene: Scene) -> list[Finding]:
         back = int((steps <= 0).sum())
         what = f"{back} frames are not later than the one before"
         return [Finding("dropped frames", what, 1.0, "sort the list of frames by time; use seconds")]
+    numbers = [frame.index for frame in scene.frames]
+    known = np.diff(np.searchsorted(np.sort(np.asarray(left_out, dtype=int)), numbers))
+    steps = steps - usual * known
     gaps = np.flatnonzero(steps > GAP * usual)
     if not len(gaps):
         return []

@@ -179,14 +179,45 @@ def report_steps(context: Context) -> list[Step]:
             timings=timings(ledger),
             split=split_summary(ledger),
             warnings=[
-                line for entry in ledger.of_stage("export").values() for line in entry.outcome.messages
+                line
+                for stage in ("cut", "export")
+                for entry in ledger.of_stage(stage).values()
+                for line in entry.outcome.messages
             ],
+            remarks={video: drift_remarks(workspace, ledger, video) for video in workspace.video_names()},
         )
         return Outcome()
 
     before = ["quality", *(f"export/{name}" for name in context.recipe.export)]
     options = {"name": context.recipe.name}
     return [step("report", "", run, options=options, after=before, outputs=[workspace.report])]
+
+
+def drift_remarks(workspace: Workspace, ledger: Ledger, video: str) -> list[str]:
+    """How far the poses of a recording stray by its depth images, and by the clicks of its keypoints."""
+    lines = []
+    measured = ledger.entries.get(f"drift/{video}")
+    if measured is not None:
+        lines.append(f"poses stray by {measured.outcome.details['drift_mm']:.0f} mm")
+    for scene in workspace.parts().scenes_of(video):
+        spreads = {
+            f"{name} {keypoint}": spread
+            for name in workspace.object_names()
+            if f"solve/{name}" in ledger.entries
+            for keypoint, spread in ledger.entries[f"solve/{name}"]
+            .outcome.details.get("spread_mm", {})
+            .get(scene, {})
+            .items()
+        }
+        if spreads:
+            worst = max(spreads, key=lambda keypoint: spreads[keypoint])
+            middle = sorted(spreads.values())[len(spreads) // 2]
+            where = "" if scene == video else f"{scene}: "
+            lines.append(
+                f"{where}clicks of a keypoint are {middle:.1f} mm apart over the frames (median), "
+                f"at most {spreads[worst]:.1f} mm ({worst})"
+            )
+    return lines
 
 
 def timings(ledger: Ledger) -> dict[str, dict[str, float | int]]:

@@ -8,7 +8,8 @@ from dataclasses import asdict, replace
 import numpy as np
 
 from rpl_data.clicklog import Annotation
-from rpl_data.geometry import Transform
+from rpl_data.drift import click_spreads_m
+from rpl_data.geometry import Transform, transform
 from rpl_data.lift import lift_clicks
 from rpl_data.pipeline.context import Context, step
 from rpl_data.recipe import ObjectRecipe
@@ -32,7 +33,12 @@ def _solve_step(context: Context, item: ObjectRecipe) -> Step:
         workspace.save_solution(solution)
         outliers = sum(residual.outlier for residual in solution.residuals)
         lines = [f"{item.name}: {line}" for line in solution.warnings]
-        return Outcome(messages=tuple(lines), details={"clicks": len(observations), "outliers": outliers})
+        details = {
+            "clicks": len(observations),
+            "outliers": outliers,
+            "spread_mm": spreads_mm(solution, observations),
+        }
+        return Outcome(messages=tuple(lines), details=details)
 
     return step(
         "solve",
@@ -40,15 +46,25 @@ def _solve_step(context: Context, item: ObjectRecipe) -> Step:
         run,
         options=options
         | {"keypoints": list(item.keypoint_names), "skeleton": [list(e) for e in item.skeleton]}
-        | {
-            "parts": {
-                video: [list(span) for span in spans] for video, spans in workspace.parts().spans.items()
-            }
-        },
+        | {"parts": {video: list(map(list, spans)) for video, spans in workspace.parts().spans.items()}},
         sources=stamps(workspace.clicks_file(item.name)),
         after=context.poses_of(),
         outputs=[workspace.solution_file(item.name)],
     )
+
+
+def spreads_mm(solution: Solution, observations: Sequence[Observation]) -> dict[str, dict[str, float]]:
+    """How far the clicks of each keypoint lie apart over the frames of each scene; outliers left out."""
+    outliers = {residual.click for residual in solution.residuals if residual.outlier}
+    kept = [o for o in observations if o.click not in outliers]
+    places = {
+        scene: transform(placed, solution.model.points_object)
+        for scene, placed in solution.scene_from_object.items()
+    }
+    found: dict[str, dict[str, float]] = {}
+    for (scene, keypoint), spread_m in click_spreads_m(places, kept).items():
+        found.setdefault(scene, {})[solution.model.keypoints[keypoint]] = round(1000 * spread_m, 2)
+    return found
 
 
 def solve_annotation(

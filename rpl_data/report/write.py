@@ -26,6 +26,7 @@ def write_report(
     timings: Mapping[str, Mapping[str, float | int]] | None = None,
     split: str | None = None,
     warnings: Sequence[str] = (),
+    remarks: Mapping[str, Sequence[str]] | None = None,
 ) -> Path:
     """Write the page and return its path.
 
@@ -35,6 +36,7 @@ def write_report(
         timings: by stage, `seconds` and, for stages that work by frame, `frames`.
         split: the summary of the split, plain text.
         warnings: lines of the build, shown with those of the solutions and the recordings.
+        remarks: what else is known of a recording, by its name.
     """
     scenes = [summarise_scene(workspace, name) for name in workspace.video_names()]
     solutions = [
@@ -44,7 +46,7 @@ def write_report(
     ]
     parts = {
         "quality": quality_section(rows) if rows else "",
-        "scenes": _scenes(workspace, scenes, solutions),
+        "scenes": _scenes(workspace, scenes, solutions, remarks or {}),
         "objects": _objects(workspace, solutions),
         "labels": labels_section(scenes),
         "split": section("split", "Split", f"<pre>{text(split.rstrip())}</pre>") if split else "",
@@ -103,15 +105,21 @@ def _warnings(scenes: Sequence[SceneReport], solutions: Sequence[Solution], othe
     return f'<section class="warnings" id="warnings"><h2>Worth knowing</h2><ul>{items}</ul></section>'
 
 
-def _scenes(workspace: Workspace, scenes: Sequence[SceneReport], solutions: Sequence[Solution]) -> str:
+def _scenes(
+    workspace: Workspace,
+    scenes: Sequence[SceneReport],
+    solutions: Sequence[Solution],
+    remarks: Mapping[str, Sequence[str]],
+) -> str:
     models = {solution.model.name: solution.model for solution in solutions}
     count = frames_a_scene(len(scenes))
     parts = [legends(models)]
     for scene in scenes:
         recording = scene.recording.scene
         parts.append(f"<h3>Scene {text(recording.name)}</h3>")
-        words = f"{len(scene.frames)} of {len(recording.frames)} frames labelled · {recording.source}"
-        parts.append(f'<p class="note">{text(words)}</p>')
+        words = [f"{len(scene.frames)} of {len(recording.frames)} frames labelled", recording.source]
+        words += remarks.get(recording.name, ())
+        parts.append(f'<p class="note">{text(" · ".join(words))}</p>')
         if scene.frames:
             parts.append(contact_sheet(workspace, recording, scene.frames, models, count=count))
     note = (
