@@ -5,18 +5,23 @@ from __future__ import annotations
 import csv
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import torch
-from labelled_scenes import CAMERA, exported
+from labelled_scenes import BOX, CAMERA, exported
 
 from rpl_data.formats.coco import read_coco, write_coco
+from rpl_data.geometry import project
 from rpl_data.types import DataError, KeypointModel
 from training.evaluate_pose import evaluate_pose
 from training.keypoint_training import load_keypoints, untrained
 from training.options import DetectorNetwork, Learning, Machine, Network
+from training.pose_evaluation import evaluate
+from training.pose_pipeline import PosePipeline, SeenKeypoints, load_pipeline, read_depth_m
 from training.predict import predict
 from training.program import main
 from training.runs import trained_epochs
@@ -271,3 +276,38 @@ def test_evaluation_counts_what_is_missing(coco, run, detector, tmp_path, monkey
         failed = [e for e in found["instances"] if e["found"] != "ok"]
         assert all(e["position_m"] is None for e in failed)
         assert figures["failures"] == sum(e["method"] == "consensus" for e in failed)
+
+
+def test_evaluation_refuses_another_objects_dataset(run, tmp_path):
+    pipeline = load_pipeline([run / "last.ckpt"])
+    other = exported(tmp_path, models=(BOX,), frames=4) / "train.json"
+    with pytest.raises(DataError, match="has no wedge, which a checkpoint is of; it has box"):
+        next(evaluate(pipeline, other, crops="given", methods=["epnp"], truth={"box": None}))
+
+
+def test_depth_is_read_in_metres_or_refused(tmp_path):
+    color = np.zeros((4, 6, 3), dtype=np.uint8)
+    depth = np.arange(24, dtype=np.uint16).reshape(4, 6)
+    cv2.imwrite(str(tmp_path / "depth.png"), depth)
+    np.testing.assert_allclose(
+        read_depth_m(tmp_path / "depth.png", 0.002, like=color), 0.002 * depth, rtol=1e-6
+    )
+    with pytest.raises(DataError, match="registered to colour"):
+        read_depth_m(tmp_path / "depth.png", 0.001, like=color[:2])
+    with pytest.raises(DataError, match="nothing readable"):
+        read_depth_m(tmp_path / "none.png", 0.001, like=color)
+
+
+def test_depth_pins_a_predicted_distance(run):
+    """Keypoints seen from a pose, the object's size wrong by a tenth: depth tells where it is."""
+    network = load_keypoints(run / "last.ckpt")
+    intrinsics = replace(CAMERA, distortion=())
+    seen_px = project(intrinsics, WEDGE.points_object * 1.1 + [0, 0, 1.1])
+    tight = np.tile(4 * np.eye(2), (5, 1, 1))
+    seen = SeenKeypoints("wedge", np.array([80.0, 60, 40]), 1.0, seen_px, np.ones(5), tight)
+    pipeline = PosePipeline({"wedge": network})
+    depth = np.full((CAMERA.height, CAMERA.width), 1.1, dtype=np.float32)
+    without = pipeline.pose(seen, intrinsics).camera_from_object[2, 3]
+    with_depth = pipeline.pose(seen, intrinsics, depth=depth).camera_from_object[2, 3]
+    assert without == pytest.approx(1.0, abs=0.01)
+    assert abs(with_depth - 1.1) < abs(without - 1.1) / 2

@@ -17,6 +17,7 @@ def evaluate_pose(
     split: str = "test",
     crops: Crops = "detected",
     methods: list[Method] = ["epnp", "consensus"],  # noqa: B006 (never changed)
+    metres_per_unit: float | None = None,
     out: Path | None = None,
 ) -> None:
     """Median position and orientation error, ADD, ADD-S, recall and PCK against true poses.
@@ -30,7 +31,9 @@ def evaluate_pose(
         detector: checkpoint of train_detector; not needed when crops are given.
         split: train, val or test.
         crops: `given` takes the labels' boxes, `detected` the detector's.
-        methods: of PnP.
+        methods: of PnP; depth is for those that refine, ransac and consensus.
+        metres_per_unit: of the export's depth images (0.001 = millimetres); poses use depth at the keypoints
+            too, when given.
         out: a JSON file for the figures and every instance.
     """
     from training.pose_evaluation import evaluate, true_objects
@@ -40,7 +43,16 @@ def evaluate_pose(
     pipeline = load_pipeline(keypoints, detector)
     coco_json = coco / f"{split}.json"
     truth = true_objects(coco_json)
-    judged = list(evaluate(pipeline, coco_json, crops=crops, methods=methods, truth=truth))
+    judged = list(
+        evaluate(
+            pipeline,
+            coco_json,
+            crops=crops,
+            methods=methods,
+            truth=truth,
+            metres_per_unit=metres_per_unit,
+        )
+    )
     figures = {}
     for name in pipeline.networks:
         for method in methods:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +12,12 @@ import numpy as np
 
 from rpl_data.formats.coco import instance_from_coco, intrinsics_from_coco, objects_from_coco, read_coco
 from rpl_data.geometry import fit_rigid
-from rpl_data.pose import Method, PoseFailure
+from rpl_data.pose import Method, PoseEstimate, PoseFailure
 from rpl_data.pose.errors import INFINITE, pose_errors
 from rpl_data.torch.regions import read_image
 from rpl_data.types import DataError, InstanceLabel, KeypointModel
 from training.options import Crops
-from training.pose_pipeline import PosePipeline, SeenKeypoints
+from training.pose_pipeline import PosePipeline, SeenKeypoints, read_depth_m
 from training.pose_scores import Judged
 
 
@@ -68,6 +69,7 @@ def evaluate(
     crops: Crops,
     methods: Sequence[Method],
     truth: Mapping[str, TrueObject],
+    metres_per_unit: float | None = None,
     least_visible: float = 0.1,
 ) -> Iterator[Judged]:
     """Every true instance of the pipeline's objects, judged; a line an instance and method.
@@ -79,34 +81,56 @@ def evaluate(
         crops: the true boxes, or what the detector finds.
         methods: of PnP.
         truth: of `true_objects`.
+        metres_per_unit: of the export's depth images; None leaves depth unused.
         least_visible: instances that show a smaller share of themselves are left out.
     """
     data = read_coco(coco_json)
+    if unknown := set(pipeline.networks) - set(truth):
+        raise DataError(
+            f"{coco_json} has no {', '.join(sorted(unknown))}, which a checkpoint is of; it has "
+            f"{', '.join(truth)}: evaluate on the dataset it was trained on"
+        )
     truth_from_trained = {
         name: aligned(truth[name].model, network.model, source=str(coco_json))
         for name, network in pipeline.networks.items()
     }
-    of_image: dict[int, list[dict[str, Any]]] = {image["id"]: [] for image in data["images"]}
-    for annotation in data["annotations"]:
-        of_image[annotation["image_id"]].append(annotation)
-    names = {item.category: name for name, item in truth.items()}
+    labels_of = _labels(data, {truth[name].category: name for name in pipeline.networks}, least_visible)
     for image in data["images"]:
-        labels = {
-            names[annotation["category_id"]]: instance_from_coco(annotation, names[annotation["category_id"]])
-            for annotation in of_image[image["id"]]
-            if names[annotation["category_id"]] in pipeline.networks
-            and annotation["visib_fract"] >= least_visible
-        }
+        labels = labels_of.get(image["id"], [])
         if not labels:
             continue
         pixels = read_image(str(coco_json.parent / image["file_name"]))
-        squares = {name: _square(label) for name, label in labels.items()} if crops == "given" else None
+        squares = {label.object: _square(label) for label in labels} if crops == "given" else None
         seen = {each.object: each for each in pipeline.see(pixels, squares)}
-        for name, label in labels.items():
-            for method in methods:
-                yield _judged(
-                    pipeline, seen.get(name), label, image, method, truth[name], truth_from_trained[name]
-                )
+        depth = None
+        if metres_per_unit is not None:
+            depth = read_depth_m(_depth_file(coco_json.parent, image), metres_per_unit, like=pixels)
+        for label, method in product(labels, methods):
+            name = label.object
+            solved = None
+            if name in seen:
+                solved = pipeline.pose(seen[name], intrinsics_from_coco(image), method=method, depth=depth)
+            yield _judged(
+                seen.get(name),
+                solved,
+                label,
+                image=image["file_name"],
+                method=method,
+                truth=truth[name],
+                truth_from_trained=truth_from_trained[name],
+            )
+
+
+def _labels(
+    data: Mapping[str, Any], names: Mapping[int, str], least_visible: float
+) -> dict[int, list[InstanceLabel]]:
+    """Labels of the named categories that show enough of themselves, by image id."""
+    found: dict[int, list[InstanceLabel]] = {}
+    for annotation in data["annotations"]:
+        name = names.get(annotation["category_id"])
+        if name is not None and annotation["visib_fract"] >= least_visible:
+            found.setdefault(annotation["image_id"], []).append(instance_from_coco(annotation, name))
+    return found
 
 
 def aligned(true: KeypointModel, trained: KeypointModel, *, source: str) -> np.ndarray:
@@ -121,25 +145,32 @@ def aligned(true: KeypointModel, trained: KeypointModel, *, source: str) -> np.n
 
 
 def _judged(
-    pipeline: PosePipeline,
     seen: SeenKeypoints | None,
+    solved: PoseEstimate | PoseFailure | None,
     label: InstanceLabel,
-    image: Mapping[str, Any],
+    *,
+    image: str,
     method: Method,
     truth: TrueObject,
     truth_from_trained: np.ndarray,
 ) -> Judged:
+    """What was seen and solved against a true label."""
     known = label.visibility > 0
-    if seen is None:
+    if seen is None or solved is None:
         missed = np.full(int(known.sum()), np.inf)
-        return Judged(label.object, image["file_name"], method, "not detected", INFINITE, missed, None, None)
+        return Judged(label.object, image, method, "not detected", INFINITE, missed, None, None)
     off = np.linalg.norm(seen.positions_px - label.keypoints_px, axis=1)[known] / label.square_box.side_px
-    result = pipeline.pose(seen, intrinsics_from_coco(image), method=method)
-    if isinstance(result, PoseFailure):
-        return Judged(label.object, image["file_name"], method, result.reason, INFINITE, off, None, seen)
-    pose = result.camera_from_object @ np.linalg.inv(truth_from_trained)
+    if isinstance(solved, PoseFailure):
+        return Judged(label.object, image, method, solved.reason, INFINITE, off, None, seen)
+    pose = solved.camera_from_object @ np.linalg.inv(truth_from_trained)
     errors = pose_errors(pose, label.camera_from_object, truth.surface, centre_object=truth.centre)
-    return Judged(label.object, image["file_name"], method, "ok", errors, off, pose, seen)
+    return Judged(label.object, image, method, "ok", errors, off, pose, seen)
+
+
+def _depth_file(folder: Path, image: Mapping[str, Any]) -> Path:
+    if image["depth_file_name"] is None:
+        raise DataError(f"{folder / image['file_name']} has no depth image; evaluate without metres_per_unit")
+    return folder / str(image["depth_file_name"])
 
 
 def _square(label: InstanceLabel) -> np.ndarray:

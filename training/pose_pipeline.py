@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 import torch
 
@@ -107,6 +108,22 @@ class PosePipeline:
 
 KEYPOINT_DEPTH_SIGMA_M = 0.006
 """Beside a corner, the depth about a keypoint is that of another point of the surface."""
+
+
+def read_depth_m(path: Path, metres_per_unit: float, *, like: np.ndarray) -> DepthImage:
+    """A 16-bit depth image in metres, 0 = none.
+
+    Raises:
+        DataError: it is missing, broken, or not of the size of the colour image `like`.
+    """
+    raw = cv2.imread(str(path), cv2.IMREAD_UNCHANGED) if path.exists() else None
+    if raw is None or raw.dtype != np.uint16 or raw.shape != like.shape[:2]:
+        found = "nothing readable" if raw is None else f"{raw.dtype}, {raw.shape}"
+        raise DataError(
+            f"{path}: expected a depth image, uint16, {like.shape[:2]}, as large as its colour image, found "
+            f"{found}; depth must be registered to colour"
+        )
+    return raw.astype(np.float32) * np.float32(metres_per_unit)
 
 
 def load_pipeline(networks: Sequence[Path], detector: Path | None = None) -> PosePipeline:

@@ -25,6 +25,8 @@ def predict(
     detector: Path,
     camera: list[float],
     distortion: list[float] = [],  # noqa: B006 (never changed)
+    depth: Path | None = None,
+    metres_per_unit: float = 0.001,
     out: Path = Path("predictions"),
     overlays: bool = True,
     clicks: Path | None = None,
@@ -41,6 +43,9 @@ def predict(
         detector: checkpoint of train_detector.
         camera: fx fy cx cy in pixels, the centre of the top-left pixel is 0, 0: '[615, 615, 320, 240]'.
         distortion: OpenCV's coefficients, when the lens has any.
+        depth: folder of depth images (16-bit PNG) registered to the images and named like them; poses then
+            use the depth at the keypoints too.
+        metres_per_unit: of the depth images.
         out: folder.
         overlays: write pictures too.
         clicks: a CSV file for sure keypoints of objects that have a pose, as click proposals for
@@ -57,17 +62,23 @@ def predict(
     for file in files:
         try:
             image = read_image(str(file))
+            depth_m = _depth_m(depth, file, images, metres_per_unit, image)
         except DataError as error:
             print(f"left out: {error}", file=sys.stderr)
             unreadable += 1
             continue
         intrinsics = _intrinsics(camera, distortion, image)
-        found = [(seen, pipeline.pose(seen, intrinsics, method=method)) for seen in pipeline.see(image)]
+        found = [
+            (seen, pipeline.pose(seen, intrinsics, method=method, depth=depth_m))
+            for seen in pipeline.see(image)
+        ]
         entries.append({"image": str(file), "objects": [_entry(*each) for each in found]})
         if clicks is not None:
             proposals += list(proposed(file, found))
         if overlays:
-            _write_overlay(out / "overlays" / _below(file, images), image, found, pipeline, intrinsics)
+            _write_overlay(
+                out / "overlays" / _below(file, images, ".jpg"), image, found, pipeline, intrinsics
+            )
     write_json(out / "poses.json", entries)
     if clicks is not None:
         write_text(clicks, clicks_csv(proposals, pipeline))
@@ -146,9 +157,19 @@ def _intrinsics(camera: Sequence[float], distortion: Sequence[float], image: Any
     return Intrinsics(fx, fy, cx, cy, width, height, tuple(distortion))
 
 
-def _below(file: Path, images: Path) -> Path:
+def _below(file: Path, images: Path, suffix: str) -> Path:
+    """The image's place below the folder that was named, with another suffix."""
     place = file.relative_to(images) if images.is_dir() else Path(file.name)
-    return place.with_suffix(".jpg")
+    return place.with_suffix(suffix)
+
+
+def _depth_m(depth: Path | None, file: Path, images: Path, metres_per_unit: float, image: Any) -> Any:
+    """The image's depth in metres; None when no depth was named."""
+    from training.pose_pipeline import read_depth_m
+
+    if depth is None:
+        return None
+    return read_depth_m(depth / _below(file, images, ".png"), metres_per_unit, like=image)
 
 
 def _write_overlay(
