@@ -51,7 +51,10 @@ def test_table1_of_a_workspace(tiny_workspace: Workspace, tmp_path: Path) -> Non
     assert 0 < row["by_cad"]["error_3d_mm"] < row["strict"]["error_3d_mm"] < 5  # closest points flatter
     assert row["cad_rms_mm"] < 3 and row["started_by_solution"] == 0
     assert row["by_cad"]["iou"] == pytest.approx(row["strict"]["iou"], abs=0.05)
-    assert "carton" in (tmp_path / "table1.html").read_text()
+    worst = row["worst"]
+    assert worst["scene"] in tiny_workspace.scene_names() and 3 <= worst["clicked"] <= row["keypoints"]
+    assert row["strict"]["error_2d_px"] < worst["error_2d_px"] < 5 and 0.5 < worst["iou"] < 1
+    assert f"carton, scene {worst['scene']}: " in (tmp_path / "table1.html").read_text()
 
 
 def test_drifting_trajectories_cost_accuracy_and_are_reproduced(

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from rpl_data.types import QualityRow
     from rpl_data.workspace import Workspace
     from training.reproduce.cad_protocol import CadResult
+    from training.reproduce.worst import WorstScene
 
 Trajectories = Literal["given", "drifting", "tracked"]
 
@@ -45,6 +46,7 @@ class Row:
         started_by_solution: scenes with too few clicks to start ICP by, started by our own solution.
         left_out: scenes that the paper's protocol could not judge, and why.
         cad_rms_mm: how well GT-CAD lies on the scenes' surfaces; NaN without a CAD.
+        worst: the scene with the largest 2D error; None without truth.
     """
 
     workspace: str
@@ -58,6 +60,7 @@ class Row:
     started_by_solution: int
     left_out: tuple[str, ...]
     cad_rms_mm: float
+    worst: WorstScene | None = None
 
 
 def table1(
@@ -150,6 +153,7 @@ def measure(
     from rpl_data.pipeline.products import truth_workspace
     from rpl_data.quality import compare_workspaces
     from training.reproduce.cad_protocol import by_cad
+    from training.reproduce.worst import worst_scenes
 
     context = context_of(workspace)
     truth = truth_workspace(context)
@@ -161,11 +165,13 @@ def measure(
         )
     strict = {} if truth is None else {row.object: row for row in compare_workspaces(workspace, truth)}
     aligned = by_cad(workspace, cads)
+    worst = {} if truth is None else worst_scenes(workspace, truth)
     labels = labels_of(workspace)
-    return [
+    rows = [
         _row(workspace, name, labels.get(name, 0), strict.get(name), aligned.get(name))
         for name in context.object_names
     ]
+    return [replace(row, worst=worst.get(row.object)) for row in rows]
 
 
 def _cads(

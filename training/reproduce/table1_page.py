@@ -37,11 +37,11 @@ def write_page(out: Path, rows: Sequence[Row], *, seed: int) -> Path:
         chosen = [row for row in rows if row.trajectories == kind]
         body = [_cells(row) for row in chosen] + [_mean_cells(chosen)]
         kinds = ["" for _ in chosen] + ["quiet"]
-        left_out = [
-            f"<li>{text(f'{row.object}, scene {line}')}</li>" for row in chosen for line in row.left_out
-        ]
-        list_of = f"<p>Not judged by CAD:</p><ul>{''.join(left_out)}</ul>" if left_out else ""
-        parts.append(section(kind, TITLES[kind], table(HEADER, body, kinds=kinds) + list_of, note=NOTE))
+        left_out = [f"{row.object}, scene {line}" for row in chosen for line in row.left_out]
+        lists = _list("Not judged by CAD", left_out) + _list(
+            "Where the 2D error is largest", worst_of(chosen)
+        )
+        parts.append(section(kind, TITLES[kind], table(HEADER, body, kinds=kinds) + lists, note=NOTE))
     parts.append(_paper())
     data = {
         "seed": seed,
@@ -52,6 +52,16 @@ def write_page(out: Path, rows: Sequence[Row], *, seed: int) -> Path:
     }
     title = "Table I: sparse models and labels"
     return write_results(out, "table1", title=title, data=data, sections=parts)
+
+
+def worst_of(rows: Sequence[Row]) -> list[str]:
+    """A line an object: its worst scene."""
+    return [f"{row.object}, {row.worst}" for row in rows if row.worst is not None]
+
+
+def _list(title: str, lines: Sequence[str]) -> str:
+    items = "".join(f"<li>{text(line)}</li>" for line in lines)
+    return f"<p>{title}:</p><ul>{items}</ul>" if lines else ""
 
 
 def means(rows: Sequence[Row]) -> dict[str, Scores]:
@@ -137,7 +147,8 @@ def as_text(rows: Sequence[Row]) -> str:
         mean = _plain(_mean([row.strict for row in chosen]), _mean([row.by_cad for row in chosen]))
         table_rows = [head, *([*cells, n] for cells, n in zip(body, counts, strict=True))]
         table_rows.append(["mean", "", "", *mean, str(sum(row.labels for row in chosen))])
-        lines += [TITLES[kind], *_aligned(table_rows), ""]
+        worst = worst_of(chosen)
+        lines += [TITLES[kind], *_aligned(table_rows), *(["worst:"] if worst else []), *worst, ""]
     return "\n".join(lines)
 
 
