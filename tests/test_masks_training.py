@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from labelled_scenes import exported
+from labelled_scenes import CAMERA, exported, rle
 from torchvision.models import resnet18
 from torchvision.models.detection import maskrcnn_resnet50_fpn
 
@@ -18,8 +18,17 @@ from rpl_data.torch.instances import InstanceDataset
 from rpl_data.torch.transforms import Augmentation
 from rpl_data.types import DataError
 from training.mask_crops import SMALLEST_PX, SquareCrops, random_square
+from training.mask_scores import predict
 from training.mask_settings import Settings, learning_rate, load_settings
-from training.masks import ModelConfig, build_model, load_segmenter, load_weights, train_body, with_norm
+from training.masks import (
+    ModelConfig,
+    Segmenter,
+    build_model,
+    load_segmenter,
+    load_weights,
+    train_body,
+    with_norm,
+)
 from training.train_masks import CHECKPOINT, train
 
 ROOT = Path(__file__).parent.parent
@@ -55,6 +64,25 @@ def batch_of(coco, size_px=64):
     crops = SquareCrops(coco / "train.json", size_px, Augmentation(shift=0.0), seed=0)
     samples = [crops[row] for row in range(2, 4)]
     return [image for image, _ in samples], [target for _, target in samples]
+
+
+def rewritten(coco, folder, change):
+    """The export with other annotations: `change` gets an image and its annotations and returns them."""
+    data = json.loads((coco / "train.json").read_text())
+    annotations = []
+    for image in data["images"]:
+        image["file_name"] = str(coco / image["file_name"])
+        annotations += change(image, [a for a in data["annotations"] if a["image_id"] == image["id"]])
+    data["annotations"] = [{**a, "id": number} for number, a in enumerate(annotations, start=1)]
+    (folder / "train.json").write_text(json.dumps(data))
+    return folder
+
+
+def boxed(annotation, x, y, width, height):
+    """The annotation with a rectangle as its mask."""
+    pixels = np.zeros((CAMERA.height, CAMERA.width), dtype=bool)
+    pixels[y : y + height, x : x + width] = True
+    return {**annotation, "bbox": [x, y, width, height], "area": width * height, "segmentation": rle(pixels)}
 
 
 # The network --------------------------------------------------------------------------------------
@@ -212,16 +240,63 @@ def test_a_loss_that_is_not_finite_names_the_batch(coco, tmp_path):
 
 
 def test_a_class_absent_from_training(coco, tmp_path):
-    data = json.loads((coco / "train.json").read_text())
-    data["annotations"] = [a for a in data["annotations"] if a["category_id"] == 1]
-    for image in data["images"]:
-        image["file_name"] = str(coco / image["file_name"])
-    (tmp_path / "train.json").write_text(json.dumps(data))
-    done = train(replace(QUICK, epochs=1), tmp_path, tmp_path / "run")
+    data = rewritten(coco, tmp_path, lambda image, found: [a for a in found if a["category_id"] == 1])
+    done = train(replace(QUICK, epochs=1), data, tmp_path / "run")
     segmenter = load_segmenter(done.checkpoint)
     image, _ = InstanceDataset(coco / "train.json")[0]
     assert segmenter.names == ("background", "box", "can")
     assert segmenter.model([image])[0]["masks"].shape[1:] == (1, 120, 160)
+
+
+def test_images_without_objects_teach_the_background(coco, tmp_path):
+    data = rewritten(coco, tmp_path, lambda image, annotations: [])
+    images, targets = batch_of(data)
+    assert [len(target["boxes"]) for target in targets] == [0, 0]
+    losses = build_model(replace(SMALL, norm="group"), classes=2)(images, targets)
+    assert losses["loss_classifier"] > 0 and losses["loss_objectness"] > 0
+    assert losses["loss_mask"] == losses["loss_box_reg"] == losses["loss_rpn_box_reg"] == 0
+    train(replace(QUICK, epochs=1), data, tmp_path / "run")
+    assert all(np.isfinite(float(loss)) for _, loss, *_ in losses_of(tmp_path / "run"))
+
+
+@pytest.mark.parametrize("size", [(1, 20), (20, 1)])
+def test_slivers_of_an_object_are_left_out(coco, tmp_path, size):
+    """torchvision refuses a whole batch for one box without width or height."""
+    data = rewritten(coco, tmp_path, lambda image, found: [*found, *(boxed(a, 70, 50, *size) for a in found)])
+    upright = Augmentation(shift=0.0, rotation_deg=0.0)
+    crops = [SquareCrops(folder / "train.json", 64, upright, seed=0) for folder in (data, coco)]
+    assert [len(each.images[2][1]["labels"]) for each in crops] == [4, 2]
+    assert [each[2][1]["labels"].tolist() for each in crops] == [[1, 2], [1, 2]]
+
+
+@pytest.mark.parametrize("box", [[70, 50, 0, 20], [0, 0, 0, 0]])
+def test_degenerate_boxes_are_refused_before_training(coco, tmp_path, box):
+    data = rewritten(
+        coco, tmp_path, lambda image, found: [{**boxed(a, 0, 0, 0, 0), "bbox": box} for a in found]
+    )
+    with pytest.raises(DataError, match="train.json: annotation 1: .*export the dataset again"):
+        train(QUICK, data, tmp_path / "run")
+
+
+def test_more_than_100_instances(coco, tmp_path):
+    """150 cubes in an image: all are trained on, and so many can be found."""
+    data = rewritten(
+        coco,
+        tmp_path,
+        lambda image, found: [
+            boxed(found[0], 10 * (n % 15) + 2, 11 * (n // 15) + 4, 7, 8) for n in range(150 if found else 0)
+        ],
+    )
+    dataset = InstanceDataset(data / "train.json")
+    assert dataset[1][1]["masks"].shape == (150, CAMERA.height, CAMERA.width)
+    images, targets = batch_of(data, 96)
+    assert all(len(target["boxes"]) > 100 for target in targets)
+    many = replace(SMALL, size_px=96, norm="group", detections=150, proposals=2000)
+    model = build_model(many, classes=2)
+    assert all(torch.isfinite(loss) for loss in model(images, targets).values())
+    model.roi_heads.score_thresh, model.roi_heads.nms_thresh, model.rpn.nms_thresh = 0.0, 1.0, 1.0
+    found = predict(Segmenter(model.eval(), many, tuple(dataset.names)), [dataset[1][0]], [1])
+    assert len(found) > 100
 
 
 def test_nothing_to_train_on(coco, tmp_path):
