@@ -5,8 +5,8 @@
     element vertex n: float x y z, uchar red green blue, float nx ny nz, float radius
 
 Little-endian; metres, in the frame of the first camera, where the trajectory starts. ElasticFusion turns
-its normals round when it writes them. Whichever way they point in the file, here they point out of the surface:
-most of what was filmed faces the first camera.
+its normals round when it writes them. Whichever way they point in the file, here they point out of the
+surface: most of what was filmed faces the first camera.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from typing import Any
 
-from rpl_data.export import ExportScene, export_coco
+from rpl_data.export import ExportScene, export_bop, export_coco, export_yolo
 from rpl_data.pipeline.context import VERSIONS, Context, step
 from rpl_data.steps import Advance, Json, Ledger, Outcome, Step, stamps
 from rpl_data.types import DataError, FrameLabel, QualityRow
@@ -22,8 +22,8 @@ EXPORTS: dict[str, Callable[[Context], Any]] = {}
 
 
 def export_steps(context: Context) -> list[Step]:
-    """Labels -> folders that trainers read, one a format."""
-    return [_export_step(context, name) for name in context.recipe.export]
+    """Labels -> folders that trainers read, one a format; `coco` first, since the others are made of it."""
+    return [_export_step(context, name) for name in sorted(context.recipe.export, key=lambda n: n != "coco")]
 
 
 def refuse_unknown_exports(names: Sequence[str]) -> None:
@@ -31,6 +31,8 @@ def refuse_unknown_exports(names: Sequence[str]) -> None:
     for name in names:
         if name not in EXPORTS:
             raise DataError(f"unknown export {name!r} in the recipe; expected one of {', '.join(EXPORTS)}")
+    if names and "coco" not in names:
+        raise DataError(f"export {', '.join(names)} is made of `coco`; write `export: [coco, {names[0]}]`")
 
 
 def _export_step(context: Context, name: str) -> Step:
@@ -45,7 +47,7 @@ def _export_step(context: Context, name: str) -> Step:
         name,
         run,
         options={"split": asdict(context.recipe.split), "objects": context.object_names},
-        after=[f"label/{video}" for video in context.placed_videos()],
+        after=[f"label/{v}" for v in context.placed_videos()] if name == "coco" else ["export/coco"],
         outputs=[context.workspace.export(name)],
     )
 
@@ -103,7 +105,17 @@ def _export_coco(context: Context, labels: Workspace, name: str, options: Json) 
     )
 
 
-EXPORTS["coco"] = export_labels
+def _yolo(context: Context) -> Any:
+    return export_yolo(context.workspace.export("yolo"), context.workspace.export("coco"))
+
+
+def _bop(context: Context) -> Any:
+    workspace = context.workspace
+    units = {name: workspace.load_scene(name).metres_per_unit for name in workspace.labelled_scene_names()}
+    return export_bop(workspace.export("bop"), workspace.export("coco"), units)
+
+
+EXPORTS |= {"coco": export_labels, "yolo": _yolo, "bop": _bop}
 
 
 # Quality ------------------------------------------------------------------------------------------

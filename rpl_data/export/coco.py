@@ -7,16 +7,15 @@ once, in one pass; memory does not grow with the masks.
 from __future__ import annotations
 
 import json
-import os
-import shutil
 import tempfile
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
+from rpl_data.export.folder import link, replacing
 from rpl_data.files import read_json, write_bytes
 from rpl_data.formats.coco import CocoObject, image_to_coco, instance_to_coco, writing_coco
 from rpl_data.formats.scene_images import encoded
@@ -89,7 +88,7 @@ def export_coco(
             folder cannot be written; the folder that was there is then unchanged.
     """
     fixed = None if as_in is None else _assignment(as_in)
-    with _replacing(folder) as building, tempfile.TemporaryFile("w+", dir=building) as spool:
+    with replacing(folder) as building, tempfile.TemporaryFile("w+", dir=building) as spool:
         links: Counter[str] = Counter()
         objects = _objects(building, models, meshes or {}, links)
         collected = _collect(building, spool, scenes, objects, links, fixed)
@@ -178,7 +177,7 @@ def _image(building: Path, item: ExportScene, frame: Frame, image_id: int, links
     """The entry of an image, its files linked into the folder."""
     scene = item.scene
     name = f"images/{scene.name}/{frame.index:06d}{frame.color.suffix}"
-    links[_link(frame.color, building / name)] += 1
+    links[link(frame.color, building / name)] += 1
     depth_name = None
     if frame.depth is not None:
         suffix = frame.depth.suffix if scene.depth_warp is None else ".png"
@@ -195,6 +194,15 @@ def _image(building: Path, item: ExportScene, frame: Frame, image_id: int, links
     )
 
 
+def _place_depth(scene: Scene, frame: Frame, target: Path) -> str:
+    """The depth image as it lies on the colour image; how it came there."""
+    assert frame.depth is not None
+    if scene.depth_warp is None:
+        return link(frame.depth, target)
+    write_bytes(target, encoded(read_depth_units(scene, frame), "png"))
+    return "copy"
+
+
 def _objects(
     building: Path, models: Sequence[KeypointModel], meshes: Mapping[str, Path], links: Counter[str]
 ) -> list[CocoObject]:
@@ -203,7 +211,7 @@ def _objects(
         mesh = None
         if model.name in meshes:
             mesh = f"meshes/{model.name}{meshes[model.name].suffix}"
-            links[_link(meshes[model.name], building / mesh)] += 1
+            links[link(meshes[model.name], building / mesh)] += 1
         objects.append(CocoObject(model, mesh))
     return objects
 
@@ -250,61 +258,3 @@ def _assignment(folder: Path) -> dict[FrameKey, tuple[SplitName, int]]:
     if not found:
         raise DataError(f"{folder} holds no exported COCO files; export the labels first")
     return found
-
-
-# Files --------------------------------------------------------------------------------------------
-
-
-def _place_depth(scene: Scene, frame: Frame, target: Path) -> str:
-    """The depth image as it lies on the colour image; how it came there."""
-    assert frame.depth is not None
-    if scene.depth_warp is None:
-        return _link(frame.depth, target)
-    write_bytes(target, encoded(read_depth_units(scene, frame), "png"))
-    return "copy"
-
-
-def _link(source: Path, target: Path) -> str:
-    """Make `target` the same bytes as `source` without writing them, where the file system allows."""
-    if not source.is_file():
-        raise DataError(f"{source} is missing; put it back or read the recording again")
-    source = source.resolve()
-    target.parent.mkdir(parents=True, exist_ok=True)
-    for how, link in (("hard link", os.link), ("symlink", os.symlink)):
-        try:
-            link(source, target)
-            return how
-        except OSError:  # another file system, or one that has no such links
-            continue
-    shutil.copyfile(source, target)
-    return "copy"
-
-
-@contextmanager
-def _replacing(folder: Path) -> Iterator[Path]:
-    """A temporary folder that takes the place of `folder` when the block ends well."""
-    building: Path | None = None
-    try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        building = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}.partial-"))
-        building.chmod(0o755)
-        yield building
-        old = building.with_name(building.name + "-old")
-        if folder.exists():
-            folder.rename(old)
-        try:
-            building.rename(folder)
-        except OSError:
-            if old.exists():
-                old.rename(folder)
-            raise
-        building = None
-        shutil.rmtree(old, ignore_errors=True)
-    except OSError as error:
-        raise DataError(
-            f"cannot write {folder}: {error.strerror or error}; nothing was changed. "
-            "Free some space or choose another folder"
-        ) from error
-    finally:
-        if building is not None:
-            shutil.rmtree(building, ignore_errors=True)

@@ -1,0 +1,65 @@
+"""What the dialects have in common: they are made of an exported COCO folder, split by split."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from rpl_data.formats.coco import read_coco
+from rpl_data.types import DataError
+
+Json = dict[str, Any]
+SPLITS = ("train", "val", "test")
+
+
+@dataclass(frozen=True)
+class DialectSummary:
+    """What was written.
+
+    Attributes:
+        images: how many, by split.
+        instances: how many labels were written.
+        messages: lines for a person.
+    """
+
+    images: Mapping[str, int]
+    instances: int = 0
+    messages: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Split:
+    """A file of the COCO folder.
+
+    Attributes:
+        annotations: by image id; an image without any has none.
+    """
+
+    name: str
+    data: Json
+    annotations: Mapping[int, list[Json]] = field(default_factory=dict)
+
+    @property
+    def images(self) -> list[Json]:
+        """The entries of the images."""
+        images: list[Json] = self.data["images"]
+        return images
+
+
+def splits_of(coco: Path) -> Iterator[Split]:
+    """The splits of an exported folder, in the order train, val, test; one is in memory at a time.
+
+    Raises:
+        DataError: there is none.
+    """
+    names = [name for name in SPLITS if (coco / f"{name}.json").exists()]
+    if not names:
+        raise DataError(f"{coco} holds no exported COCO files; export `coco` first")
+    for name in names:
+        data = read_coco(coco / f"{name}.json")
+        annotations: dict[int, list[Json]] = {}
+        for annotation in data["annotations"]:
+            annotations.setdefault(annotation["image_id"], []).append(annotation)
+        yield Split(name, data, annotations)

@@ -1,0 +1,188 @@
+"""The dialects of an exported COCO folder: YOLO's text and BOP's folders, judged by hand and by OpenCV."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from labelled_scenes import BOX, CAMERA, CAN, LAST_FRAME, labelled_scene
+from pycocotools import mask as masks
+
+from rpl_data.export import ExportScene, export_bop, export_coco, export_yolo
+from rpl_data.formats.bop import read_bop
+from rpl_data.formats.coco import read_coco
+from rpl_data.formats.yolo import LINES, detect_line, pose_line, segment_line
+from rpl_data.pipeline.products import refuse_unknown_exports
+from rpl_data.split import SplitRule
+from rpl_data.truth import box_mesh
+from rpl_data.types import DataError
+from rpl_data.workspace import load_mesh, save_mesh
+
+PLAIN = CAMERA.__class__(150.0, 151.0, 79.5, 59.5, 160, 120)
+SIZE = np.array([0.2, 0.2, 0.05])
+
+
+@pytest.fixture(scope="module")
+def coco(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Four scenes of six frames, one of them for test; the box has a mesh, the can has none."""
+    root = tmp_path_factory.mktemp("dialects")
+    corners = np.array([[x, y, z] for x in (-0.1, 0.1) for y in (-0.1, 0.1) for z in (0.0, 0.05)])
+    save_mesh(root / "box.ply", box_mesh(corners))
+    scenes = []
+    for seed, name in enumerate(("a", "b", "c", "d")):
+        made = labelled_scene(root / "recording", name, seed=seed)
+        scene = made.scene.__class__(name, PLAIN, 0.001, made.scene.frames)
+        scenes.append(ExportScene(scene, made.trajectory, made.labels))
+    rule = SplitRule(val_fraction=0.2)
+    export_coco(root / "coco", scenes, [BOX, CAN], split=rule, meshes={"box": root / "box.ply"})
+    return root / "coco"
+
+
+# YOLO ---------------------------------------------------------------------------------------------
+
+IMAGE = {"width": 100, "height": 50}
+CATEGORIES = [{"keypoints": ["a", "b", "c"]}, {"keypoints": ["a"]}]
+
+
+def annotation(mask: np.ndarray, **more: object) -> dict[str, object]:
+    encoded = masks.encode(np.asfortranarray(mask.astype(np.uint8)))
+    return {"category_id": 2, "bbox": masks.toBbox(encoded).tolist(), "segmentation": encoded} | more
+
+
+def test_lines_by_hand() -> None:
+    """A rectangle of the columns 10-29 and the rows 20-29; the centre of pixel (0, 0) is half a pixel in."""
+    mask = np.zeros((50, 100), bool)
+    mask[20:30, 10:30] = True
+    one = annotation(mask, keypoints=[9.5, 19.5, 2])
+    assert detect_line(IMAGE, one, CATEGORIES) == "1 0.200000 0.500000 0.200000 0.200000"
+    pose = "1 0.200000 0.500000 0.200000 0.200000 0.100000 0.400000 2 0 0 0 0 0 0"
+    assert pose_line(IMAGE, one, CATEGORIES) == pose
+    corners = np.array(segment_line(IMAGE, one, CATEGORIES).split()[1:], float).reshape(-1, 2) * [100, 50]
+    assert sorted(map(tuple, corners.round(3))) == [(10.5, 20.5), (10.5, 29.5), (29.5, 20.5), (29.5, 29.5)]
+
+
+@pytest.mark.parametrize("keypoint", [[-0.6, 10, 2], [10, 49.6, 1], [0, 0, 0]])
+def test_keypoints_outside_or_unknown_are_zero(keypoint: list[float]) -> None:
+    """Ultralytics drops an image with a number below 0 or above 1 as corrupt."""
+    mask = np.zeros((50, 100), bool)
+    mask[20:30, 10:30] = True
+    line = pose_line(IMAGE, annotation(mask, keypoints=keypoint), CATEGORIES[1:])
+    assert line.split()[5:] == ["0", "0", "0"]
+
+
+def test_an_object_in_parts_is_one_polygon() -> None:
+    mask = np.zeros((50, 100), np.uint8)
+    cv2.circle(mask, (20, 25), 12, 1, -1)
+    cv2.rectangle(mask, (60, 10), (90, 40), 1, -1)
+    cv2.rectangle(mask, (40, 2), (46, 8), 1, -1)
+    words = segment_line(IMAGE, annotation(mask > 0), CATEGORIES).split()
+    outline = np.array(words[1:], float).reshape(-1, 2) * [100, 50] - 0.5
+    drawn = np.zeros((50, 100), np.uint8)
+    cv2.fillPoly(drawn, [outline.round().astype(np.int32)], 1)
+    assert not (mask & ~drawn).any()
+    lines = drawn & ~mask  # between the parts, a pixel wide
+    assert 0 < lines.sum() < 60
+    assert not cv2.morphologyEx(lines, cv2.MORPH_OPEN, np.ones((2, 2), np.uint8)).any()
+
+
+def test_a_mask_of_two_pixels_has_no_outline() -> None:
+    mask = np.zeros((50, 100), bool)
+    mask[5, 5:7] = True
+    assert segment_line(IMAGE, annotation(mask), CATEGORIES) == ""
+
+
+def test_a_yolo_folder(coco: Path, tmp_path: Path) -> None:
+    summary = export_yolo(tmp_path / "yolo", coco)
+    assert set(summary.images) == {"train", "val", "test"} and sum(summary.images.values()) == 24
+    for task in LINES:
+        root = tmp_path / "yolo" / task
+        data = yaml.safe_load((root / "data.yaml").read_text())
+        assert data["names"] == {0: "box", 1: "can"}
+        assert data.get("kpt_shape") == ([4, 3] if task == "pose" else None)
+        for split, count in summary.images.items():
+            images = sorted((root / data[split]).iterdir())
+            assert len(images) == count
+            for image in images:
+                text = (root / "labels" / split / f"{image.stem}.txt").read_text()
+                if image.stem.endswith("_000000"):
+                    assert text == ""  # nothing in it: a background image
+                for line in text.splitlines():
+                    numbers = [float(word) for word in line.split()]
+                    assert numbers[0] in (0, 1) and all(0 <= n <= 1 for n in numbers[1:5])
+                    expected = {"detect": 5, "pose": 5 + 3 * 4}.get(task, len(numbers))
+                    assert len(numbers) == expected
+    linked = tmp_path / f"yolo/pose/images/train/a_{LAST_FRAME:06d}.png"
+    if linked.exists():
+        assert linked.samefile(coco / f"images/a/{LAST_FRAME:06d}.png")
+
+
+# BOP ----------------------------------------------------------------------------------------------
+
+
+def test_a_bop_folder_reads_back(coco: Path, tmp_path: Path) -> None:
+    """Its own reader gives the cameras, the poses and the depth unit of the labels."""
+    units = {name: 0.001 for name in "abcd"}
+    summary = export_bop(tmp_path / "bop", coco, units)
+    assert summary.messages == ("can has no dense model, so no models/*.ply",)
+    for split in summary.images:
+        data = read_coco(coco / f"{split}.json")
+        scenes = {recording.scene.name: recording for recording in read_bop(tmp_path / "bop" / split)}
+        assert sum(len(found.scene.frames) for found in scenes.values()) == len(data["images"])
+        by_id = {image["id"]: image for image in data["images"]}
+        for one in data["annotations"]:
+            image = by_id[one["image_id"]]
+            recording = scenes[f"{'abcd'.index(image['scene']) + 1:06d}"]
+            assert (recording.scene.intrinsics, recording.scene.metres_per_unit) == (PLAIN, 0.001)
+            pose = recording.true_poses[f"obj_{one['category_id']:06d}"][image["frame"]]
+            np.testing.assert_allclose(pose.ravel(), one["camera_from_object"], atol=1e-9)
+
+
+def test_masks_and_numbers_of_bop(coco: Path, tmp_path: Path) -> None:
+    export_bop(tmp_path / "bop", coco, {name: 0.001 for name in "abcd"})
+    (scene,) = (tmp_path / "bop/test").iterdir()
+    info = json.loads((scene / "scene_gt_info.json").read_text())
+    truth = json.loads((scene / "scene_gt.json").read_text())
+    assert info["0"] == truth["0"] == []
+    for frame, entries in info.items():
+        for number, entry in enumerate(entries):
+            name = f"{int(frame):06d}_{number:06d}.png"
+            full, visible = (cv2.imread(str(scene / f / name), -1) for f in ("mask", "mask_visib"))
+            x, y, w, h = cv2.boundingRect(full)  # OpenCV counts to the far edge
+            assert entry["bbox_obj"] == [x, y, w - 1, h - 1]
+            assert entry["px_count_all"] == entry["px_count_valid"] == cv2.countNonZero(full)
+            assert entry["px_count_visib"] == cv2.countNonZero(visible)
+            assert entry["visib_fract"] == pytest.approx(cv2.countNonZero(visible) / cv2.countNonZero(full))
+    targets = json.loads((tmp_path / "bop/test_targets_bop19.json").read_text())
+    assert len(targets) == sum(map(len, truth.values())) == 10
+
+
+def test_models_of_bop_are_millimetres(coco: Path, tmp_path: Path) -> None:
+    export_bop(tmp_path / "bop", coco, {name: 0.001 for name in "abcd"})
+    mesh = load_mesh(tmp_path / "bop/models/obj_000001.ply")
+    np.testing.assert_allclose(np.ptp(mesh.vertices, axis=0), 1000 * SIZE)
+    info = json.loads((tmp_path / "bop/models/models_info.json").read_text())
+    assert list(info) == ["1"]
+    assert info["1"]["diameter"] == pytest.approx(1000 * np.linalg.norm(SIZE))
+    assert (info["1"]["min_x"], info["1"]["size_z"]) == pytest.approx((-100, 50))
+
+
+def test_a_lens_with_distortion_is_refused_and_nothing_stays(tmp_path: Path) -> None:
+    scene = labelled_scene(tmp_path / "recording", "desk")
+    export_coco(tmp_path / "coco", [scene], [BOX, CAN], split=SplitRule(val_fraction=0.0))
+    with pytest.raises(DataError, match="cannot hold lens distortion"):
+        export_bop(tmp_path / "bop", tmp_path / "coco", {"desk": 0.001})
+    assert not (tmp_path / "bop").exists()
+    with pytest.raises(DataError, match="holds no exported COCO files"):
+        export_yolo(tmp_path / "yolo", tmp_path / "nowhere")
+
+
+def test_dialects_are_made_of_coco() -> None:
+    refuse_unknown_exports(["yolo", "coco", "bop"])
+    with pytest.raises(DataError, match=r"is made of `coco`; write `export: \[coco, yolo\]`"):
+        refuse_unknown_exports(["yolo"])
+    with pytest.raises(DataError, match="unknown export 'voc'"):
+        refuse_unknown_exports(["coco", "voc"])
