@@ -9,10 +9,15 @@ import cv2
 import numpy as np
 import pytest
 
+from rpl_data.build import build, context_of
 from rpl_data.drift import Drift, cut, drift_from_json, drift_to_json, measure_drift
-from rpl_data.geometry import from_rotvec, rays
+from rpl_data.formats.pose_lines import read_pose_lines
+from rpl_data.formats.rpl import write_poses
+from rpl_data.geometry import from_rotvec, rays, rigid
 from rpl_data.parts import Parts
 from rpl_data.pipeline.cuts import choose_cut
+from rpl_data.pipeline.products import quality_rows
+from rpl_data.recipe import SceneSource
 from rpl_data.types import Click, DataError, Frame, Intrinsics, Recording, Scene, Trajectory
 from rpl_data.workspace import Workspace, read_depth_m
 
@@ -139,14 +144,22 @@ def test_a_recording_is_cut_only_where_clicks_place_every_part() -> None:
     enough = choose_cut("00", drift, {"cup": clicks([0, 30])}, max_drift_m=0.01)
     assert enough.spans == ((0, 15), (16, 30))
     assert enough.messages == (
-        "scene 00: its poses stray by 20 mm (max_drift_mm: 10), so it was cut into 2: frames 0 to 15, "
-        "frames 16 to 30",
+        "scene 00: its poses stray by 20 mm (max_drift_mm: 10), so it was cut into 2 (frames 0 to 15, "
+        "16 to 30)",
     )
     short = choose_cut("00", drift, {"cup": clicks([0]) + clicks([0], scene="01")}, max_drift_m=0.01)
     assert short.spans == ()
     assert "click at least 4 keypoints of cup in frames 16 to 30" in short.messages[0]
     elsewhere = choose_cut("00", drift, {"cup": clicks([0], scene="01")}, max_drift_m=0.01)
     assert len(elsewhere.spans) == 2  # the object does not stand here
+
+
+def test_a_recording_is_cut_as_far_as_clicks_allow() -> None:
+    """Three places 60 mm and 16 mm apart, clicks at the first and the last: one cut is better than none."""
+    drift = walked([0.0, 0.001, 0.060, 0.061, 0.076, 0.077])
+    found = choose_cut("00", drift, {"cup": clicks([0, 50])}, max_drift_m=0.01)
+    assert found.spans == ((0, 15), (16, 50))
+    assert "click at least 4 keypoints of cup in frames 16 to 35" in found.messages[0]
 
 
 def test_poses_that_stray_too_fast_are_refused() -> None:
@@ -194,3 +207,43 @@ def test_frames_beyond_those_looked_at_belong_to_the_nearest_part() -> None:
     parts = Parts({"00": ((4, 9), (10, 20))})
     assert [parts.scene_at("00", frame) for frame in (0, 9, 10, 99)] == ["00.1", "00.1", "00.2", "00.2"]
     assert parts.scene_at("01", 3) == "01" and parts.video_of("00.2") == "00" and parts.video_of("01") == "01"
+
+
+# A build ------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def strayed(tiny_workspace: Workspace, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The tiny recording, its poses of scene 00 lower by 60 mm from the middle on."""
+    folder = tmp_path_factory.mktemp("strayed")
+    for path in tiny_workspace.recording.glob("*/*"):
+        (folder / path.parent.name).mkdir(exist_ok=True)
+        if path.name != "camera.poses" or path.parent.name != "00":
+            (folder / path.parent.name / path.name).symlink_to(path)
+    (folder / "camera.txt").symlink_to(tiny_workspace.recording / "camera.txt")
+    times_s, given = read_pose_lines(tiny_workspace.recording / "00" / "camera.poses")
+    given[len(given) // 2 :] = given[len(given) // 2 :] @ rigid(np.eye(3), np.array([0.0, 0.0, 0.06]))
+    write_poses(folder / "00", times_s.tolist(), given)
+    return folder
+
+
+def test_a_build_cuts_what_strays_and_its_labels_are_better(
+    tiny_workspace: Workspace, strayed: Path, tmp_path: Path
+) -> None:
+    errors_px = {}
+    for limit_mm in (1000.0, 15.0):
+        context = context_of(tiny_workspace)
+        recipe = replace(
+            context.recipe, twin=None, objects=context.objects, truth=tiny_workspace.truth,
+            scenes=(SceneSource(strayed, metres_per_unit=0.001),),
+            reconstruct=replace(context.recipe.reconstruct, max_drift_mm=limit_mm),
+        )  # fmt: skip
+        workspace = Workspace(tmp_path)
+        ledger = build(recipe, workspace, until="quality", workers=1)
+        errors_px[limit_mm] = quality_rows(ledger)[0].error_2d_mean_px
+        if limit_mm == 1000:
+            assert workspace.scene_names() == ["00", "01", "02"]
+    assert workspace.scene_names() == ["00.1", "00.2", "01", "02"]  # the sound ones are whole
+    assert {"00.1", "00.2"} <= set(workspace.load_solution("carton").scene_from_object)
+    assert [label.frame for label in workspace.load_labels("00")] == list(range(6))
+    assert errors_px[15.0] < 0.75 * errors_px[1000.0]  # one scene of three strayed

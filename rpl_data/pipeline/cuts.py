@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from rpl_data.drift import Drift, cut, drift_from_json, drift_to_json, measure_drift
@@ -78,8 +78,8 @@ class Cut:
 def choose_cut(video: str, drift: Drift, clicks: Mapping[str, Sequence[Click]], *, max_drift_m: float) -> Cut:
     """The fewest parts within which poses stray no farther than allowed.
 
-    Every part must have clicks enough to be placed by itself; where it has not, the recording stays whole
-    and a line says where to click.
+    Every part must have clicks enough to be placed by itself. Where they are not, the recording is cut as
+    far as they allow, if that helps at all, and a line says where to click.
 
     Args:
         clicks: of all recordings, by object, with the names of videos.
@@ -98,22 +98,44 @@ def choose_cut(video: str, drift: Drift, clicks: Mapping[str, Sequence[Click]], 
         )
     if len(wanted) < 2:
         return Cut(tuple(wanted))
-    found = cut(
-        drift, max_drift_m=max_drift_m, allowed=lambda first, last: not _lacking(video, (first, last), clicks)
-    )
+
+    def allowed(first: int, last: int) -> bool:
+        return not _lacking(video, (first, last), clicks)
+
+    found = cut(drift, max_drift_m=max_drift_m, allowed=allowed)
     if found is not None:
-        listed = ", ".join(f"frames {first} to {last}" for first, last in found)
-        return Cut(tuple(found), (f"scene {strayed} ({limit}), so it was cut into {len(found)}: {listed}",))
+        return Cut(tuple(found), (f"scene {strayed} ({limit}), so it was cut into {_listed(found)}",))
     missing = [
         f"{name} in frames {span[0]} to {span[1]}"
         for span in wanted
         for name in _lacking(video, span, clicks)
     ]
-    line = (
-        f"scene {strayed} ({limit}) and its labels with them; to have it cut into {len(wanted)}, click at "
-        f"least {FEWEST_KEYPOINTS} keypoints of {', '.join(missing) or 'each object in each part'}"
+    wish = (
+        f"to have it cut into {_listed(wanted)}, click at least {FEWEST_KEYPOINTS} keypoints of "
+        f"{', '.join(missing) or 'each object in each part'}"
     )
-    return Cut((), (line,))
+    found = _as_far_as_clicks_allow(drift, max_drift_m, len(wanted), allowed)
+    if found is None:
+        return Cut((), (f"scene {strayed} ({limit}) and its labels with them; {wish}",))
+    return Cut(tuple(found), (f"scene {strayed} ({limit}), so it was cut into {_listed(found)}; {wish}",))
+
+
+def _as_far_as_clicks_allow(
+    drift: Drift, max_drift_m: float, most_parts: int, allowed: Callable[[int, int], bool]
+) -> list[Span] | None:
+    """A cut into parts that stray farther than they should, but half as far as the whole at most."""
+    limit_m = 1.25 * max_drift_m
+    while limit_m < drift.whole_m / 2:
+        found = cut(drift, max_drift_m=limit_m, most_parts=most_parts, allowed=allowed)
+        if found is not None:
+            return found
+        limit_m *= 1.25
+    return None
+
+
+def _listed(spans: Sequence[Span]) -> str:
+    """How many, and which frames."""
+    return f"{len(spans)} (frames {', '.join(f'{first} to {last}' for first, last in spans)})"
 
 
 def _lacking(video: str, span: Span, clicks: Mapping[str, Sequence[Click]]) -> list[str]:
