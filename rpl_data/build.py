@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from rpl_data.files import write_text
+from rpl_data.files import locked, write_text
 from rpl_data.pipeline import cuts, dense, inputs, labels, poses, products, sparse
 from rpl_data.pipeline.context import Context
 from rpl_data.pool import Pool
@@ -85,8 +85,9 @@ def build(
     """
     products.refuse_unknown_exports(recipe.export)
     save_recipe(recipe, workspace)
-    ledger = Ledger(workspace.stages_file)
-    with Pool(workers) as pool:
+    busy = f"another build is at work in {workspace.root}; wait for its end, or stop it"
+    with locked(workspace.build_lock, busy), Pool(workers) as pool:
+        ledger = Ledger(workspace.stages_file)
         context = Context(recipe, workspace, pool)
         for stage, plan in STAGES.items():
             steps = plan(context)

@@ -13,6 +13,7 @@ from rpl_data.annotate import Place, Work
 from rpl_data.annotate.work import Tell
 from rpl_data.build import Progress, build, context_of, recipe_of, save_recipe, stale_steps
 from rpl_data.pipeline.context import Context
+from rpl_data.pipeline.grasps import object_from_grasp
 from rpl_data.pipeline.sparse import solve_annotation
 from rpl_data.recipe import ObjectRecipe
 from rpl_data.solve import register
@@ -41,6 +42,7 @@ def work_of(workspace: Workspace) -> Work:
         register=register,
         objects=lambda: _context(workspace).object_names,
         add_object=lambda name, keypoints: _add_object(workspace, name, keypoints),
+        grasp=lambda clicks, solution: object_from_grasp(workspace, clicks, solution),
         run=lambda stage, tell: _run(workspace, stage, tell),
         fresh=lambda: _fresh(workspace),
     )
@@ -70,12 +72,17 @@ def _add_object(workspace: Workspace, name: str, keypoints: Sequence[str]) -> No
 
 
 def _run(workspace: Workspace, stage: str, tell: Tell) -> list[str]:
+    """What the steps had to say, and where an export is."""
     lines: list[str] = []
 
     def told(progress: Progress) -> None:
         tell(f"{progress.stage} {progress.item}".strip(), progress.done, progress.total)
         if progress.state == "ran":
             lines.extend(progress.outcome.messages)
+        if progress.state != "runs" and progress.stage == "export":
+            images = progress.outcome.details["images"]
+            counts = ", ".join(f"{count} {split}" for split, count in images.items())
+            lines.append(f"{workspace.export(progress.item).resolve()}: {counts} images")
 
     build(recipe_of(workspace), workspace, until=stage, tell=told)
     return lines

@@ -16,7 +16,7 @@ from jaxtyping import UInt16
 from rpl_data import records
 from rpl_data.clicklog import Annotation, Event, replay
 from rpl_data.files import read_json, read_text, write_bytes, write_json, write_text, writing
-from rpl_data.geometry import from_quaternion_xyzw, to_quaternion_xyzw
+from rpl_data.geometry import Transform, from_quaternion_xyzw, to_quaternion_xyzw
 from rpl_data.parts import Parts, Span
 from rpl_data.ply import cloud_to_ply, mesh_to_ply
 from rpl_data.types import (
@@ -44,11 +44,13 @@ class Workspace:
 
         recipe.yaml                   the resolved recipe that built it
         stages.json                   what each stage ran with
+        build.lock                    held while a build is at work
         recording/                    the synthetic recording of a twin, with recording/truth/
         scenes/<scene>/               scene.json  trajectory.txt  drift.json  surface.ply  cache/  images/
                                       parts.json, when it was cut into scenes/<scene>.1/, <scene>.2/, ...
-        objects/<object>/             clicks.jsonl  solution.json  mesh.ply  cloud.ply
+        objects/<object>/             clicks.jsonl  solution.json  mesh.ply  cloud.ply  given.ply  grasp.json
         labels/<scene>.jsonl          a line a frame
+        labels/<scene>.left_out.json  frames that a person keeps out of exports
         export/<format>/              coco, coco_truth, ...
         report/index.html
 
@@ -67,6 +69,11 @@ class Workspace:
     def stages_file(self) -> Path:
         """What each stage ran with."""
         return self.root / "stages.json"
+
+    @property
+    def build_lock(self) -> Path:
+        """Held while a build is at work."""
+        return self.root / "build.lock"
 
     @property
     def recording(self) -> Path:
@@ -131,9 +138,21 @@ class Workspace:
         """The dense model as points, object frame."""
         return self.root / "objects" / object_name / "cloud.ply"
 
+    def given_mesh_file(self, object_name: str) -> Path:
+        """A mesh a person has of the object, in the frame of its known keypoints, metres."""
+        return self.root / "objects" / object_name / "given.ply"
+
+    def grasp_file(self, object_name: str) -> Path:
+        """The grasp frame in the object frame."""
+        return self.root / "objects" / object_name / "grasp.json"
+
     def labels_file(self, scene: str) -> Path:
         """Labels of a scene, a line a frame."""
         return self.root / "labels" / f"{scene}.jsonl"
+
+    def left_out_file(self, scene: str) -> Path:
+        """Frames of a scene that a person keeps out of exports."""
+        return self.root / "labels" / f"{scene}.left_out.json"
 
     # Names ----------------------------------------------------------------------------------------
 
@@ -278,6 +297,14 @@ class Workspace:
             raise DataError(f"object {object_name} has no solution yet; run `rpl solve` on {self.root}")
         return records.solution_from_json(read_json(self.solution_file(object_name)))
 
+    def save_grasp(self, object_name: str, object_from_grasp: Transform | None) -> None:
+        """Write grasp.json; None deletes it."""
+        if object_from_grasp is None:
+            remove(self.grasp_file(object_name))
+        else:
+            content = {"object_from_grasp": records.numbers(object_from_grasp)}
+            write_json(self.grasp_file(object_name), content)
+
     # Labels ---------------------------------------------------------------------------------------
 
     def save_labels(self, scene: str, labels: Iterable[FrameLabel]) -> int:
@@ -288,6 +315,15 @@ class Workspace:
                 file.write(json.dumps(records.frame_label_to_json(label), allow_nan=False) + "\n")
                 count += 1
         return count
+
+    def save_left_out(self, scene: str, frames: Iterable[int]) -> None:
+        """Write which frames stay out of exports; they stay out when the labels are made again."""
+        write_json(self.left_out_file(scene), sorted(frames), indent=None)
+
+    def load_left_out(self, scene: str) -> frozenset[int]:
+        """Frames that stay out of exports; none where nobody chose any."""
+        path = self.left_out_file(scene)
+        return frozenset(read_json(path) if path.exists() else ())
 
     def load_labels(self, scene: str) -> Iterator[FrameLabel]:
         """The labels of a scene, one at a time."""

@@ -18,8 +18,8 @@ LAYERS = [
     {"clicklog", "files", "geometry", "ply", "records"},
     {"masks", "mend", "parts", "regions", "reprojection", "split"},
     {
-        "adjustment", "completion", "drift", "formats", "lift", "occlusion", "overlay", "pool", "pose",
-        "raycast", "simplify", "steps", "views", "workspace",
+        "adjustment", "completion", "drift", "formats", "grasp", "lift", "occlusion", "overlay", "pool",
+        "pose", "raycast", "simplify", "steps", "views", "workspace",
     },
     STAGES,
     {"recipe", "torch"},

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -13,6 +14,8 @@ from rpl_data.clicklog import Annotation
 
 ENOUGH = FEWEST + 1
 """Clicks a scene: three place it, the fourth checks them."""
+OFTEN = 6
+"""Clicks on a keypoint after which no more of them are asked for."""
 UNSURE_M = 0.004
 """A keypoint less certain than this wants another click."""
 
@@ -104,6 +107,9 @@ def _unsure(annotation: Annotation, live: Live) -> Advice | None:
     if live.solution is None or annotation.known_points is not None:
         return None
     variances = np.trace(live.solution.covariance, axis1=1, axis2=2) / 3
+    count = Counter(click.keypoint for click in annotation.clicks)
+    often = [k for k in range(len(variances)) if count[k] >= OFTEN]  # one more click would not help
+    variances[often] = np.nan
     if not np.isfinite(variances).any() or np.nanmax(variances) < UNSURE_M**2:
         return None
     worst = int(np.nanargmax(variances))

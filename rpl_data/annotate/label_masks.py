@@ -27,7 +27,7 @@ class MaskStore:
 
     def png(self, scene: str, frame: int, object_name: str) -> bytes | None:
         """The visible mask as a picture, transparent elsewhere; None when there is no such label."""
-        label = self._label(scene, frame)
+        label = self.label(scene, frame)
         instances = [i for i in label.instances if i.object == object_name] if label else []
         if not instances:
             return None
@@ -38,22 +38,24 @@ class MaskStore:
         picture[visible] = COLOR_BGRA
         return cv2.imencode(".png", picture)[1].tobytes()
 
-    def _label(self, scene: str, frame: int) -> FrameLabel | None:
-        path = self.workspace.labels_file(scene)
+    def label(self, scene: str, frame: int) -> FrameLabel | None:
+        """The label of a frame; None where none was made."""
+        video = self.workspace.parts().video_of(scene)  # a recording that was cut has one file of labels
+        path = self.workspace.labels_file(video)
         if scene not in self.workspace.scene_names() or not path.exists():
             return None
         status = path.stat()
-        place = self._places(scene, status.st_mtime_ns, status.st_size).get(frame)
+        place = self._places(video, status.st_mtime_ns, status.st_size).get(frame)
         if place is None:
             return None
         with path.open("rb") as file:
             file.seek(place)
             return frame_label_from_json(json.loads(file.readline()))
 
-    def _read_places(self, scene: str, *stamp: int) -> dict[int, int]:
+    def _read_places(self, video: str, *stamp: int) -> dict[int, int]:
         """Where the line of each frame begins."""
         places, at = {}, 0
-        with self.workspace.labels_file(scene).open("rb") as file:
+        with self.workspace.labels_file(video).open("rb") as file:
             for line in file:
                 found = FRAME.search(line[:200])
                 if found:

@@ -54,7 +54,7 @@ def object_payload(revision: Revision) -> Json:
             for c in annotation.clicks
         ],
         "skipped": sorted(annotation.skipped),
-        "known_model": annotation.known_points is not None,
+        "known_points": annotation.known_points,
         "grasp": None if grasp is None else {**vars(grasp)},
         "crop_m": annotation.crop_m,
         "undo": described(revision.undo, annotation.keypoints),
@@ -106,6 +106,8 @@ def result_payload(result: Result, scenes: Sequence[str]) -> Json:
             {"keypoint": click.keypoint, "scene": click.scene, "point_m": numbers(point, 6)}
             for click, point in result.lifted
         ],
+        "grasp": None if result.grasp is None else numbers(result.grasp, 7),
+        "grasp_problem": result.grasp_problem,
         "next": asdict(next_step(revision.annotation, live, scenes)),
     }
 

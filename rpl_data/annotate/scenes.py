@@ -44,6 +44,11 @@ class SceneStore:
         """Scenes of the workspace."""
         return self.workspace.scene_names()
 
+    def forget(self) -> None:
+        """Read everything again when it is next asked for: a build may have cut scenes."""
+        self.get.cache_clear()
+        self._depth.cache_clear()
+
     def depth_m(self, scene: str, frame: int) -> DepthImage:
         """Depth of a frame, metres; not to be changed."""
         return self._depth(scene, frame)

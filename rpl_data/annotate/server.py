@@ -15,9 +15,12 @@ from pydantic import BaseModel
 from starlette.middleware.gzip import GZipMiddleware
 
 from rpl_data.annotate.clicks_routes import clicks_routes
+from rpl_data.annotate.contact_routes import contact_routes
 from rpl_data.annotate.guard import Guard
 from rpl_data.annotate.images import depth_tile
+from rpl_data.annotate.job_routes import job_routes
 from rpl_data.annotate.log import Conflict, NotSaved
+from rpl_data.annotate.model_routes import model_routes
 from rpl_data.annotate.payload import Json, object_payload, result_payload, scene_payload
 from rpl_data.annotate.scenes import poses_table
 from rpl_data.annotate.session import Session
@@ -61,6 +64,9 @@ def make_app(session: Session, place: Place) -> FastAPI:
     _add_objects(app, session)
     app.include_router(solid_routes(session))
     app.include_router(clicks_routes(session))
+    app.include_router(job_routes(session))
+    app.include_router(contact_routes(session))
+    app.include_router(model_routes(session))
     _add_page(app, session)
     return app
 

@@ -18,17 +18,25 @@ from rpl_data.annotate.news import News
 from rpl_data.annotate.scenes import SceneStore
 from rpl_data.annotate.suggest import Suggestion, suggest_frames
 from rpl_data.annotate.work import Work
+from rpl_data.clicklog import Annotation
+from rpl_data.geometry import Transform
 from rpl_data.types import Click, DataError
 from rpl_data.workspace import Workspace
 
 
 @dataclass(frozen=True)
 class Result:
-    """The result of a revision, and the clicks lifted where there is none yet."""
+    """The result of a revision, and the clicks lifted where there is none yet.
+
+    Attributes:
+        grasp: `object_from_grasp`, when one was marked and can be placed; else `grasp_problem` says why not.
+    """
 
     revision: Revision
     live: Live
     lifted: tuple[tuple[Click, Float64[np.ndarray, "3"]], ...]
+    grasp: Transform | None = None
+    grasp_problem: str = ""
 
 
 class Session:
@@ -85,8 +93,18 @@ class Session:
             if kept is None or kept.revision.number != revision.number:
                 observations = self._lifter.observations(revision.annotation.clicks)
                 live = solve_live(revision.annotation, observations, self.work.solve)
-                kept = self._results[name] = Result(revision, live, tuple(live.lifted(observations)))
+                kept = self._results[name] = Result(
+                    revision, live, tuple(live.lifted(observations)), *self._grasp(revision.annotation, live)
+                )
         return kept
+
+    def _grasp(self, annotation: Annotation, live: Live) -> tuple[Transform | None, str]:
+        if annotation.grasp is None or live.solution is None:
+            return None, ""
+        try:
+            return self.work.grasp(annotation.grasp, live.solution), ""
+        except DataError as error:
+            return None, str(error)
 
     def suggestions(self, name: str, scene: str) -> list[Suggestion]:
         """Frames of a scene worth marking; from all sides of the object once its place there is known."""

@@ -133,7 +133,7 @@ def _around(points: Points, factor: float, margin_m: float) -> Surroundings:
 
 def surface_payload(cloud: Coloured) -> Json:
     """Points as float32 and colours as bytes, base64."""
-    return {"points": _packed(cloud.points, "<f4"), "colors": _packed(cloud.colors, "u1")}
+    return {"points": packed(cloud.points, "<f4"), "colors": packed(cloud.colors, "u1")}
 
 
 def dense_payload(workspace: Workspace, object_name: str) -> Json | None:
@@ -151,11 +151,12 @@ def dense_payload(workspace: Workspace, object_name: str) -> Json | None:
     mesh = simplified(load_mesh(path), most_triangles=MOST_TRIANGLES)
     return {
         "places": {name: [float(x) for x in matrix.ravel()] for name, matrix in places.items()},
-        "points": _packed(mesh.vertices, "<f4"),
-        "colors": None if mesh.colors is None else _packed(mesh.colors, "u1"),
-        "triangles": _packed(mesh.triangles, "<u2"),
+        "points": packed(mesh.vertices, "<f4"),
+        "colors": None if mesh.colors is None else packed(mesh.colors, "u1"),
+        "triangles": packed(mesh.triangles, "<u2"),
     }
 
 
-def _packed(values: np.ndarray, kind: str) -> str:
+def packed(values: np.ndarray, kind: str) -> str:
+    """An array as base64 of its bytes."""
     return base64.b64encode(np.ascontiguousarray(values, dtype=kind).tobytes()).decode("ascii")

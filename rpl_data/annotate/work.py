@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from rpl_data.clicklog import Annotation
+from rpl_data.clicklog import Annotation, GraspClicks
 from rpl_data.geometry import Transform
 from rpl_data.types import ClickResidual, KeypointModel, Observation, Solution
 
@@ -25,6 +25,7 @@ class Work:
         register: `scene_from_object` of one scene from clicks on a known model, and their residuals.
         objects: names of the objects of the workspace, in order.
         add_object: (name, keypoint names) makes a new object of the workspace.
+        grasp: `object_from_grasp` of two clicks; DataError where there is no depth or no place.
         run: (last stage, tell) runs what is out of date up to that stage; lines for a person.
         fresh: by stage, whether what it made still holds; stages that wait for others are absent.
     """
@@ -33,6 +34,7 @@ class Work:
     register: Callable[[KeypointModel, Sequence[Observation]], tuple[Transform, tuple[ClickResidual, ...]]]
     objects: Callable[[], list[str]]
     add_object: Callable[[str, Sequence[str]], None]
+    grasp: Callable[[GraspClicks, Solution], Transform]
     run: Callable[[str, Tell], list[str]]
     fresh: Callable[[], Mapping[str, bool]]
 

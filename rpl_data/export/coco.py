@@ -19,6 +19,7 @@ from rpl_data.export.folder import link, replacing
 from rpl_data.files import read_json, write_bytes
 from rpl_data.formats.coco import CocoObject, image_to_coco, instance_to_coco, writing_coco
 from rpl_data.formats.scene_images import encoded
+from rpl_data.geometry import Transform
 from rpl_data.split import FrameKey, SplitName, SplitRule, choose_splits
 from rpl_data.types import DataError, Frame, FrameLabel, KeypointModel, Scene, Trajectory
 from rpl_data.views import View, ViewDistance, view_distances, view_of
@@ -70,6 +71,7 @@ def export_coco(
     *,
     split: SplitRule,
     meshes: Mapping[str, Path] | None = None,
+    grasps: Mapping[str, Transform] | None = None,
     as_in: Path | None = None,
 ) -> ExportSummary:
     """Write `folder`: {train,val,test}.json, images/<scene>/, depth/<scene>/, meshes/ and nothing else.
@@ -80,6 +82,7 @@ def export_coco(
         models: the objects; category ids are 1, 2, ... in this order.
         split: which frames train, validate and test.
         meshes: files of dense models by object name; linked too, as meshes/<object><suffix>.
+        grasps: `object_from_grasp` by object name.
         as_in: an exported folder whose split and image ids are kept (for labels made from truth); frames
             that it does not have are left out.
 
@@ -90,7 +93,7 @@ def export_coco(
     fixed = None if as_in is None else _assignment(as_in)
     with replacing(folder) as building, tempfile.TemporaryFile("w+", dir=building) as spool:
         links: Counter[str] = Counter()
-        objects = _objects(building, models, meshes or {}, links)
+        objects = _objects(building, models, meshes or {}, grasps or {}, links)
         collected = _collect(building, spool, scenes, objects, links, fixed)
         if fixed is None:
             splits, messages = choose_splits(collected.frames, split)
@@ -204,7 +207,11 @@ def _place_depth(scene: Scene, frame: Frame, target: Path) -> str:
 
 
 def _objects(
-    building: Path, models: Sequence[KeypointModel], meshes: Mapping[str, Path], links: Counter[str]
+    building: Path,
+    models: Sequence[KeypointModel],
+    meshes: Mapping[str, Path],
+    grasps: Mapping[str, Transform],
+    links: Counter[str],
 ) -> list[CocoObject]:
     objects = []
     for model in models:
@@ -212,7 +219,7 @@ def _objects(
         if model.name in meshes:
             mesh = f"meshes/{model.name}{meshes[model.name].suffix}"
             links[link(meshes[model.name], building / mesh)] += 1
-        objects.append(CocoObject(model, mesh))
+        objects.append(CocoObject(model, mesh, grasp=grasps.get(model.name)))
     return objects
 
 

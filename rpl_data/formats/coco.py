@@ -25,6 +25,7 @@ from jaxtyping import Float64
 
 from rpl_data.files import read_json, writing
 from rpl_data.formats.coco_check import validate_coco
+from rpl_data.geometry import Transform
 from rpl_data.records import asdict_values, matrix_from_json, numbers, rows_from_json, rows_to_json
 from rpl_data.types import (
     Box,
@@ -47,11 +48,13 @@ class CocoObject:
     Attributes:
         mesh: path of its mesh, relative to the JSON file's folder; None when there is none.
         symmetries: rigid transforms (16 numbers, row-major) that leave the object looking the same.
+        grasp: `object_from_grasp` where a person marked one: z out of the surface, x along it.
     """
 
     model: KeypointModel
     mesh: str | None = None
     symmetries: tuple[tuple[float, ...], ...] = ()
+    grasp: Transform | None = None
 
 
 # To COCO ------------------------------------------------------------------------------------------
@@ -94,6 +97,7 @@ def _object(number: int, item: CocoObject) -> Json:
         "points_object": rows_to_json(item.model.points_object),
         "mesh": item.mesh,
         "symmetries": [list(symmetry) for symmetry in item.symmetries],
+        **({} if item.grasp is None else {"object_from_grasp": numbers(item.grasp)}),
     }
 
 
@@ -187,9 +191,15 @@ def objects_from_coco(data: Mapping[str, Any]) -> list[CocoObject]:
             ),
             mesh=described[category["id"]]["mesh"],
             symmetries=tuple(tuple(s) for s in described[category["id"]]["symmetries"]),
+            grasp=_grasp(described[category["id"]]),
         )
         for category in sorted(data["categories"], key=lambda c: int(c["id"]))
     ]
+
+
+def _grasp(described: Mapping[str, Any]) -> Transform | None:
+    given = described.get("object_from_grasp")
+    return None if given is None else matrix_from_json(given)
 
 
 def intrinsics_from_coco(image: Mapping[str, Any]) -> Intrinsics:

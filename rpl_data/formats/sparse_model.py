@@ -5,7 +5,7 @@
     <SparseObjectPoints>
         <point x="0.1" y="-0.2" z="1e-05" name="0"/>
     </SparseObjectPoints>
-    <GraspPoint> four rows of a matrix, written by another tool </GraspPoint>
+    <GraspPoint> four rows of a matrix, [0.1, 0.2, 0.3, 0.4] each </GraspPoint>
 
 The file looks like XML and is none (two roots); the original's reader loses exponents and signs.
 """
@@ -18,10 +18,12 @@ from pathlib import Path
 import numpy as np
 
 from rpl_data.files import read_text, write_text
-from rpl_data.geometry import Points, transform
+from rpl_data.geometry import Points, Transform, transform
 from rpl_data.types import DataError, Solution
 
 _BLOCK = re.compile(r"<SparseObjectPoints>(.*?)</SparseObjectPoints>", re.DOTALL)
+_GRASP = re.compile(r"<GraspPoint>(.*?)</GraspPoint>", re.DOTALL)
+_NUMBER = re.compile(r"[-+0-9.eE]+")
 _POINT = re.compile(r"<point\b([^>]*?)/?>")
 _ATTRIBUTE = re.compile(r"(\w+)\s*=\s*[\"']([^\"']*)[\"']")
 
@@ -59,14 +61,37 @@ def read_sparse_model(path: Path) -> Points:
     return model
 
 
-def write_sparse_model(path: Path, points_world: Points) -> None:
-    """Write keypoints given in the first scene's frame; those without a position are left out."""
+def write_sparse_model(path: Path, points_world: Points, world_from_grasp: Transform | None = None) -> None:
+    """Write keypoints given in the first scene's frame; those without a position are left out.
+
+    Args:
+        world_from_grasp: a grasp frame in the same frame; the columns of its rotation are the axes (the
+            original writes them as rows).
+    """
     lines = [
         '\t<point x="{!r}" y="{!r}" z="{!r}" name="{}"/>\n'.format(*map(float, point), number)
         for number, point in enumerate(points_world)
         if np.isfinite(point).all()
     ]
-    write_text(path, "<SparseObjectPoints>\n" + "".join(lines) + "</SparseObjectPoints>\n")
+    grasp = "" if world_from_grasp is None else _grasp_block(world_from_grasp)
+    write_text(path, "<SparseObjectPoints>\n" + "".join(lines) + "</SparseObjectPoints>\n" + grasp)
+
+
+def _grasp_block(world_from_grasp: Transform) -> str:
+    rows = "".join(f"\t{[float(value) for value in row]!r}\n" for row in world_from_grasp)
+    return f"<GraspPoint>\n{rows}</GraspPoint>\n"
+
+
+def read_grasp(path: Path) -> Transform | None:
+    """`world_from_grasp` of the last grasp point of a file of ours; None without one."""
+    blocks = _GRASP.findall(read_text(path))
+    if not blocks:
+        return None
+    values = [float(number) for number in _NUMBER.findall(blocks[-1])]
+    if len(values) != 16:
+        raise DataError(f"{path}: its <GraspPoint> holds {len(values)} numbers; expected 4 rows of 4")
+    matrix: Transform = np.array(values).reshape(4, 4)
+    return matrix
 
 
 def points_in_first_scene(solution: Solution) -> Points:

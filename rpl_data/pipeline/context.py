@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from pathlib import Path
 
 from rpl_data.pool import Pool
@@ -81,6 +83,13 @@ class Context:
         """Recordings in which at least one object has a place."""
         parts = self.workspace.parts()
         return sorted({parts.video_of(scene) for scene in self.placed_scenes()})
+
+    def clicks_source(self, object_name: str) -> Json:
+        """What of the log the stages depend on: not on crop and grasp, nor on what was undone again."""
+        annotation, parts = self.workspace.load_annotation(object_name), self.workspace.parts()
+        clicks = [astuple(parts.click_in_video(click)) for click in annotation.clicks]
+        content = json.dumps([annotation.keypoints, clicks, annotation.known_points])
+        return {object_name: hashlib.sha256(content.encode()).hexdigest()[:16]}
 
     def frames_of(self, scene: str) -> Json:
         """Which frames of its recording a scene is, for the options of steps; nothing when it is whole."""

@@ -9,7 +9,7 @@ from rpl_data.drift import Drift, cut, drift_from_json, drift_to_json, measure_d
 from rpl_data.files import read_json, write_json
 from rpl_data.parts import Span
 from rpl_data.pipeline.context import Context, step
-from rpl_data.steps import Advance, Outcome, Step, stamps
+from rpl_data.steps import Advance, Outcome, Step
 from rpl_data.types import Click, DataError
 from rpl_data.workspace import read_depth_m
 
@@ -61,7 +61,7 @@ def cut_steps(context: Context) -> list[Step]:
                 "max_drift_mm": context.recipe.reconstruct.max_drift_mm,
                 "objects": context.object_names,
             },
-            sources=stamps(*(workspace.clicks_file(name) for name in context.object_names)),
+            sources={k: v for name in context.object_names for k, v in context.clicks_source(name).items()},
             after=[f"drift/{video}" for video in videos],
         )
     ]

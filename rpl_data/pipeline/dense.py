@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 
 from rpl_data.geometry import transform
 from rpl_data.pipeline.context import Context, posed_frames, step
+from rpl_data.pipeline.sparse import known_points
 from rpl_data.recipe import ObjectRecipe
-from rpl_data.steps import Advance, Outcome, Step
+from rpl_data.regions import oriented_points
+from rpl_data.steps import Advance, Outcome, Step, stamps
 from rpl_data.types import DepthImage, Frame, Mesh, Scene, Solution
-from rpl_data.workspace import load_mesh, read_color, read_depth_m, save_cloud, save_mesh
+from rpl_data.workspace import Workspace, load_mesh, read_color, read_depth_m, save_cloud, save_mesh
+
+Box3 = tuple[tuple[float, float, float], tuple[float, float, float]]
+"""Lowest and highest corner, metres."""
 
 
 @dataclass(frozen=True)
@@ -128,12 +133,14 @@ def segment_steps(context: Context) -> list[Step]:
 def _segment_step(context: Context, item: ObjectRecipe) -> Step:
     workspace, voxel_m = context.workspace, context.recipe.reconstruct.voxel_m
     scenes = [s for s in context.placed_scenes() if s in workspace.load_solution(item.name).scene_from_object]
+    crop, given = crop_of(workspace, item), given_mesh(workspace, item.name)
 
     def run(advance: Advance) -> Outcome:
+        if given is not None:
+            return _keep_given(workspace, item.name, given)
         from rpl_data.segment import segment_object
 
         surfaces = {name: load_mesh(workspace.surface_file(name)) for name in scenes}
-        crop = None if item.crop is None else (item.crop.low_m, item.crop.high_m)
         dense = segment_object(surfaces, workspace.load_solution(item.name), voxel_m=voxel_m, crop_m=crop)
         save_mesh(workspace.mesh_file(item.name), dense.mesh)
         save_cloud(workspace.cloud_file(item.name), dense.cloud)
@@ -146,7 +153,38 @@ def _segment_step(context: Context, item: ObjectRecipe) -> Step:
         "segment",
         item.name,
         run,
-        options={"voxel_m": voxel_m, "crop": None if item.crop is None else asdict(item.crop)},
+        options={"voxel_m": voxel_m, "crop": crop},
+        sources={} if given is None else stamps(workspace.given_mesh_file(item.name)),
         after=[f"solve/{item.name}", *(f"surface/{name}" for name in scenes)],
         outputs=[workspace.mesh_file(item.name), workspace.cloud_file(item.name)],
     )
+
+
+def given_mesh(workspace: Workspace, object_name: str) -> Mesh | None:
+    """The mesh a person has of an object with known keypoints, object frame; None where there is none.
+
+    A mesh without known keypoints is only there to pick them on, and has no place in the object frame yet.
+    """
+    annotation, path = workspace.load_annotation(object_name), workspace.given_mesh_file(object_name)
+    if annotation.known_points is None or not path.exists():
+        return None
+    mesh = load_mesh(path)
+    return Mesh(mesh.vertices - np.nanmean(known_points(annotation), axis=0), mesh.triangles, mesh.colors)
+
+
+def _keep_given(workspace: Workspace, object_name: str, mesh: Mesh) -> Outcome:
+    """The given mesh is the dense model: nothing has to be segmented."""
+    cloud = oriented_points(mesh)
+    save_mesh(workspace.mesh_file(object_name), mesh)
+    save_cloud(workspace.cloud_file(object_name), cloud)
+    message = f"{object_name}: its dense model is the given mesh"
+    details = {"triangles": len(mesh.triangles), "points": len(cloud.points)}
+    return Outcome(messages=(message,), details=details)
+
+
+def crop_of(workspace: Workspace, item: ObjectRecipe) -> Box3 | None:
+    """The box the dense model is cut to: that of the annotation page, else the recipe's; object frame."""
+    drawn = workspace.load_annotation(item.name).crop_m
+    if drawn is not None or item.crop is None:
+        return drawn
+    return item.crop.low_m, item.crop.high_m

@@ -10,6 +10,7 @@ from typing import Any
 
 from rpl_data.export import ExportScene, export_bop, export_coco, export_yolo
 from rpl_data.pipeline.context import VERSIONS, Context, step
+from rpl_data.pipeline.grasps import save_grasps
 from rpl_data.steps import Advance, Json, Ledger, Outcome, Step, stamps
 from rpl_data.types import DataError, FrameLabel, QualityRow
 from rpl_data.workspace import Workspace
@@ -42,11 +43,18 @@ def _export_step(context: Context, name: str) -> Step:
         messages = tuple(summary.pop("messages"))
         return Outcome(sum(summary["images"].values()), messages, finite_or_none(summary))
 
+    left_out = {scene: sorted(context.workspace.load_left_out(scene)) for scene in context.placed_videos()}
+    annotations = [context.workspace.load_annotation(item) for item in context.object_names]
+    chosen = {
+        "left_out": {scene: frames for scene, frames in left_out.items() if frames},
+        "grasps": {item.object: asdict(item.grasp) for item in annotations if item.grasp is not None},
+    }
+    options = {"split": asdict(context.recipe.split), "objects": context.object_names}
     return step(
         "export",
         name,
         run,
-        options={"split": asdict(context.recipe.split), "objects": context.object_names},
+        options=options | {key: value for key, value in chosen.items() if value},
         after=[f"label/{v}" for v in context.placed_videos()] if name == "coco" else ["export/coco"],
         outputs=[context.workspace.export(name)],
     )
@@ -94,15 +102,27 @@ def _export_coco(context: Context, labels: Workspace, name: str, options: Json) 
         if not workspace.scene_file(scene_name).exists():
             continue
         scene = workspace.load_scene(scene_name)
-        lines: Iterator[FrameLabel] = labels.load_labels(scene_name)
+        lines = _kept(labels.load_labels(scene_name), workspace.load_left_out(scene_name))
         scenes.append(ExportScene(scene, workspace.load_trajectory(scene), lines))
     models = [labels.load_solution(item).model for item in context.object_names]
     meshes = {
         item: labels.mesh_file(item) for item in context.object_names if labels.mesh_file(item).exists()
     }
+    grasps = save_grasps(workspace, context.object_names) if labels == workspace else {}
     return export_coco(
-        workspace.export(name), scenes, models, split=context.recipe.split, meshes=meshes, **options
+        workspace.export(name),
+        scenes,
+        models,
+        split=context.recipe.split,
+        meshes=meshes,
+        grasps=grasps,
+        **options,
     )
+
+
+def _kept(labels: Iterator[FrameLabel], left_out: frozenset[int]) -> Iterator[FrameLabel]:
+    """Without the frames that a person keeps out."""
+    return (label for label in labels if label.frame not in left_out)
 
 
 def _yolo(context: Context) -> Any:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, replace
 
 import numpy as np
+from jaxtyping import Float64
 
 from rpl_data.clicklog import Annotation
 from rpl_data.drift import click_spreads_m
@@ -14,7 +15,7 @@ from rpl_data.lift import lift_clicks
 from rpl_data.pipeline.context import Context, step
 from rpl_data.recipe import ObjectRecipe
 from rpl_data.solve import register, solve
-from rpl_data.steps import Advance, Outcome, Step, stamps
+from rpl_data.steps import Advance, Outcome, Step
 from rpl_data.types import ClickResidual, DataError, KeypointModel, Observation, Solution
 from rpl_data.workspace import Workspace, read_depth_m
 
@@ -47,7 +48,7 @@ def _solve_step(context: Context, item: ObjectRecipe) -> Step:
         options=options
         | {"keypoints": list(item.keypoint_names), "skeleton": [list(e) for e in item.skeleton]}
         | {"parts": {video: list(map(list, spans)) for video, spans in workspace.parts().spans.items()}},
-        sources=stamps(workspace.clicks_file(item.name)),
+        sources=context.clicks_source(item.name),
         after=context.poses_of(),
         outputs=[workspace.solution_file(item.name)],
     )
@@ -101,9 +102,7 @@ def place_known(
     Raises:
         DataError: a scene has too few clicks, or none that fit.
     """
-    given = annotation.known_points or ()
-    rows = [given[k] if k < len(given) else None for k in range(len(annotation.keypoints))]
-    points = np.array([(np.nan,) * 3 if row is None else row for row in rows])
+    points = known_points(annotation)
     model = KeypointModel(
         annotation.object, annotation.keypoints, points - np.nanmean(points, axis=0), tuple(skeleton)
     )
@@ -118,6 +117,20 @@ def place_known(
     covariance = np.where(model.known[:, None, None], sigma_m**2 * np.eye(3), np.nan)
     ordered = [residuals[o.click.keypoint, o.click.scene, o.click.frame] for o in observations]
     return Solution(model, covariance, places, tuple(ordered))
+
+
+def known_points(annotation: Annotation) -> Float64[np.ndarray, "k 3"]:
+    """The given model, a row a keypoint, NaN where it has none; DataError when it has fewer than three."""
+    given = annotation.known_points or ()
+    rows = [given[k] if k < len(given) else None for k in range(len(annotation.keypoints))]
+    points = np.array([(np.nan,) * 3 if row is None else row for row in rows], dtype=float).reshape(-1, 3)
+    known = int(np.isfinite(points).all(axis=1).sum())
+    if known < 3:
+        raise DataError(
+            f"object {annotation.object}: its known model has {known} keypoints, at least 3 are needed; "
+            "pick more of them on its mesh, or load a model that has them"
+        )
+    return points
 
 
 def register_step(context: Context, object_name: str, scene: str) -> Step:

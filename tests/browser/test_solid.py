@@ -58,7 +58,7 @@ def test_it_shows_scenes_in_the_object_frame_and_follows_a_click(
     expect(page.locator("#scenes .good")).to_have_count(3)
     open_solid(page)
     page.wait_for_function(
-        "document.getElementById('plot').data.filter((t) => /^scene/.test(t.name)).length === 3"
+        "() => document.getElementById('plot').data.filter((t) => /^scene/.test(t.name)).length === 3"
     )
     scenes = [named(page, f"scene {name}") for name in ("00", "01", "02")]
     assert len({scene["color"] for scene in scenes}) == 3
@@ -71,11 +71,39 @@ def test_it_shows_scenes_in_the_object_frame_and_follows_a_click(
     drawn = page.locator("#plot").get_attribute("data-drawn")
     page.keyboard.press("Control+z")
     saved(page)
-    page.wait_for_function(f"document.getElementById('plot').dataset.drawn > {drawn}")
+    page.wait_for_function(f"() => document.getElementById('plot').dataset.drawn > {drawn}")
     page.wait_for_function(
         "(before) => document.getElementById('plot').data.find((t) => t.text).x[0] !== before",
         arg=keypoints["points"][0][0],
     )
+
+
+def test_a_crop_box_is_shown_at_once_and_saved_when_the_slider_rests(clicked: Server, page: Page) -> None:
+    expect(page.locator("#scenes .good")).to_have_count(3)
+    open_solid(page)
+    page.locator("#crop summary").click()
+    page.locator("#crop-add").click()
+    saved(page)
+    whole = np.concatenate([named(page, f"scene {name}")["points"] for name in ("00", "01", "02")])
+    slider = page.get_by_label("crop box, y to").bounding_box()
+    assert slider is not None
+    middle = slider["y"] + slider["height"] / 2
+    share = page.get_by_label("crop box, y to").evaluate("(s) => (s.value - s.min) / (s.max - s.min)")
+    page.mouse.move(slider["x"] + 8 + share * (slider["width"] - 16), middle)
+    page.mouse.down()
+    page.mouse.move(slider["x"] + 0.55 * slider["width"], middle, steps=5)
+    page.mouse.up()
+    page.wait_for_function("() => document.querySelector('#saved').textContent !== 'all saved'")
+    saved(page)
+    crop = Workspace(clicked.workspace).load_annotation("carton").crop_m
+    assert crop is not None
+    events = Workspace(clicked.workspace).load_events("carton")
+    assert sum(event["op"] == "crop" for event in events) == 2, "a drag is one action"
+    points = np.concatenate([named(page, f"scene {name}")["points"] for name in ("00", "01", "02")])
+    low, high = 1e3 * np.array(crop)
+    assert (points >= low).all() and (points <= high).all()
+    inside = ((whole > low) & (whole < high)).all(axis=1)
+    assert len(points) == inside.sum() < len(whole)
 
 
 def test_names_are_readable_in_light_and_dark(clicked: Server, page: Page) -> None:

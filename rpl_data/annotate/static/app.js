@@ -2,10 +2,13 @@
 
 import { get, post } from "./api.js";
 import * as canvas from "./canvas.js";
+import * as contact from "./contact.js";
+import * as crop from "./crop.js";
 import * as dense from "./dense.js";
 import { ask } from "./dom.js";
 import * as files from "./files.js";
 import { openScene } from "./frames.js";
+import * as jobs from "./jobs.js";
 import * as keypoints from "./keypoints.js";
 import * as keys from "./keys.js";
 import * as log from "./log.js";
@@ -23,7 +26,8 @@ const by = (id) => document.getElementById(id);
 
 async function start() {
   setUpTheme();
-  for (const part of [timeline, keypoints, scenes, results, next, keys, files, mask, dense, solid]) part.setUp();
+  for (const part of [timeline, keypoints, scenes, results, next, keys, files, mask]) part.setUp();
+  for (const part of [dense, solid, crop, jobs, contact]) part.setUp();
   canvas.setUp({ place: keypoints.place, move: keypoints.move });
   onChange(() => { canvas.draw(); loupe.draw(); });
   onChange(drawHead, () => [app.workspace, app.state, app.waiting, app.offline, app.alert, app.brightness, app.showModel, app.showMask, app.view]);

@@ -3,14 +3,14 @@
 import { cloud, denseModel, shownScenes } from "./dense.js";
 import { element } from "./dom.js";
 import { addKeys } from "./keys.js";
-import { app, change, onChange } from "./store.js";
+import { app, change, keypointTitle, onChange } from "./store.js";
 
 export const SCENE_COLORS = ["#0a84d6", "#e08a00", "#12a06a", "#d65aa0", "#8f6bf0", "#d9480f", "#5f9e00", "#00a3a3"];
 const MM = 1000;
 const section = document.getElementById("solid");
 const plot = element("div", { id: "plot", tabIndex: 0, ariaLabel: "3D view: arrow keys turn it, + and - zoom" });
 const empty = element("p", { className: "empty", id: "plot-empty" });
-export const panel = element("div", { className: "panel" }); // other parts put their controls here
+export const stage = element("div", { id: "solid-stage" }, plot, empty); // other parts put their controls here
 const show = { surfaces: true, around: false, photo: false, dense: true, names: false };
 const extras = []; // functions that give more traces
 let drawn = [], library = null, camera = null;
@@ -19,7 +19,7 @@ export function setUp() {
   const tools = element("div", { id: "solid-tools", className: "row" },
     toggle("surfaces", "surfaces"), toggle("around", "surroundings"),
     toggle("photo", "photo colours"), toggle("dense", "dense model"), toggle("names", "names"));
-  section.append(element("div", { className: "solid-head" }, tools, panel), element("div", { id: "solid-stage" }, plot, empty));
+  section.append(element("div", { className: "solid-head" }, tools), stage);
   plot.addEventListener("keydown", turn);
   new ResizeObserver(() => plot._fullLayout && !section.hidden && window.Plotly.Plots.resize(plot)).observe(plot);
   addKeys([
@@ -141,7 +141,7 @@ function keypoints(scenes) {
   const sigma = (k) => (app.result?.sigma_mm?.[k] != null ? ` · known to ±${app.result.sigma_mm[k].toFixed(1)} mm` : "");
   return {
     type: "scatter3d", mode: "markers+text", showlegend: false, ...xyz(shown.map(({ point }) => point)),
-    text: shown.map(({ k }) => (show.names || k === app.keypoint ? escaped(of(k).name) : String(k + 1))),
+    text: shown.map(({ k }) => (show.names || k === app.keypoint ? escaped(keypointTitle(k)) : String(k))),
     hovertext: shown.map(({ k }) => escaped(`${of(k).name}${sigma(k)}`)), hovertemplate: "%{hovertext}<extra></extra>",
     textposition: "top center", textfont: { color: css("--ink"), size: 13 },
     marker: {

@@ -1,0 +1,97 @@
+"""The contact sheet: the labels drawn on small pictures, to be looked through before they are exported."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+
+from rpl_data.annotate.images import encoded, resized
+from rpl_data.annotate.session import Session
+from rpl_data.overlay import draw_overlay
+from rpl_data.types import DataError, KeypointModel
+from rpl_data.workspace import read_color
+
+SCENES_KEPT = 24
+PICTURES_KEPT = 400
+WIDTHS_PX = (160, 320, 640, 1280)
+DRAWN_PX = 640
+"""Drawn at least that wide and then made smaller, so that marks hide little of a small picture."""
+FRAME = re.compile(rb'"frame": (\d+)')
+OBJECT = re.compile(rb'"object": "([^"]*)"')
+QUALITY = re.compile(rb'"quality": ([0-9.eE+-]+)')
+
+
+@dataclass(frozen=True)
+class Labelled:
+    """A labelled frame in brief.
+
+    Attributes:
+        quality: of its worst instance, 0 to 1; None where it shows no object.
+    """
+
+    frame: int
+    objects: tuple[str, ...]
+    quality: float | None
+
+
+class ContactSheet:
+    """Labels of a workspace as small pictures; those asked for last are kept."""
+
+    def __init__(self, session: Session) -> None:
+        self._session, self._workspace = session, session.workspace
+        self._brief = lru_cache(SCENES_KEPT)(self._read_brief)
+        self._models = lru_cache(1)(self._read_models)
+        self._picture = lru_cache(PICTURES_KEPT)(self._draw)
+
+    def frames(self, scene: str) -> list[Labelled]:
+        """What is labelled in a scene; nothing where no labels were made."""
+        stamp = self._stamp(scene)
+        if stamp is None:
+            return []
+        here = self._session.scenes.get(scene).frames  # a part of a recording that was cut has some of them
+        return [item for item in self._brief(self._video(scene), stamp) if item.frame in here]
+
+    def jpeg(self, scene: str, frame: int, width_px: int) -> bytes:
+        """The frame with its labels; DataError when it has none."""
+        stamp = self._stamp(scene)
+        if stamp is None:
+            raise DataError(f"scene {scene} has no labels; make them first")
+        width = next((w for w in WIDTHS_PX if w >= width_px), WIDTHS_PX[-1])
+        return self._picture(scene, frame, width, stamp)
+
+    def _stamp(self, scene: str) -> tuple[int, int] | None:
+        path = self._workspace.labels_file(self._video(scene))
+        if scene not in self._session.scenes.names() or not path.exists():
+            return None
+        status = path.stat()
+        return status.st_mtime_ns, status.st_size
+
+    def _video(self, scene: str) -> str:
+        return self._workspace.parts().video_of(scene)
+
+    def _read_brief(self, video: str, stamp: tuple[int, int]) -> list[Labelled]:
+        """One pass over the file that decodes no mask."""
+        found = []
+        with self._workspace.labels_file(video).open("rb") as file:
+            for line in file:
+                frame = FRAME.search(line)
+                if frame is None:
+                    raise DataError(f"the labels of {video} are broken; make them again")
+                objects = tuple(sorted({name.decode() for name in OBJECT.findall(line)}))
+                quality = [float(value) for value in QUALITY.findall(line)]
+                found.append(Labelled(int(frame[1]), objects, min(quality) if quality else None))
+        return found
+
+    def _draw(self, scene: str, frame: int, width_px: int, stamp: tuple[int, int]) -> bytes:
+        label = self._session.masks.label(scene, frame)
+        if label is None:
+            raise DataError(f"scene {scene}, frame {frame} has no label")
+        color = read_color(self._session.scenes.get(scene).frame(frame))
+        drawn = draw_overlay(color, label, self._models(stamp), width_px=max(width_px, DRAWN_PX))
+        return encoded(resized(drawn, width_px))
+
+    def _read_models(self, stamp: tuple[int, int]) -> Mapping[str, KeypointModel]:
+        names = [n for n in self._session.objects() if self._workspace.solution_file(n).exists()]
+        return {name: self._workspace.load_solution(name).model for name in names}

@@ -1,0 +1,57 @@
+"""Routes of the builds."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Any
+
+from fastapi import APIRouter
+from pydantic import BaseModel
+
+from rpl_data.annotate.jobs import Jobs
+from rpl_data.annotate.session import Session
+from rpl_data.annotate.work import Tell
+
+Json = dict[str, Any]
+
+
+class Wanted(BaseModel):
+    """A job that a person asked for."""
+
+    stage: str
+
+
+def job_routes(session: Session) -> APIRouter:
+    """Start, stop and watch a build."""
+    routes = APIRouter()
+
+    def run(stage: str, tell: Tell) -> list[str]:
+        try:
+            return session.work.run(stage, tell)
+        finally:
+            session.scenes.forget()
+
+    jobs = Jobs(run, session.news)
+
+    def state() -> Json:
+        job = jobs.now()
+        unmarked = [name for name in session.objects() if not session.log(name).now().annotation.clicks]
+        return {"job": None if job is None else asdict(job), "unmarked": unmarked}
+
+    @routes.get("/api/jobs")
+    def now() -> Json:
+        job = jobs.now()
+        at_work = job is not None and job.at_work
+        return {**state(), "fresh": {} if at_work else dict(session.work.fresh())}
+
+    @routes.post("/api/jobs")
+    def start(wanted: Wanted) -> Json:
+        jobs.start(wanted.stage)
+        return state()
+
+    @routes.delete("/api/jobs")
+    def stop() -> Json:
+        jobs.stop()
+        return state()
+
+    return routes

@@ -1,0 +1,126 @@
+"""Builds started from the page: one at a time, told to every page, stopped when asked."""
+
+from __future__ import annotations
+
+import threading
+import time
+import traceback
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Literal
+
+from rpl_data.annotate.news import News
+from rpl_data.annotate.work import Tell
+from rpl_data.types import DataError
+
+STAGES = ("segment", "label", "export")
+"""What a person may ask for; what is out of date before it is run as well."""
+TELL_EVERY_S = 0.2
+
+Run = Callable[[str, Tell], list[str]]
+State = Literal["running", "stopping", "done", "failed", "stopped"]
+
+
+class Stopped(Exception):
+    """A person stopped the job."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """A build, as it stands.
+
+    Attributes:
+        number: counts the jobs of this server.
+        stage: the last stage that was asked for.
+        what: the stage and the scene or object at work; `done` of `total` frames, total 0 = not known.
+        lines: what came out, for a person.
+        error: what went wrong and what to do.
+    """
+
+    number: int
+    stage: str
+    state: State = "running"
+    what: str = ""
+    done: int = 0
+    total: int = 0
+    lines: tuple[str, ...] = ()
+    error: str = ""
+    seconds: float = 0.0
+
+    @property
+    def at_work(self) -> bool:
+        """It has not ended."""
+        return self.state in ("running", "stopping")
+
+
+class Jobs:
+    """The job of a workspace: the one at work, or the last one."""
+
+    def __init__(self, run: Run, news: News) -> None:
+        self._build, self._news = run, news
+        self._lock = threading.Lock()
+        self._job: Job | None = None
+        self._told_s = 0.0
+
+    def now(self) -> Job | None:
+        """The job at work, or how the last one ended."""
+        return self._job
+
+    def start(self, stage: str) -> Job:
+        """Run what is out of date up to a stage, in a thread of its own.
+
+        Raises:
+            DataError: there is no such stage, or a job is at work already.
+        """
+        if stage not in STAGES:
+            raise DataError(f"there is no job {stage!r}; expected one of {', '.join(STAGES)}")
+        with self._lock:
+            if self._job is not None and self._job.at_work:
+                raise DataError(f"the job {self._job.stage} is at work; wait for its end, or stop it first")
+            number = 1 if self._job is None else self._job.number + 1
+            self._job = Job(number, stage)
+        self._tell()
+        threading.Thread(target=self._run, args=(stage,), daemon=True).start()
+        return self._job
+
+    def stop(self) -> Job | None:
+        """Ask the job to end; what it finished stays."""
+        with self._lock:
+            if self._job is not None and self._job.state == "running":
+                self._job = replace(self._job, state="stopping")
+        self._tell()
+        return self._job
+
+    def _run(self, stage: str) -> None:
+        started = time.perf_counter()
+        try:
+            lines = tuple(self._build(stage, self._progress))
+            self._end(started, state="done", lines=lines)
+        except Stopped:
+            self._end(started, state="stopped")
+        except DataError as error:
+            self._end(started, state="failed", error=str(error))
+        except Exception as error:  # a fault of ours: the page stays, and says where to look
+            traceback.print_exc()
+            text = f"{type(error).__name__}: {error}; a fault of the program, the terminal shows where"
+            self._end(started, state="failed", error=text)
+
+    def _progress(self, what: str, done: int, total: int) -> None:
+        with self._lock:
+            assert self._job is not None
+            if self._job.state == "stopping":
+                raise Stopped
+            self._job = replace(self._job, what=what, done=done, total=total)
+        if time.monotonic() - self._told_s > TELL_EVERY_S:
+            self._tell()
+
+    def _end(self, started: float, **changes: Any) -> None:
+        with self._lock:
+            assert self._job is not None
+            self._job = replace(self._job, seconds=round(time.perf_counter() - started, 1), **changes)
+        self._tell()
+
+    def _tell(self) -> None:
+        self._told_s = time.monotonic()
+        if self._job is not None:
+            self._news.tell("job", asdict(self._job))

@@ -1,0 +1,89 @@
+"""A model that is there already: its keypoints from a file, or a mesh to pick them on (paper III-F)."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rpl_data.annotate.surfaces import packed
+from rpl_data.clicklog import Annotation, Event
+from rpl_data.formats.meshlab import read_picked_points
+from rpl_data.formats.sparse_model import read_sparse_model
+from rpl_data.geometry import Points
+from rpl_data.records import rows_to_json
+from rpl_data.simplify import simplified
+from rpl_data.types import DataError, Mesh
+from rpl_data.workspace import Workspace, load_mesh, save_mesh
+
+Json = dict[str, Any]
+MESHES = (".ply", ".obj", ".off", ".stl")
+LARGEST_M = 5.0
+MOST_TRIANGLES = 12_000
+
+
+def read_known_points(
+    file_name: str, content: bytes, annotation: Annotation, *, metres_per_unit: float
+) -> list[Event]:
+    """The events that give an object the keypoints of a sparse_model.txt or of MeshLab's picked points.
+
+    Numbered keypoints keep the names the object has when there are as many.
+
+    Raises:
+        DataError: the file is broken, or so large that its unit must be another one.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"model{Path(file_name).suffix.lower()}"
+        path.write_bytes(content)
+        try:
+            if path.suffix == ".pp":
+                picked = read_picked_points(path, metres_per_unit=metres_per_unit)
+                names, points = list(picked.names), picked.points_mesh
+            else:
+                points = read_sparse_model(path) * metres_per_unit
+                names = [str(number) for number in range(len(points))]
+        except DataError as error:
+            raise DataError(str(error).replace(str(path), file_name)) from error
+    refuse_large(points[np.isfinite(points).all(axis=1)], file_name)
+    numbered = names == [str(number) for number in range(len(names))]
+    if numbered and len(annotation.keypoints) == len(names):
+        names = list(annotation.keypoints)
+    named: list[Event] = [] if names == list(annotation.keypoints) else [{"op": "keypoints", "names": names}]
+    return [*named, {"op": "model", "points": rows_to_json(points, 7), "source": file_name}]
+
+
+def keep_mesh(
+    workspace: Workspace, object_name: str, file_name: str, content: bytes, *, metres_per_unit: float
+) -> None:
+    """Keep a mesh that a person has of the object, in metres; DataError when it is none or too large."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"mesh{Path(file_name).suffix.lower()}"
+        path.write_bytes(content)
+        try:
+            mesh = load_mesh(path)
+        except DataError as error:
+            raise DataError(f"{file_name} holds no triangles; choose a mesh: {', '.join(MESHES)}") from error
+    vertices = mesh.vertices * metres_per_unit
+    refuse_large(vertices, file_name)
+    save_mesh(workspace.given_mesh_file(object_name), Mesh(vertices, mesh.triangles, mesh.colors))
+
+
+def refuse_large(points: Points, file_name: str) -> None:
+    """DataError when an object is larger than a room: then it is in millimetres."""
+    size_m = float(np.ptp(points, axis=0).max()) if len(points) else 0.0
+    if size_m > LARGEST_M:
+        raise DataError(
+            f"the model of {file_name} would be {size_m:.0f} m large; is it in millimetres? "
+            "Load it again with 0.001 metres a unit"
+        )
+
+
+def given_mesh_payload(workspace: Workspace, object_name: str) -> Json | None:
+    """The mesh to pick on, in its own frame; its corners stay where they are when triangles are saved."""
+    path = workspace.given_mesh_file(object_name)
+    if not path.exists():
+        return None
+    mesh = simplified(load_mesh(path), most_triangles=MOST_TRIANGLES)
+    return {"points": packed(mesh.vertices, "<f4"), "triangles": packed(mesh.triangles, "<u2")}

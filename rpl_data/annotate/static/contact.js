@@ -1,0 +1,96 @@
+// The contact sheet: the labels on small pictures, a page of a scene at a time; a picture opens its frame.
+
+import { get, post } from "./api.js";
+import { openScene } from "./frames.js";
+import { element } from "./dom.js";
+import { addKeys } from "./keys.js";
+import { alertOnce } from "./log.js";
+import { onNews } from "./news.js";
+import { app, change, onChange } from "./store.js";
+
+const PAGE = 48;
+const section = document.getElementById("labels");
+const head = element("div", { className: "solid-head row" });
+const grid = element("div", { id: "sheet" });
+let scene = null, frames = null, order = "worst", page = 0, asked = null;
+
+export function setUp() {
+  section.append(head, grid);
+  onNews("left_out", async (name) => { if (name === scene) await load(); });
+  onChange(follow, () => [app.view, app.scene, app.built, app.workspace]);
+  addKeys([[["PageUp, PageDown (labels)"], "previous, next scene of the contact sheet", null]]);
+}
+
+const labelsPath = (name) => `/api/labels/${encodeURIComponent(name)}`;
+
+// The sheet shows the scene that is open; it is asked for when the view is shown and after every build.
+async function follow() {
+  if (app.view !== "labels" || !app.workspace || app.scene === null) return;
+  const key = `${app.scene}/${app.built}`;
+  if (key === asked) return;
+  asked = key;
+  if (scene !== app.scene) page = 0;
+  scene = app.scene;
+  await load();
+}
+
+async function load() {
+  try {
+    ({ frames } = await get(labelsPath(scene)));
+  } catch (error) {
+    frames = [];
+    alertOnce(error.message);
+  }
+  draw();
+}
+
+const worstFirst = (a, b) => (a.quality ?? 2) - (b.quality ?? 2) || a.frame - b.frame;
+const sorted = () => (order === "worst" ? [...frames].sort(worstFirst) : frames);
+
+function draw() {
+  const shown = sorted().slice(page * PAGE, (page + 1) * PAGE);
+  drawHead();
+  grid.replaceChildren(...(frames.length ? shown.map(picture) : [element("p", { className: "empty", textContent: nothing() })]));
+  grid.scrollTop = 0;
+}
+
+const nothing = () => (app.fresh?.label ? `No frame of scene ${scene} is labelled: the object has no place in it yet.`
+  : "No labels yet: make them with the button on the right (X). Then every frame is shown here with its labels.");
+
+function drawHead() {
+  const left = frames.filter((f) => f.left_out).length, pages = Math.ceil(frames.length / PAGE);
+  const scenes = element("select", { ariaLabel: "scene", id: "sheet-scene" }, ...app.workspace.scenes.map((name) => new Option(`scene ${name}`, name)));
+  scenes.value = scene;
+  scenes.addEventListener("change", () => openScene(scenes.value));
+  const sort = element("select", { ariaLabel: "order", id: "sheet-order" }, new Option("worst first", "worst"), new Option("in order of time", "time"));
+  sort.value = order;
+  sort.addEventListener("change", () => { order = sort.value; page = 0; draw(); });
+  const turn = (by) => element("button", { textContent: by < 0 ? "◀ page" : "page ▶", disabled: page + by < 0 || page + by >= pages, onclick: () => { page += by; draw(); } });
+  const count = `${frames.length} frames${left ? `, ${left} left out of the export` : ""}${pages > 1 ? ` · page ${page + 1} of ${pages}` : ""}`;
+  head.replaceChildren(scenes, sort, ...(pages > 1 ? [turn(-1), turn(1)] : []), element("span", { className: "quiet", textContent: count }));
+}
+
+function picture(item) {
+  const { frame, quality, left_out } = item;
+  const image = element("img", { loading: "lazy", alt: `labels of frame ${frame}`, src: `${labelsPath(scene)}/${frame}.jpg?width=320&v=${app.built || 0}` });
+  const { width, height } = app.scenes[scene];
+  image.style.aspectRatio = `${width} / ${height}`;
+  const open = element("button", { className: "open", title: "open this frame, to mend its clicks" }, image);
+  open.addEventListener("click", () => openScene(scene, frame, { view: "mark" }));
+  const box = element("input", { type: "checkbox", checked: !left_out, ariaLabel: `export frame ${frame}` });
+  box.addEventListener("change", () => leaveOut(frame, !box.checked));
+  const mark = quality == null ? ["quiet", "no object"] : quality < 0.5 ? ["bad", quality.toFixed(2)] : ["quiet", quality.toFixed(2)];
+  return element("figure", { className: left_out ? "out" : "" }, open,
+    element("figcaption", {}, element("label", {}, box, ` frame ${frame}`),
+      element("span", { className: `small ${mark[0]}`, title: "how well depth agrees with the label, 0 to 1", textContent: mark[1] })));
+}
+
+async function leaveOut(frame, left_out) {
+  try {
+    ({ frames } = await post(labelsPath(scene), { frame, left_out }));
+    change({ fresh: { ...app.fresh, export: false } });
+  } catch (error) {
+    alertOnce(error.message);
+  }
+  draw();
+}

@@ -1,0 +1,60 @@
+// A grasp frame from two clicks in one frame: where to grasp, and where its x axis points.
+
+import { addEntry } from "./files.js";
+import { addKeys } from "./keys.js";
+import { takeClicks } from "./keypoints.js";
+import { act, alertOnce } from "./log.js";
+import { addTraces, xyz } from "./solid.js";
+import { app, change, frame } from "./store.js";
+
+const LENGTH_M = 0.05;
+const AXES = [["x", "#e5484d"], ["y", "#30a46c"], ["z", "#3e8bff"]];
+let usual = null; // the next step, while the clicks of a grasp are asked for
+
+export function setUp() {
+  addEntry("Mark a grasp", "two clicks on the object: where to grasp, and toward where the gripper's x axis points", begin);
+  addEntry("Remove the grasp", "undo brings it back", () => app.state.grasp && act({ op: "grasp", scene: null }));
+  addKeys([[["w"], "mark a grasp: two clicks; again to give it up", () => (app.pendingGrasp ? end() : begin())]]);
+  takeClicks(place);
+  addTraces(axes, () => [app.result?.grasp]);
+}
+
+function begin() {
+  usual = app.next;
+  change({ view: "mark", pendingGrasp: {}, next: { text: "grasp: click on the object where it is to be grasped (W gives it up)" } });
+}
+
+function end() {
+  change({ pendingGrasp: null, next: app.result?.next || usual });
+}
+
+// True when the click was for the grasp.
+function place(u_px, v_px) {
+  const begun = app.pendingGrasp;
+  if (!begun) return false;
+  const here = { scene: app.scene, frame: frame() };
+  if (begun.scene !== here.scene || begun.frame !== here.frame) {
+    const text = "grasp: now click, in this frame, toward where its x axis is to point (W gives it up)";
+    change({ pendingGrasp: { ...here, u_px, v_px }, next: { text } });
+    return true;
+  }
+  finish({ ...begun, toward_u_px: u_px, toward_v_px: v_px });
+  return true;
+}
+
+async function finish(grasp) {
+  end();
+  await act({ op: "grasp", ...grasp });
+  if (app.result?.grasp_problem) alertOnce(app.result.grasp_problem);
+}
+
+// The three axes at the grasp, in the object frame.
+function axes() {
+  const m = app.result?.grasp;
+  if (!m) return [];
+  const origin = [m[3], m[7], m[11]];
+  return AXES.map(([name, color], i) => ({
+    type: "scatter3d", mode: "lines+text", name: `grasp ${name}`, showlegend: false, hoverinfo: "skip", line: { color, width: 7 },
+    ...xyz([origin, origin.map((o, row) => o + LENGTH_M * m[4 * row + i])]), text: ["", name], textfont: { color, size: 14 },
+  }));
+}

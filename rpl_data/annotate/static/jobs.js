@@ -1,0 +1,126 @@
+// Builds: the dense model, the labels, the dataset. They run on the server and go on when the page is closed.
+
+import { get, post } from "./api.js";
+import * as dense from "./dense.js";
+import { element } from "./dom.js";
+import { openScene } from "./frames.js";
+import { addKeys } from "./keys.js";
+import { alertOnce } from "./log.js";
+import { onNews } from "./news.js";
+import { onAction } from "./next.js";
+import { app, change, onChange } from "./store.js";
+
+const panel = document.getElementById("jobs");
+const STEPS = [
+  ["segment", "Dense model", "Make", "the object's surface, from the depth of all scenes"],
+  ["label", "Labels", "Make", "pose, keypoints, boxes and masks in every chosen frame"],
+  ["export", "Dataset", "Export", "a folder that trainers read"],
+];
+let asked = null; // the revision that `fresh` was last asked for
+
+export function setUp() {
+  onNews("job", heard);
+  onAction("label", () => start("label"));
+  onAction("export", () => start("export"));
+  addKeys([[["x"], "make what is missing: dense model and labels, then the dataset", () => start(app.fresh.label ? "export" : "label")]]);
+  onChange(refresh);
+  onChange(advise);
+  onChange(draw);
+}
+
+export const atWork = () => ["running", "stopping"].includes(app.job?.state);
+
+async function heard(job) {
+  const ended = atWork() && !["running", "stopping"].includes(job.state);
+  change({ job });
+  if (!ended) return;
+  dense.forget();
+  const workspace = await get("/api/workspace").catch(() => app.workspace); // a build may cut a scene that drifts
+  change({ workspace, built: (app.built || 0) + 1 });
+  if (!workspace.scenes.includes(app.scene)) await openScene(workspace.scenes[0]);
+  await load();
+}
+
+async function load() {
+  const state = await get("/api/jobs").catch(() => null);
+  if (state) change(state);
+}
+
+// What is up to date may be another thing after every saved action.
+function refresh() {
+  const key = app.result && `${app.state?.object}/${app.result.revision}`;
+  if (!key || key === asked || app.waiting) return;
+  asked = key;
+  load();
+}
+
+export async function start(stage) {
+  if (atWork()) return alertOnce("A job is at work; wait for its end, or stop it.");
+  try {
+    change(await post("/api/jobs", { stage }));
+  } catch (error) {
+    alertOnce(error.message);
+  }
+}
+
+async function stop() {
+  await fetch("/api/jobs", { method: "DELETE" });
+}
+
+// When the clicks are done, the next steps are builds.
+function advise() {
+  if (app.next?.action !== "label" && !app.next?.built) return;
+  const next = { ...afterClicks(), built: true };
+  if (!app.next.built || next.text !== app.next.text) change({ next });
+}
+
+function afterClicks() {
+  if (atWork()) return { text: `working: ${app.job.what || app.job.stage} …` };
+  const other = (app.unmarked || []).find((name) => name !== app.state.object);
+  if (other) return { text: `${app.state.object} is marked in every scene; now mark ${other}: choose it above`, object: other };
+  if (!app.fresh?.label)
+    return { text: "every scene is placed and every keypoint known: make the dense model and the labels", action: "label", label: "Make them " };
+  if (!app.fresh.export)
+    return app.view === "labels"
+      ? { text: "look through the labels, click a frame to mend it; when they are good, export the dataset", action: "export", label: "Export " }
+      : { text: "the labels are made: look through them", view: "labels", label: "Show them " };
+  return { text: "done: the dataset is exported. Add clicks or scenes whenever you like, and make it again" };
+}
+
+const signature = () => JSON.stringify([app.job, app.fresh]);
+let drawn = "";
+
+function draw() {
+  if (drawn === signature()) return;
+  drawn = signature();
+  panel.replaceChildren(element("h2", { textContent: "Build" }), ...STEPS.map(row), ...progress(), ...ending());
+}
+
+function row([stage, title, verb, note]) {
+  const fresh = app.fresh?.[stage];
+  const mark = fresh ? element("span", { className: "small good", textContent: "✓ up to date" })
+    : element("span", { className: "small quiet", textContent: atWork() ? "" : "to make" });
+  const button = element("button", { textContent: verb, title: note, disabled: atWork() || Boolean(fresh), id: `job-${stage}` });
+  button.addEventListener("click", () => start(stage));
+  return element("div", { className: "job row" }, element("span", { className: "name", textContent: title }), mark, button);
+}
+
+function progress() {
+  if (!atWork()) return [];
+  const { what, done, total, state, stage } = app.job;
+  const bar = element("progress", { max: total || 1, ariaLabel: "progress" });
+  if (total) bar.value = done; // else it says that it works, not how far
+  const button = element("button", { textContent: state === "stopping" ? "stopping …" : "Stop", disabled: state === "stopping", id: "job-stop" });
+  button.addEventListener("click", stop);
+  return [element("p", { className: "note", textContent: `${what || stage}${total ? ` · ${done} of ${total} frames` : " …"}` }),
+    element("div", { className: "job row" }, bar, button)];
+}
+
+function ending() {
+  const { state, error, lines = [], seconds, stage } = app.job || {};
+  if (state === "failed") return [element("p", { className: "note bad", role: "alert", textContent: error })];
+  if (state === "stopped") return [element("p", { className: "note warn", textContent: `${stage} was stopped; what was finished stays` })];
+  if (state !== "done") return [];
+  const shown = lines.map((text) => element("p", { className: "note", textContent: text }));
+  return [element("p", { className: "note good", textContent: `${stage} done in ${seconds} s` }), ...shown];
+}

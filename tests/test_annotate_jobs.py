@@ -1,0 +1,164 @@
+"""Builds from the page: one at a time, with progress, stopped when asked, errors in words; the crop box."""
+
+from __future__ import annotations
+
+import shutil
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from fastapi.testclient import TestClient
+from test_annotate_server import act, client_of
+
+from rpl_data.annotate.jobs import Jobs
+from rpl_data.annotate.news import News
+from rpl_data.annotate.work import Tell
+from rpl_data.build import build
+from rpl_data.files import locked
+from rpl_data.recipe import LabelRecipe, ObjectRecipe, Recipe, SceneSource
+from rpl_data.types import DataError
+from rpl_data.workspace import Workspace, load_cloud, load_mesh
+
+
+@pytest.fixture(scope="module")
+def built(tiny_workspace: Workspace, tmp_path_factory: pytest.TempPathFactory) -> Workspace:
+    """The tiny recording outside the workspace, built to its labels, so that a copy is up to date too."""
+    source, workspace = tiny_workspace.recording, Workspace(tmp_path_factory.mktemp("jobs") / "ws")
+    scenes = (SceneSource(source, metres_per_unit=0.001),)
+    model = tiny_workspace.load_solution("carton").model
+    item = ObjectRecipe("carton", model.keypoints, source / "clicks.csv")
+    recipe = Recipe("jobs", scenes=scenes, objects=(item,), label=LabelRecipe("all"))
+    build(recipe, workspace, until="label", workers=1)
+    return workspace
+
+
+@pytest.fixture
+def root(built: Workspace, tmp_path: Path) -> Path:
+    shutil.copytree(built.root, tmp_path / "ws")
+    return tmp_path / "ws"
+
+
+@pytest.fixture
+def client(root: Path) -> TestClient:
+    return client_of(root)
+
+
+def jobs_that(run: Callable[[str, Tell], list[str]]) -> Jobs:
+    return Jobs(run, News())
+
+
+def ended(jobs: Jobs) -> Any:
+    for _ in range(500):
+        job = jobs.now()
+        if job is not None and not job.at_work:
+            return job
+        time.sleep(0.01)
+    raise AssertionError("the job does not end")
+
+
+def wait(client: TestClient) -> Any:
+    for _ in range(600):
+        state = client.get("/api/jobs").json()
+        if state["job"]["state"] not in ("running", "stopping"):
+            return state
+        time.sleep(0.1)
+    raise AssertionError("the job does not end")
+
+
+def test_a_job_says_where_it_is_and_what_came_out() -> None:
+    go, at = threading.Event(), threading.Event()
+
+    def run(stage: str, tell: Tell) -> list[str]:
+        tell("label 00", 3, 10)
+        at.set()
+        assert go.wait(5)
+        return [f"{stage} is there"]
+
+    jobs = jobs_that(run)
+    jobs.start("label")
+    assert at.wait(5)
+    now = jobs.now()
+    assert now is not None and (now.what, now.done, now.total, now.state) == ("label 00", 3, 10, "running")
+    with pytest.raises(DataError, match="the job label is at work"):
+        jobs.start("export")
+    go.set()
+    assert (ended(jobs).state, ended(jobs).lines) == ("done", ("label is there",))
+    assert jobs.start("export").number == 2
+
+
+def test_a_job_stops_at_its_next_word() -> None:
+    def run(stage: str, tell: Tell) -> list[str]:
+        for number in range(1000):
+            tell("label 00", number, 1000)
+            time.sleep(0.01)
+        return []
+
+    jobs = jobs_that(run)
+    jobs.start("label")
+    jobs.stop()
+    job = ended(jobs)
+    assert job.state == "stopped" and job.done < 900
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (DataError("scene 03 shares too little; click more"), "click more"),
+        (KeyError("x"), "fault of the program"),
+    ],
+)
+def test_what_went_wrong_is_said(error: Exception, words: str) -> None:
+    def run(stage: str, tell: Tell) -> list[str]:
+        raise error
+
+    jobs = jobs_that(run)
+    jobs.start("export")
+    assert ended(jobs).state == "failed" and words in ended(jobs).error
+
+
+def test_the_page_is_told_what_is_up_to_date(client: TestClient) -> None:
+    state = client.get("/api/jobs").json()
+    assert state["job"] is None and state["unmarked"] == []
+    assert state["fresh"]["segment"] and state["fresh"]["label"] and not state["fresh"].get("export")
+    mark = client.get("/api/objects/carton").json()["clicks"][0]
+    act(client, {**mark, "op": "move", "u_px": mark["u_px"] + 0.25})
+    assert not client.get("/api/jobs").json()["fresh"].get("segment")
+    act(client, {"op": "undo"})
+    assert client.get("/api/jobs").json()["fresh"]["label"], "what was undone again makes nothing old"
+
+
+def test_an_error_of_a_stage_reaches_the_page(root: Path, client: TestClient) -> None:
+    client.post("/api/objects", json={"name": "cup", "keypoints": ["rim", "handle", "foot"]})
+    assert client.get("/api/jobs").json()["unmarked"] == ["cup"]
+    assert client.post("/api/jobs", json={"stage": "label"}).status_code == 200
+    state = wait(client)
+    assert state["job"]["state"] == "failed" and "object cup has no clicks" in state["job"]["error"]
+    assert client.post("/api/jobs", json={"stage": "format"}).status_code == 422
+
+
+def test_a_crop_box_cuts_the_dense_model_and_nothing_before_it(root: Path, client: TestClient) -> None:
+    workspace = Workspace(root)
+    whole = load_mesh(workspace.mesh_file("carton")).vertices
+    low, high = whole.min(axis=0) - 0.02, whole.max(axis=0) + 0.02
+    axis = int(np.argmax(high - low))
+    high[axis] = whole[:, axis].mean() + 0.02
+    before = workspace.surface_file("00").stat().st_mtime_ns
+    act(client, {"op": "crop", "low_m": low.tolist(), "high_m": high.tolist()})
+    client.post("/api/jobs", json={"stage": "segment"})
+    assert wait(client)["job"]["state"] == "done"
+    assert workspace.surface_file("00").stat().st_mtime_ns == before
+    points = load_cloud(workspace.cloud_file("carton")).points
+    assert (points <= high).all() and (points >= low).all()
+    assert points[:, axis].max() > high[axis] - 0.01  # cut at the box, not elsewhere
+
+
+def test_two_builds_never_run_in_one_workspace(root: Path) -> None:
+    client = client_of(root)
+    with locked(Workspace(root).build_lock, "held"):
+        client.post("/api/jobs", json={"stage": "export"})
+        state = wait(client)
+    assert state["job"]["state"] == "failed" and "another build is at work" in state["job"]["error"]
