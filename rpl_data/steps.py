@@ -11,7 +11,7 @@ import hashlib
 import json
 import os
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -145,31 +145,46 @@ def _entry(data: Mapping[str, Any]) -> Entry:
     return Entry(**{**data, "outcome": Outcome(outcome["frames"], messages, outcome["details"])})
 
 
-def stamps(*paths: Path, but_not: Path | None = None) -> Json:
+MANY = 64
+"""Files of one kind in a folder; more are summed up."""
+
+
+def stamps(*paths: Path, but_not: Path | None = None, names: Sequence[str] | None = None) -> Json:
     """Size and time of files by path; of a folder, those of its files, images only counted.
+
+    More than `MANY` files of one kind in a folder, such as one a frame, are summed up: their number, their
+    size, and the time of the newest.
 
     Args:
         but_not: a folder inside that is left out (a workspace kept within the recording).
+        names: where folders of these names lie, only they are looked into.
     """
     found: Json = {}
     for path in paths:
         if path.is_dir():
-            found |= _folder_stamps(path, but_not)
+            found |= _folder_stamps(path, but_not, frozenset(names or ()))
         elif path.exists():
             found[str(path)] = _stamp(path)
     return found
 
 
-def _folder_stamps(folder: Path, but_not: Path | None) -> Json:
+def _folder_stamps(folder: Path, but_not: Path | None, names: frozenset[str]) -> Json:
     found: Json = {}
     for parent, folders, files in os.walk(folder):
-        folders[:] = [name for name in folders if Path(parent, name) != but_not]
-        images = sum(Path(name).suffix.lower() in IMAGE_SUFFIXES for name in files)
+        named = [name for name in folders if name in names]
+        folders[:] = [name for name in named or folders if Path(parent, name) != but_not]
+        kinds: dict[str, list[Path]] = {}
+        for name in files:
+            kinds.setdefault(Path(name).suffix.lower(), []).append(Path(parent, name))
+        images = sum(len(kinds.pop(suffix, ())) for suffix in IMAGE_SUFFIXES)
         if images:
             found[parent] = images
-        for name in files:
-            if Path(name).suffix.lower() not in IMAGE_SUFFIXES:
-                found[str(Path(parent, name))] = _stamp(Path(parent, name))
+        for suffix, paths in kinds.items():
+            each = {str(path): _stamp(path) for path in paths}
+            if len(each) > MANY:
+                sizes, times = zip(*each.values(), strict=True)
+                each = {str(Path(parent, f"*{suffix}")): [len(each), sum(sizes), max(times)]}
+            found |= each
     return found
 
 

@@ -182,6 +182,21 @@ def test_images_are_counted_and_files_stamped(tmp_path: Path) -> None:
     assert len(found) == 2
 
 
+def test_files_of_every_frame_are_summed_up_and_only_named_scenes_looked_into(tmp_path: Path) -> None:
+    for scene in ("a", "b"):
+        (tmp_path / "data" / scene).mkdir(parents=True)
+        for number in range(70):
+            (tmp_path / "data" / scene / f"{number}.mat").write_text("12")
+    (tmp_path / "data" / "classes.txt").write_text("")
+    found = stamps(tmp_path, names=["b"])
+    assert set(found) == {str(tmp_path / "data/b/*.mat"), str(tmp_path / "data/classes.txt")}
+    count, size, newest_ns = found[str(tmp_path / "data/b/*.mat")]
+    assert (count, size) == (70, 140)
+    os.utime(tmp_path / "data/b/3.mat", ns=(newest_ns + 1, newest_ns + 1))
+    assert stamps(tmp_path, names=["b"]) != found
+    assert len(stamps(tmp_path)) == 3
+
+
 # Spheres, meshes, processes -----------------------------------------------------------------------
 
 

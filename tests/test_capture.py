@@ -46,12 +46,12 @@ def filming(
     skip: Callable[[int], bool] = lambda number: False,
     depth: Callable[[int], np.ndarray] = depth_pixels,
 ) -> Iterator[None]:
-    """The camera sends pairs five times as fast as their timestamps say, until it is unplugged."""
+    """The camera sends pairs three times as fast as their timestamps say, until it is unplugged."""
     done = threading.Event()
 
     def run() -> None:
         number = 0
-        while number < until and not done.wait(1 / 150):
+        while number < until and not done.wait(1 / 100):
             time_ms = 1000 + number * 100 / 3
             if not skip(number):
                 camera.send("color", number + 1, time_ms, color_pixels(number % 50))

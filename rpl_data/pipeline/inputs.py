@@ -58,8 +58,10 @@ def import_steps(context: Context) -> list[Step]:
         ]
         return Outcome(sum(len(recording.scene.frames) for recording in recordings), tuple(lines))
 
-    paths = [source.path for source in sources]
-    seen = stamps(*paths, but_not=workspace.root.resolve() if not context.recipe.twin else workspace.truth)
+    not_here = workspace.truth if context.recipe.twin else workspace.root.resolve()
+    seen: Json = {}
+    for source in sources:
+        seen |= stamps(source.path, but_not=not_here, names=source.names)
     options: Json = {"scenes": [asdict(source) | {"path": str(source.path)} for source in sources]}
     if context.tracks:
         options |= {"poses": "tracked"}
