@@ -93,6 +93,26 @@ def test_what_the_camera_sends_comes_back_exactly(tmp_path: Path) -> None:
     assert "recorded by Software Camera 0815" in (tmp_path / "cup/00/capture.txt").read_text()
 
 
+def test_depth_is_aligned_to_colour_while_filming(tmp_path: Path) -> None:
+    """The colour camera is 10 cm to the left: at 0.77 m everything lies 7.8 px further right."""
+
+    def plane(number: int) -> np.ndarray:
+        depth = np.full((HEIGHT, WIDTH), 770, np.uint16)
+        depth[10:20, 20:30] = 0
+        return depth
+
+    camera = SoftwareCamera(apart_m=0.1)
+    with filming(camera, depth=plane):
+        captured = captured_of(camera, tmp_path)
+    assert captured.frames == 30
+    scene = open_scenes(tmp_path, "rpl")[0].scene
+    for frame in (scene.frames[0], scene.frames[-1]):
+        depth_m = read_depth_m(scene, frame)
+        assert not depth_m[:, :7].any()  # what only the colour camera sees
+        assert not depth_m[11:19, 29:37].any()
+        np.testing.assert_allclose(depth_m[25:, 9:], 0.77, atol=1e-6)
+
+
 def test_the_doctor_reads_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A near half and a far half, whose border is that of the colours."""
 

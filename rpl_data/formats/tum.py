@@ -126,7 +126,7 @@ def _read_sequence(name: str, folder: Path, unit_m: float | None, camera: Camera
         lens_source,
         METRES_PER_UNIT if unit_m is None else unit_m,
         assumed_unit=unit_m is None,
-        notes=(*assumed, *unlisted(folder / "rgb.txt", [color for _, color in colors])),
+        notes=(*assumed, *unlisted(_list_file(folder), [color for _, color in colors])),
         skipped=(*lost, *skipped),
     )
     recording = examine(listing)
@@ -160,6 +160,11 @@ def _camera_of(folder: Path, camera: Camera | None) -> tuple[Camera, Path]:
 
 
 # Lists --------------------------------------------------------------------------------------------
+
+
+def _list_file(folder: Path) -> Path:
+    """The list of colour images."""
+    return folder / ("rgb.txt" if (folder / "rgb.txt").exists() else "associations.txt")
 
 
 def _lists(folder: Path) -> tuple[tuple[Stamped, Stamped], tuple[str, ...]]:
