@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from rpl_data.pipeline.sparse import known_points
 from rpl_data.recipe import ObjectRecipe
 from rpl_data.regions import oriented_points
 from rpl_data.steps import Advance, Outcome, Step, stamps
-from rpl_data.types import DepthImage, Frame, Mesh, Scene, Solution
+from rpl_data.types import Frame, Mesh, Solution
 from rpl_data.workspace import Workspace, load_mesh, read_color, read_depth_m, save_cloud, save_mesh
 
 Box3 = tuple[tuple[float, float, float], tuple[float, float, float]]
@@ -49,7 +50,8 @@ def _surface_step(context: Context, name: str) -> Step:
                 fuse_surface(
                     scene,
                     trajectory,
-                    with_depth(scene, frames, advance, number * len(frames), len(spheres) * len(frames)),
+                    counted(frames, advance, number * len(frames), len(spheres) * len(frames)),
+                    partial(read_depth_m, scene),
                     centre_scene=sphere.centre_m,
                     radius_m=sphere.radius_m,
                     voxel_m=voxel_m,
@@ -71,13 +73,11 @@ def _surface_step(context: Context, name: str) -> Step:
     )
 
 
-def with_depth(
-    scene: Scene, frames: Sequence[Frame], advance: Advance, done: int = 0, total: int | None = None
-) -> Iterator[tuple[Frame, DepthImage]]:
-    """Frames with their depth, one at a time."""
+def counted(frames: Sequence[Frame], advance: Advance, done: int, total: int) -> Iterator[Frame]:
+    """The frames, telling how far it is."""
     for number, frame in enumerate(frames, start=done):
-        advance(number, len(frames) if total is None else total)
-        yield frame, read_depth_m(scene, frame)
+        advance(number, total)
+        yield frame
 
 
 def sphere_of(solution: Solution, scene: str) -> Sphere:

@@ -20,7 +20,8 @@ TRUNCATION_VOXELS = 4.0
 def fuse_surface(
     scene: Scene,
     trajectory: Trajectory,
-    frames_with_depth: Iterable[tuple[Frame, DepthImage]],
+    frames: Iterable[Frame],
+    depths: Callable[[Frame], DepthImage],
     *,
     centre_scene: Float64[np.ndarray, "3"],
     radius_m: float,
@@ -34,8 +35,8 @@ def fuse_surface(
     recognised; twice the extent of the keypoints is a good diameter.
 
     Args:
-        frames_with_depth: frames and their depth, metres; frames that do not look at the sphere
-            cost nothing.
+        frames: which to look at; those that move too fast or do not look at the sphere cost nothing.
+        depths: reads the depth image of a frame, metres.
         centre_scene: centre of the sphere, scene frame.
         colors: reads the colour image of a frame; called for the fused frames only.
 
@@ -48,18 +49,19 @@ def fuse_surface(
     grid = _empty_grid(voxel_m, colored=colors is not None)
     fused = 0
     steady = steady_frames(scene, trajectory, centre_scene=centre_scene)
-    for frame, depth_m in frames_with_depth:
+    for frame in frames:
         if frame.index not in steady:
             continue
         camera_from_scene = invert(trajectory.at(frame.index))
         color = None
-        intrinsics = scene.intrinsics
-        if intrinsics.distortion:
-            depth_m, intrinsics = _undistorted(depth_m, intrinsics, cv2.INTER_NEAREST)
+        intrinsics = replace(scene.intrinsics, distortion=())
         centre_camera = transform(camera_from_scene, centre_scene)
         rectangle = _rectangle_around(intrinsics, centre_camera, radius_m)
         if rectangle is None:
             continue
+        depth_m = depths(frame)
+        if scene.intrinsics.distortion:
+            depth_m, _ = _undistorted(depth_m, scene.intrinsics, cv2.INTER_NEAREST)
         window = (slice(rectangle[1], rectangle[3]), slice(rectangle[0], rectangle[2]))
         view = cropped(
             intrinsics,
@@ -117,8 +119,12 @@ def steady_frames(
     motion_px = np.maximum(np.r_[step_px[0], step_px], np.r_[step_px, step_px[-1]])
     views = trajectory.scene_from_camera[:, :3, 3] - centre_scene
     views /= np.linalg.norm(views, axis=1, keepdims=True)
-    same_side = views @ views.T > np.cos(same_view_rad)
-    slowest_px = np.where(same_side, motion_px[None, :], np.inf).min(axis=1)
+    slowest_px = np.concatenate(  # not all at once: a table of all pairs would grow with the square
+        [
+            np.where(part @ views.T > np.cos(same_view_rad), motion_px, np.inf).min(axis=1)
+            for part in np.array_split(views, len(views) // 500 + 1)
+        ]
+    )
     kept = motion_px <= np.maximum(excess * slowest_px, still_px)
     return set(trajectory.frames[kept].tolist())
 

@@ -9,7 +9,7 @@ too the frame is lost, and the next one is tried from the last good pose.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -81,6 +81,11 @@ class Tracker:
         self._velocity = np.zeros(6)
         self._time_s = 0.0
         self._turn = 0
+
+    @property
+    def keyframes(self) -> Sequence[Keyframe]:
+        """The keyframes so far."""
+        return self._map.keyframes
 
     def step(self, frame: Frame, view: View) -> Transform | None:
         """`scene_from_camera` of the next frame; None when it is lost."""
