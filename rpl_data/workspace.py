@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -15,6 +15,7 @@ from jaxtyping import UInt16
 
 from rpl_data import records
 from rpl_data.clicklog import Annotation, Event, replay
+from rpl_data.depth_codec import DepthUnits, pack, unpack
 from rpl_data.files import read_json, read_text, write_bytes, write_json, write_text, writing
 from rpl_data.geometry import Transform, from_quaternion_xyzw, to_quaternion_xyzw
 from rpl_data.parts import Parts, Span
@@ -250,6 +251,27 @@ class Workspace:
         poses = np.array([from_quaternion_xyzw(row[4:], row[1:4]) for row in known]).reshape(-1, 4, 4)
         return Trajectory(frames, poses)
 
+    # Decoded depth --------------------------------------------------------------------------------
+
+    def depth_reader(self, scene: Scene, *, keep: bool = False) -> Callable[[Frame], DepthImage]:
+        """Reads depth images in metres: from the cache where they are in it, else from the recording.
+
+        Args:
+            keep: put what is not in the cache into it, for the next reader.
+        """
+        folder = self.cache(self.parts().video_of(scene.name)) / "depth"
+
+        def read(frame: Frame) -> DepthImage:
+            path = folder / f"{frame.index:06d}.zst"
+            units = _kept_units(path, scene)
+            if units is None:
+                units = read_depth_units(scene, frame)
+                if keep:
+                    write_bytes(path, pack(units))
+            return _in_metres(scene, units)
+
+        return read
+
     # Objects --------------------------------------------------------------------------------------
 
     def append_events(self, object_name: str, events: Iterable[Event]) -> None:
@@ -387,7 +409,18 @@ def read_grey(frame: Frame, *, reduce: int) -> GreyImage:
 
 def read_depth_m(scene: Scene, frame: Frame) -> DepthImage:
     """The depth image in metres, 0 = none; DataError when it is missing, broken or of another size."""
-    return read_depth_units(scene, frame).astype(np.float32) * np.float32(scene.metres_per_unit)
+    return _in_metres(scene, read_depth_units(scene, frame))
+
+
+def _in_metres(scene: Scene, units: DepthUnits) -> DepthImage:
+    return units.astype(np.float32) * np.float32(scene.metres_per_unit)
+
+
+def _kept_units(path: Path, scene: Scene) -> DepthUnits | None:
+    """A depth image of the cache; None where it is not there or broken, for it can be made again."""
+    if not path.exists():
+        return None
+    return unpack(path.read_bytes(), height=scene.intrinsics.height, width=scene.intrinsics.width)
 
 
 def read_depth_units(scene: Scene, frame: Frame) -> UInt16[np.ndarray, "height width"]:

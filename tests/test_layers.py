@@ -15,7 +15,7 @@ STAGES = {
 }  # fmt: skip
 LAYERS = [
     {"types"},
-    {"clicklog", "files", "geometry", "ply", "records"},
+    {"clicklog", "depth_codec", "files", "geometry", "ply", "records"},
     {"masks", "mend", "parts", "regions", "reprojection", "split"},
     {
         "adjustment", "completion", "drift", "formats", "grasp", "lift", "occlusion", "overlay", "pool",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -69,7 +70,9 @@ def test_the_real_desk_is_tracked_better_than_its_given_poses(real_data: Path) -
     recording = open_scenes(real_data / "desk", "rpl", names=["00"])[0]
     scene, given = recording.scene, recording.trajectory
     assert given is not None
-    found = collected(scene, track(scene, decoded(scene, scene.frames, lambda done, total: None)))
+    found = collected(
+        scene, track(scene, decoded(scene.frames, partial(read_depth_m, scene), lambda done, total: None))
+    )
     assert not found.lost
     for gap in (3, 9, 18):
         ours = reprojection_over_gap(scene, found.trajectory, gap=gap, read_depth_m=read_depth_m)
@@ -109,3 +112,22 @@ def test_a_build_from_a_recording_without_poses(tmp_path: Path) -> None:
     assert ledger.entries["track/00"].outcome.frames == 8
     found = workspace.load_trajectory(workspace.load_scene("00"))
     assert errors(found, orbit(8))[0].max() < 4
+
+
+def test_depth_is_kept_for_the_next_reader(tmp_path: Path) -> None:
+    write_recording(tmp_path / "raw", orbit(2))
+    scene = open_scenes(tmp_path / "raw", "rpl")[0].scene
+    workspace = Workspace(tmp_path / "workspace")
+    first, second = scene.frames
+    stored = read_depth_m(scene, first)
+    np.testing.assert_array_equal(workspace.depth_reader(scene, keep=True)(first), stored)
+    kept = sorted(workspace.cache("00").rglob("*.zst"))
+    assert [path.name for path in kept] == ["000000.zst"]
+    assert first.depth is not None
+    first.depth.unlink()  # so that it can come from the cache alone
+    np.testing.assert_array_equal(workspace.depth_reader(scene)(first), stored)
+    kept[0].write_bytes(b"cut off")
+    with pytest.raises(DataError, match="found nothing readable"):
+        workspace.depth_reader(scene)(first)
+    workspace.depth_reader(scene)(second)
+    assert len(list(workspace.cache("00").rglob("*.zst"))) == 1  # reading alone keeps nothing

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from rpl_data.recipe import ObjectRecipe
 from rpl_data.regions import oriented_points
 from rpl_data.steps import Advance, Outcome, Step, stamps
 from rpl_data.types import Frame, Mesh, Solution
-from rpl_data.workspace import Workspace, load_mesh, read_color, read_depth_m, save_cloud, save_mesh
+from rpl_data.workspace import Workspace, load_mesh, read_color, save_cloud, save_mesh
 
 Box3 = tuple[tuple[float, float, float], tuple[float, float, float]]
 """Lowest and highest corner, metres."""
@@ -51,7 +50,7 @@ def _surface_step(context: Context, name: str) -> Step:
                     scene,
                     trajectory,
                     counted(frames, advance, number * len(frames), len(spheres) * len(frames)),
-                    partial(read_depth_m, scene),
+                    workspace.depth_reader(scene),
                     centre_scene=sphere.centre_m,
                     radius_m=sphere.radius_m,
                     voxel_m=voxel_m,

@@ -50,6 +50,7 @@ def import_steps(context: Context) -> list[Step]:
             remove(workspace.scene_file(gone).parent)
             remove(workspace.labels_file(gone))
         for recording in recordings:
+            remove(workspace.cache(recording.scene.name))
             workspace.save_recording(replace(recording, trajectory=None) if context.tracks else recording)
         lines = [
             f"scene {recording.scene.name}: {line}"

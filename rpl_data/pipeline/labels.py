@@ -12,7 +12,7 @@ from rpl_data.label import SceneObject, label_frames, sample_frames
 from rpl_data.pipeline.context import Context, posed_frames, step
 from rpl_data.steps import Advance, Outcome, Step
 from rpl_data.types import FrameLabel
-from rpl_data.workspace import Workspace, load_mesh, read_depth_m, remove
+from rpl_data.workspace import Workspace, load_mesh, remove
 
 
 def label_steps(context: Context) -> list[Step]:
@@ -71,7 +71,8 @@ def label_range(
     bodies = [scene_object(workspace, item, name) for item in objects]
     chosen = set(indices)
     frames = [frame for frame in scene.frames if frame.index in chosen]
-    depths = ((f, None if f.depth is None else read_depth_m(scene, f)) for f in frames)
+    read = workspace.depth_reader(scene)
+    depths = ((f, None if f.depth is None else read(f)) for f in frames)
     return label_frames(replace(scene, name=video), trajectory, bodies, depths)
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 from rpl_data.pipeline.context import Context, step
 from rpl_data.steps import Advance, Outcome, Step
-from rpl_data.types import DepthImage, Frame, GreyImage, Scene
-from rpl_data.workspace import read_depth_m, read_grey
+from rpl_data.types import DepthImage, Frame, GreyImage
+from rpl_data.workspace import read_grey
 
 AHEAD = 8
 """Frames that are decoded while others are tracked."""
@@ -27,7 +27,8 @@ def _track_step(context: Context, name: str) -> Step:
 
         scene = workspace.load_scene(name)
         frames = [frame for frame in scene.frames if frame.depth is not None]
-        found = collected(scene, track(scene, decoded(scene, frames, advance)))
+        images = decoded(frames, workspace.depth_reader(scene, keep=True), advance)
+        found = collected(scene, track(scene, images))
         workspace.save_trajectory(scene, found.trajectory)
         lines = [f"scene {name}: {line}" for line in losses(scene, found)]
         return Outcome(len(frames), tuple(lines), {"lost": len(found.lost)})
@@ -36,13 +37,17 @@ def _track_step(context: Context, name: str) -> Step:
 
 
 def decoded(
-    scene: Scene, frames: Sequence[Frame], advance: Advance
+    frames: Sequence[Frame], depths: Callable[[Frame], DepthImage], advance: Advance
 ) -> Iterator[tuple[Frame, GreyImage, DepthImage]]:
-    """Frames with small brightness and depth, decoded in a thread ahead of whoever uses them."""
+    """Frames with small brightness and depth, decoded in a thread ahead of whoever uses them.
+
+    Args:
+        depths: reads a depth image.
+    """
     from rpl_data.reconstruct.view import REDUCE
 
     def read(frame: Frame) -> tuple[Frame, GreyImage, DepthImage]:
-        return frame, read_grey(frame, reduce=REDUCE), read_depth_m(scene, frame)
+        return frame, read_grey(frame, reduce=REDUCE), depths(frame)
 
     with ThreadPoolExecutor(1) as thread:
         waiting = [thread.submit(read, frame) for frame in frames[:AHEAD]]
