@@ -30,27 +30,44 @@ def lift_clicks(
     trajectories: Mapping[str, Trajectory],
     read_depth: Callable[[Scene, Frame], DepthImage],
 ) -> list[Observation]:
-    """Lift clicks; every clicked depth image is read once.
+    """Lift clicks, in their order; every clicked depth image is read once, and only one is kept.
+
+    A click in a frame without a depth image is a ray without candidates.
 
     Raises:
-        DataError: a click names an unknown scene or frame, or lies outside the image.
+        DataError: a click names an unknown scene or frame, a frame without a pose, or lies outside the
+            image.
     """
-    images: dict[tuple[str, int], DepthImage] = {}
-    observations = []
-    for click in clicks:
-        if click.scene not in scenes:
+    clicks = list(clicks)
+    by_frame: dict[tuple[str, int], list[int]] = {}
+    for number, click in enumerate(clicks):
+        by_frame.setdefault((click.scene, click.frame), []).append(number)
+    lifted: dict[int, Observation] = {}
+    for (name, index), numbers in by_frame.items():
+        first = clicks[numbers[0]]
+        if name not in scenes:
             raise DataError(
-                f"a click on keypoint {click.keypoint} of {click.object} is in scene {click.scene!r}, "
+                f"a click on keypoint {first.keypoint} of {first.object} is in scene {name!r}, "
                 f"which is not in the workspace; the scenes are {', '.join(sorted(scenes))}"
             )
-        scene = scenes[click.scene]
-        frame = scene.frame(click.frame)
-        key = (click.scene, click.frame)
-        if key not in images:
-            images[key] = read_depth(scene, frame)
-        pose = trajectories[click.scene].at(click.frame)
-        observations.append(lift(click, scene.intrinsics, pose, images[key]))
-    return observations
+        scene = scenes[name]
+        frame = scene.frame(index)
+        pose = _pose(first, trajectories[name])
+        size = (scene.intrinsics.height, scene.intrinsics.width)
+        depth_m = np.zeros(size, np.float32) if frame.depth is None else read_depth(scene, frame)
+        for number in numbers:
+            lifted[number] = lift(clicks[number], scene.intrinsics, pose, depth_m)
+    return [lifted[number] for number in range(len(clicks))]
+
+
+def _pose(click: Click, trajectory: Trajectory) -> Float64[np.ndarray, "4 4"]:
+    """`scene_from_camera` of the clicked frame; the DataError says whose click has none."""
+    try:
+        return trajectory.at(click.frame)
+    except DataError as error:
+        raise DataError(
+            f"object {click.object}, scene {click.scene}, a click in frame {click.frame}: {error}"
+        ) from error
 
 
 def lift(

@@ -21,7 +21,6 @@ from jaxtyping import Float64
 from scipy.spatial.transform import Rotation
 
 from rpl_data.adjustment.bundle import (
-    LET_GO,
     Bundle,
     adjust_rays,
     choose_places,
@@ -33,8 +32,9 @@ from rpl_data.adjustment.procrustes import Adjusted, Fragments, Loss, adjust_poi
 from rpl_data.adjustment.rigidity import describe_loose, generic_points, loose_scenes
 from rpl_data.adjustment.slsqp import adjust_points_slsqp
 from rpl_data.adjustment.start import Hypotheses, Start, join_clean, join_scenes, match
+from rpl_data.adjustment.verdicts import click_residuals, describe_keypoints
 from rpl_data.geometry import invert, rigid, spread_m, transform
-from rpl_data.types import ClickResidual, DataError, DepthState, KeypointModel, Observation, Solution
+from rpl_data.types import ClickResidual, DataError, KeypointModel, Observation, Solution
 
 Method = Literal["robust", "slsqp"]
 ROUNDS = 5
@@ -114,8 +114,8 @@ def register(
 ) -> tuple[Float64[np.ndarray, "4 4"], tuple[ClickResidual, ...]]:
     """`scene_from_object` of a new scene from clicks on a known model (paper III-F), and residuals.
 
-    Horn's closed form on the best-agreeing depths, then the same adjustment as `solve` with the
-    model held fixed by its own weight.
+    Horn's closed form on the best-agreeing depths, then the same adjustment as `solve` with the model
+    held fixed. Clicks on keypoints that the model has no position of are not used.
 
     Raises:
         DataError: fewer than three usable keypoints, or all on a line.
@@ -142,9 +142,20 @@ def register(
             f"object {name}, scene {scene}: no three clicks fit the model within 15 mm; check that every "
             "keypoint was clicked where the model has it"
         )
-    rays = rays_of(observations, [scene])
-    bundle = adjust_rays(rays, scene_from_object[None], np.nan_to_num(model.points_object), hold_points=True)
-    return bundle.scene_from_model[0], _residuals(observations, bundle, model.keypoints)
+    usable = [o for o in observations if model.known[o.click.keypoint]]
+    points = np.nan_to_num(model.points_object)
+    bundle = adjust_rays(rays_of(usable, [scene]), scene_from_object[None], points, hold_points=True)
+    explained = iter(click_residuals(usable, bundle, model.keypoints))
+    residuals = (
+        next(explained) if model.known[o.click.keypoint] else _not_in_model(o, model) for o in observations
+    )
+    return bundle.scene_from_model[0], tuple(residuals)
+
+
+def _not_in_model(observation: Observation, model: KeypointModel) -> ClickResidual:
+    """Of a click that could not be used."""
+    reason = f"the model has no position of keypoint {model.keypoints[observation.click.keypoint]}"
+    return ClickResidual(observation.click, 0.0, None, None, "none", outlier=False, reason=reason)
 
 
 # Refusals -----------------------------------------------------------------------------------------
@@ -275,78 +286,6 @@ def _solution(
             name: scene_from_model @ model_from_object
             for name, scene_from_model in zip(scenes, bundle.scene_from_model, strict=True)
         },
-        residuals=_residuals(observations, bundle, keypoints),
-        warnings=_warnings(keypoints, observations, bundle),
+        residuals=click_residuals(observations, bundle, keypoints),
+        warnings=describe_keypoints(keypoints, observations, known),
     )
-
-
-def _residuals(
-    observations: Sequence[Observation], bundle: Bundle, keypoints: Sequence[str]
-) -> tuple[ClickResidual, ...]:
-    return tuple(_residual(o, n, observations, bundle, keypoints) for n, o in enumerate(observations))
-
-
-def _residual(
-    observation: Observation,
-    n: int,
-    observations: Sequence[Observation],
-    bundle: Bundle,
-    keypoints: Sequence[str],
-) -> ClickResidual:
-    error_px, depth_m = float(bundle.error_px[n]), float(bundle.depth_m[n])
-    state = _depth_state(observation, depth_m, float(bundle.depth_error_m[n] / bundle.depth_sigma_m[n]))
-    used = state in ("agrees", "other surface")
-    lateral_m = error_px * observation.pixel_rad * (depth_m if used else 0)
-    outlier = error_px > max(4 * bundle.sigma_px, 8.0)
-    return ClickResidual(
-        click=observation.click,
-        error_px=error_px,
-        error_m=float(np.hypot(lateral_m, bundle.depth_error_m[n])) if used else None,
-        depth_m=depth_m if used else None,
-        depth_state=state,
-        outlier=outlier,
-        reason=_reason(observation, observations, bundle, keypoints) if outlier else "",
-    )
-
-
-def _depth_state(observation: Observation, depth_m: float, error_in_sigmas: float) -> DepthState:
-    if len(observation.depths_m) == 0:
-        return "none"
-    if abs(error_in_sigmas) > 2 * LET_GO:
-        return "rejected"
-    return "agrees" if depth_m == observation.depths_m[0] else "other surface"
-
-
-def _reason(
-    observation: Observation, observations: Sequence[Observation], bundle: Bundle, keypoints: Sequence[str]
-) -> str:
-    """Why a click contradicts the others: two keypoints swapped, or simply elsewhere."""
-    scenes = sorted({o.click.scene for o in observations})
-    scene_from_model = bundle.scene_from_model[scenes.index(observation.click.scene)]
-    in_camera = transform(invert(observation.scene_from_camera) @ scene_from_model, bundle.points_model)
-    ahead = np.maximum(in_camera[:, 2:], 0.05)
-    distances_px = (
-        np.linalg.norm(in_camera[:, :2] / ahead - observation.ray_camera[:2], axis=1) / observation.pixel_rad
-    )
-    nearest = int(distances_px.argmin())
-    own = observation.click.keypoint
-    if nearest != own and distances_px[nearest] < 3 * bundle.sigma_px:
-        return f"keypoint {keypoints[own]} was clicked where keypoint {keypoints[nearest]} is: swapped?"
-    return f"{distances_px[own]:.0f} px away from where the other clicks put keypoint {keypoints[own]}"
-
-
-def _warnings(
-    keypoints: Sequence[str], observations: Sequence[Observation], bundle: Bundle
-) -> tuple[str, ...]:
-    seen_in: dict[int, set[str]] = {k: set() for k in range(len(keypoints))}
-    for o in observations:
-        seen_in[o.click.keypoint].add(o.click.scene)
-    lines = []
-    for k, scenes in seen_in.items():
-        if not scenes:
-            lines.append(f"keypoint {keypoints[k]} was never clicked: it has no position and no label")
-        elif len(scenes) == 1:
-            lines.append(
-                f"keypoint {keypoints[k]} was clicked in scene {min(scenes)} only: nothing checks it"
-            )
-    return tuple(lines)

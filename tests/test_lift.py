@@ -1,5 +1,7 @@
 """Clicks to rays with candidate depths."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -68,6 +70,26 @@ def test_every_clicked_image_is_read_once(tmp_path):
     clicks = [Click("cube", k, "00", f, 100.0 + k, 50.0) for k in range(4) for f in (0, 2)]
     assert len(lift_clicks(clicks, scenes, trajectories, read)) == 8
     assert sorted(reads) == [0, 2]
+
+
+def test_clicks_keep_their_order_and_a_frame_may_lack_depth(tmp_path):
+    scenes, trajectories, read, reads = scene_and_reader(tmp_path)
+    (first, second) = scenes["00"].frames
+    scenes = {"00": replace(scenes["00"], frames=(first, replace(second, depth=None)))}
+    clicks = [Click("cube", k, "00", f, 100.0, 50.0) for k in range(2) for f in (2, 0)]
+    observations = lift_clicks(clicks, scenes, trajectories, read)
+    assert [o.click for o in observations] == clicks
+    assert reads == [0]
+    assert [len(o.depths_m) for o in observations] == [0, 2, 0, 2]
+
+
+def test_a_click_in_a_frame_without_a_pose_is_named(tmp_path):
+    scenes, _, read, _ = scene_and_reader(tmp_path)
+    known = {"00": Trajectory(np.array([0]), np.eye(4)[None])}
+    with pytest.raises(
+        DataError, match="object cube, scene 00, a click in frame 2: the trajectory has no pose"
+    ):
+        lift_clicks([Click("cube", 0, "00", 2, 10.0, 10.0)], scenes, known, read)
 
 
 @pytest.mark.parametrize(

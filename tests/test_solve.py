@@ -186,6 +186,26 @@ def test_keypoints_clicked_once_or_never_are_said():
     assert "keypoint g was clicked in scene 00 only" in solution.warnings[0]
 
 
+def test_a_keypoint_whose_depth_nothing_tells_is_said():
+    """Clicked once, where there is no depth: a ray and no place on it."""
+    random = np.random.default_rng(3)
+    observations = []
+    for name in ("s0", "s1"):
+        at = pose(random)
+        observations += click_scene(name, CUBE, at, cameras(2), random, keypoints=range(7))
+        if name == "s0":
+            observations += click_scene(
+                name, CUBE, at, cameras(1), random, keypoints=[7], depths=lambda k, frame, z: []
+            )
+    solution = solve("cube", NAMES, observations)
+    assert solution.model.known.tolist() == [True] * 7 + [False]
+    assert solution.warnings == (
+        "keypoint h was clicked, but neither depth nor other frames tell how far away it is: it has no "
+        "position and no label; click it where there is depth, or from another side",
+    )
+    assert error_mm(solution.model.points_object).max() < 0.01
+
+
 def test_two_shared_points_are_refused_and_named():
     random = np.random.default_rng(8)
     observations = click_scene("00", CUBE, pose(random), cameras(1), random, keypoints=[0, 1, 2, 3, 4])
@@ -299,3 +319,18 @@ def test_register_refuses_too_few_and_collinear():
         register(model, click_scene("new", points, pose(random), cameras(1), random, keypoints=[0, 5]))
     with pytest.raises(DataError, match="line"):
         register(model, click_scene("new", points, pose(random), cameras(1), random, keypoints=[0, 1, 2]))
+
+
+def test_register_does_not_use_clicks_on_keypoints_the_model_lacks():
+    random = np.random.default_rng(4)
+    points = np.where(np.arange(8)[:, None] < 6, CUBE, np.nan)
+    model, at = KeypointModel("cube", NAMES, points), pose(random)
+    observations = click_scene("new", CUBE, at, cameras(3), random)
+    found, residuals = register(model, observations)
+    np.testing.assert_allclose(found, at, atol=1e-6)
+    assert len(residuals) == len(observations)
+    unused = [r for r in residuals if r.click.keypoint >= 6]
+    assert {r.reason for r in unused} == {
+        "the model has no position of keypoint g", "the model has no position of keypoint h"
+    }  # fmt: skip
+    assert not any(r.outlier for r in residuals)

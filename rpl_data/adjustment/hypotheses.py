@@ -52,7 +52,7 @@ def _places(group: Sequence[Observation]) -> Float64[np.ndarray, "n 3"]:
 
 
 def triangulate(group: Sequence[Observation]) -> Float64[np.ndarray, "3"] | None:
-    """The point nearest to all rays; None when they are too parallel to tell its depth."""
+    """The point nearest to all rays; None when they are too parallel to tell its depth, or meet behind."""
     normal, right = np.zeros((3, 3)), np.zeros(3)
     for o in group:
         direction = o.scene_from_camera[:3, :3] @ o.ray_camera
@@ -63,7 +63,8 @@ def triangulate(group: Sequence[Observation]) -> Float64[np.ndarray, "3"] | None
     if np.linalg.eigvalsh(normal)[0] < len(group) * 0.01:  # about 6 degrees between the rays
         return None
     point: Float64[np.ndarray, "3"] = np.linalg.solve(normal, right)
-    return point
+    ahead = all(transform(invert(o.scene_from_camera), point)[2] > 0 for o in group)
+    return point if ahead else None
 
 
 def _support(place: Float64[np.ndarray, "3"], group: Sequence[Observation]) -> float:

@@ -30,9 +30,8 @@ def loose_scenes(points_model: Float64[np.ndarray, "k 3"], clicked: Bool[np.ndar
     points = points_model[used] - points_model[used].mean(axis=0)
     points = points / max(float(np.abs(points).max()), 1e-9)
     jacobian = _constraints(points, clicked[:, used])
-    _, singular, vectors = np.linalg.svd(jacobian)
-    rank = int((singular > LEVER).sum())
-    free = vectors[rank:, : 6 * scenes].reshape(-1, scenes, 6)
+    squared, vectors = np.linalg.eigh(jacobian.T @ jacobian)  # an SVD's left vectors grow with the clicks
+    free = vectors[: 6 * scenes, squared <= LEVER**2].T.reshape(-1, scenes, 6)
     return _outside_largest_group(free)
 
 

@@ -131,7 +131,8 @@ def segment_steps(context: Context) -> list[Step]:
 
 def _segment_step(context: Context, item: ObjectRecipe) -> Step:
     workspace, voxel_m = context.workspace, context.recipe.reconstruct.voxel_m
-    scenes = [s for s in context.placed_scenes() if s in workspace.load_solution(item.name).scene_from_object]
+    places = workspace.load_solution(item.name).scene_from_object
+    scenes = [name for name in context.placed_scenes() if name in places]
     crop, given = crop_of(workspace, item), given_mesh(workspace, item.name)
 
     def run(advance: Advance) -> Outcome:
