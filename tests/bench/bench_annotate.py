@@ -69,12 +69,12 @@ GO = """async (row) => {
 def marked_workspace(folder: Path) -> Workspace:
     """10 scenes and 12 keypoints: the carton's 11 landmarks and the middle of its top."""
     workspace = Workspace(folder / "marked")
+    if workspace.clicks_file("carton").exists():
+        return workspace
     (folder / "twin.yaml").write_text(TWIN)
     build(load_recipe(folder / "twin.yaml"), workspace, until="clicks")
-    annotation = workspace.load_annotation("carton")
-    if "middle" not in annotation.keypoints:
-        names = (*annotation.keypoints, "middle")
-        workspace.append_events("carton", [keypoints_event(names), *middle_clicks(workspace)])
+    names = (*workspace.load_annotation("carton").keypoints, "middle")
+    workspace.append_events("carton", [keypoints_event(names), *middle_clicks(workspace)])
     return workspace
 
 
