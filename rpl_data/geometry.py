@@ -83,9 +83,10 @@ def from_quaternion_xyzw(
     return rigid(Rotation.from_quat(quaternion_xyzw).as_matrix(), translation_m)
 
 
-def to_quaternion_xyzw(a_from_b: Transform) -> Float64[np.ndarray, "4"]:
+def to_quaternion_xyzw(a_from_b: Float64[np.ndarray, "*batch 4 4"]) -> Float64[np.ndarray, "*batch 4"]:
     """The unit quaternion x y z w (w >= 0) of the rotation."""
-    quaternion: Float64[np.ndarray, "4"] = Rotation.from_matrix(a_from_b[:3, :3]).as_quat(canonical=True)
+    rotation = Rotation.from_matrix(a_from_b[..., :3, :3])
+    quaternion: Float64[np.ndarray, "*batch 4"] = rotation.as_quat(canonical=True)
     return quaternion
 
 

@@ -96,7 +96,10 @@ def _wanted(
 def _asking(annotation: Annotation, scene: str, here: Sequence[int], keypoint: int, live: Live) -> str:
     name, count = annotation.keypoints[keypoint], len(annotation.keypoints)
     if not annotation.clicks:
-        return f"scene {scene}: in a sharp frame (★), click exactly on keypoint {name} of {annotation.object}"
+        if not name.isdigit():
+            return f"scene {scene}: click exactly on {name} of the {annotation.object}"
+        what = f"a corner or mark of the {annotation.object} that you will know again in every scene"
+        return f"scene {scene}: click exactly on {what}; it becomes keypoint {name}"
     why = f" ({live.loose[scene]})" if scene in live.loose and here else ""
     done = f"{len(here)} of {count} are{why}"
     return f"scene {scene}: mark keypoint {name}, {done}; not visible here? skip it (S)"

@@ -56,7 +56,9 @@ class Lifter:
 
     def observations(self, clicks: Sequence[Click]) -> list[Observation]:
         """One a click, in order."""
-        found = {self._key(click): self._kept.get(self._key(click)) or self._lift(click) for click in clicks}
+        found = {}
+        for click in sorted(clicks, key=lambda c: (c.scene, c.frame)):  # so that files are read once
+            found[self._key(click)] = self._kept.get(self._key(click)) or self._lift(click)
         self._kept = {**found} if len(found) > 5000 else self._kept | found
         return [_of(found[self._key(click)], click) for click in clicks]
 

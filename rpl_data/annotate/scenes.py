@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -37,7 +38,8 @@ class SceneStore:
 
     def __init__(self, workspace: Workspace) -> None:
         self.workspace = workspace
-        self.get = lru_cache(SCENES_KEPT)(self._get)
+        self._scene = lru_cache(SCENES_KEPT)(self._read_scene)
+        self._reading = threading.Lock()
         self._depth = lru_cache(DEPTHS_KEPT)(self._read_depth)
 
     def names(self) -> list[str]:
@@ -46,14 +48,19 @@ class SceneStore:
 
     def forget(self) -> None:
         """Read everything again when it is next asked for: a build may have cut scenes."""
-        self.get.cache_clear()
+        self._scene.cache_clear()
         self._depth.cache_clear()
 
     def depth_m(self, scene: str, frame: int) -> DepthImage:
         """Depth of a frame, metres; not to be changed."""
         return self._depth(scene, frame)
 
-    def _get(self, name: str) -> PosedScene:
+    def get(self, name: str) -> PosedScene:
+        """A scene of the workspace; DataError when there is no such one."""
+        with self._reading:  # a page asks for several things of a scene at once: it is read for the first
+            return self._scene(name)
+
+    def _read_scene(self, name: str) -> PosedScene:
         if name not in self.workspace.scene_names():
             raise DataError(f"there is no scene {name!r}")
         scene = self.workspace.load_scene(name)
@@ -79,9 +86,8 @@ class SceneStore:
 
 def poses_table(posed: PosedScene) -> Float32[np.ndarray, "n 8"]:
     """A row a posed frame: index, translation (m) and quaternion x y z w of `scene_from_camera`."""
-    rows = [
-        (index, *pose[:3, 3], *to_quaternion_xyzw(pose))
-        for index, pose in zip(posed.trajectory.frames, posed.trajectory.scene_from_camera, strict=True)
-        if int(index) in posed.frames
-    ]
-    return np.array(rows, dtype=np.float32).reshape(-1, 8)
+    index, poses = posed.trajectory.frames, posed.trajectory.scene_from_camera
+    if not len(index):
+        return np.zeros((0, 8), dtype=np.float32)
+    table = np.column_stack([index, poses[:, :3, 3], to_quaternion_xyzw(poses)]).astype(np.float32)
+    return table[np.isin(index, list(posed.frames))]
