@@ -148,7 +148,7 @@ class Recipe:
         twin: make a synthetic recording with exact truth first, in `recording/` of the workspace;
             scenes, objects, clicks and truth then default to what was written.
         reconstruct, solve, label, split: options of the stages.
-        export: formats to write: `coco`, and `yolo` and `bop`, which are made of it.
+        export: formats to write: `coco`, and `yolo`, `bop` and `okt` (ObjectKeypointTrainer), made of it.
         truth: where the truth of these scenes is, when it is known: a workspace folder, or a JSON file
             `{points_<object>: K x 3, camera_from_<object>: {scene: [4x4 a frame]}}`. The quality
             table is made when it is given (a twin brings its own).

@@ -12,7 +12,7 @@ import yaml
 from labelled_scenes import BOX, CAMERA, CAN, LAST_FRAME, labelled_scene
 from pycocotools import mask as masks
 
-from rpl_data.export import ExportScene, export_bop, export_coco, export_yolo
+from rpl_data.export import ExportScene, export_bop, export_coco, export_okt, export_yolo
 from rpl_data.formats.bop import read_bop
 from rpl_data.formats.coco import read_coco
 from rpl_data.formats.yolo import LINES, detect_line, pose_line, segment_line
@@ -168,6 +168,39 @@ def test_models_of_bop_are_millimetres(coco: Path, tmp_path: Path) -> None:
     assert list(info) == ["1"]
     assert info["1"]["diameter"] == pytest.approx(1000 * np.linalg.norm(SIZE))
     assert (info["1"]["min_x"], info["1"]["size_z"]) == pytest.approx((-100, 50))
+
+
+# ObjectKeypointTrainer ----------------------------------------------------------------------------
+
+
+def test_an_okt_folder(coco: Path, tmp_path: Path) -> None:
+    summary = export_okt(tmp_path / "okt", coco)
+    assert summary.messages == ("box: 1 keypoints were never clicked and are left out",)
+    place = tmp_path / "okt/box"
+    assert (place / "keypoints.txt").read_text().split() == ["a", "b", "c"]
+    np.testing.assert_array_equal(np.load(place / "camera_matrix.npy"), PLAIN.matrix)
+    lists = {name: (place / name).read_text().split() for name in ("train.txt", "valid.txt", "test.txt")}
+    every = [Path(path) for paths in lists.values() for path in paths]
+    assert len(set(every)) == len(every) == 20 and all(
+        path.is_file() and path.is_absolute() for path in every
+    )
+    data = read_coco(coco / "train.json")
+    (one, *_) = [a for a in data["annotations"] if a["category_id"] == 1]
+    cx, cy, side = one["square_box"]
+    np.testing.assert_allclose(np.loadtxt(place / "center/center_00000.txt"), [cx, cy])
+    np.testing.assert_allclose(np.loadtxt(place / "scale/scales_00000.txt"), side / 200)
+    labels = np.loadtxt(place / "label/label_00000.txt")
+    np.testing.assert_allclose(labels, np.reshape(one["keypoints"], (-1, 3))[:3, :2])
+    x, y, w, h = one["bbox"]
+    words = (place / "bboxes/frame_00000.txt").read_text().split("\t")
+    np.testing.assert_allclose(
+        [float(n) for n in words], [0, (x + w / 2) / 160, (y + h / 2) / 120, w / 160, h / 120], atol=1e-6
+    )
+    mask = cv2.imread(str(place / "masks/mask_00000.png"), -1)
+    np.testing.assert_array_equal(mask, masks.decode(one["segmentation"]) * 255)
+    image = cv2.imread(lists["train.txt"][0])
+    source = next(image["file_name"] for image in data["images"] if image["id"] == one["image_id"])
+    assert np.abs(image.astype(int) - cv2.imread(str(coco / source))).mean() < 3
 
 
 def test_a_lens_with_distortion_is_refused_and_nothing_stays(tmp_path: Path) -> None:

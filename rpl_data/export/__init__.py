@@ -5,6 +5,7 @@
 
 from rpl_data.export.bop import export_bop
 from rpl_data.export.coco import ExportScene, ExportSummary, export_coco
+from rpl_data.export.okt import export_okt
 from rpl_data.export.yolo import export_yolo
 
-__all__ = ["ExportScene", "ExportSummary", "export_bop", "export_coco", "export_yolo"]
+__all__ = ["ExportScene", "ExportSummary", "export_bop", "export_coco", "export_okt", "export_yolo"]

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from typing import Any
 
-from rpl_data.export import ExportScene, export_bop, export_coco, export_yolo
+from rpl_data.export import ExportScene, export_bop, export_coco, export_okt, export_yolo
 from rpl_data.pipeline.context import VERSIONS, Context, step
 from rpl_data.pipeline.grasps import save_grasps
 from rpl_data.steps import Advance, Json, Ledger, Outcome, Step, stamps
@@ -135,7 +135,11 @@ def _bop(context: Context) -> Any:
     return export_bop(workspace.export("bop"), workspace.export("coco"), units)
 
 
-EXPORTS |= {"coco": export_labels, "yolo": _yolo, "bop": _bop}
+def _okt(context: Context) -> Any:
+    return export_okt(context.workspace.export("okt"), context.workspace.export("coco"))
+
+
+EXPORTS |= {"coco": export_labels, "yolo": _yolo, "bop": _bop, "okt": _okt}
 
 
 # Quality ------------------------------------------------------------------------------------------

@@ -1,0 +1,123 @@
+"""ObjectKeypointTrainer's datasets, which RapidPoseLabels writes: one a folder, of one object each.
+
+::
+
+    <folder>/<object>/frames/frame_00000.jpg
+                      center/center_00000.txt      two lines: x, y of the square box's centre, pixels
+                      scale/scales_00000.txt       its side / 200
+                      label/label_00000.txt        a line "u v" a keypoint, seen or not, in the image or not
+                      bboxes/frame_00000.txt       darknet: class 0, centre and size as shares of the image
+                      masks/mask_00000.png         255 where the object is visible
+                      train.txt, valid.txt         absolute paths of the images; test.txt is ours
+                      camera_matrix.npy            3 x 3, for its PnP
+
+The layout has no word for a keypoint without a position: those never clicked are left out of every frame, so
+keypoint n is line n of `keypoints.txt`.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import Bool
+
+from rpl_data.export.dialect import DialectSummary, Json, Split, splits_of
+from rpl_data.export.folder import link, replacing
+from rpl_data.files import write_bytes, write_text, writing
+from rpl_data.formats.coco import intrinsics_from_coco, objects_from_coco
+from rpl_data.formats.scene_images import encoded
+from rpl_data.formats.yolo import detect_line
+from rpl_data.types import DataError, KeypointModel
+
+LISTS = {"train": "train.txt", "val": "valid.txt", "test": "test.txt"}
+UNIT_PX = 200.0
+"""Of a scale; the human pose datasets' convention."""
+
+
+def export_okt(folder: Path, coco: Path) -> DialectSummary:
+    """Write `folder` from an exported COCO folder; JPEG images are linked, others converted.
+
+    Raises:
+        DataError: the COCO folder is not there or broken, or the folder cannot be written.
+    """
+    images: dict[str, int] = {}
+    counts: Counter[str] = Counter()
+    unplaced: dict[str, int] = {}
+    with replacing(folder) as building:
+        for split in splits_of(coco):
+            images[split.name] = len(split.images)
+            for number, item in enumerate(objects_from_coco(split.data), start=1):
+                model = item.model
+                unplaced[model.name] = int((~model.known).sum())
+                pairs = _whole(split, number, model.known)
+                first = counts[model.name]
+                counts[model.name] += len(pairs)
+                for index, (image, annotation) in enumerate(pairs, start=first):
+                    _write_frame(building / model.name, index, coco, image, annotation, model.known)
+                if pairs:
+                    frames = folder.absolute() / model.name / "frames"
+                    paths = [f"{frames / _stem(index)}.jpg\n" for index in range(first, counts[model.name])]
+                    write_text(building / model.name / LISTS[split.name], "".join(paths))
+                    _write_object(building / model.name, model, pairs[0][0])
+    left_out = {name: count for name, count in unplaced.items() if count}
+    lines = [
+        f"{name}: {count} keypoints were never clicked and are left out" for name, count in left_out.items()
+    ]
+    return DialectSummary(images, counts.total(), tuple(lines))
+
+
+def _whole(split: Split, category: int, known: Bool[np.ndarray, " k"]) -> list[tuple[Json, Json]]:
+    """The images with the object, and its annotations; frames in which a known keypoint has no place go."""
+    by_id = {image["id"]: image for image in split.images}
+    return [
+        (by_id[image_id], annotation)
+        for image_id, annotations in split.annotations.items()
+        for annotation in annotations
+        if annotation["category_id"] == category
+        and (np.array(annotation["keypoints"][2::3])[known] > 0).all()
+    ]
+
+
+def _stem(index: int) -> str:
+    return f"frame_{index:05d}"
+
+
+def _write_object(place: Path, model: KeypointModel, image: Json) -> None:
+    """What all frames share: names of the keypoints, and the camera."""
+    names = [name for name, known in zip(model.keypoints, model.known, strict=True) if known]
+    write_text(place / "keypoints.txt", "".join(f"{name}\n" for name in names))
+    with writing(place / "camera_matrix.npy", "wb") as file:
+        np.save(file, intrinsics_from_coco(image).matrix)
+
+
+def _write_frame(
+    place: Path, index: int, coco: Path, image: Json, annotation: Json, known: Bool[np.ndarray, " k"]
+) -> None:
+    from pycocotools import mask as masks
+
+    _place_jpeg(coco / image["file_name"], place / "frames" / f"{_stem(index)}.jpg")
+    cx, cy, side = annotation["square_box"]
+    keypoints = np.array(annotation["keypoints"], dtype=np.float64).reshape(-1, 3)[known, :2]
+    box = detect_line(image, annotation, ()).split()[1:]
+    write_text(place / "center" / f"center_{index:05d}.txt", f"{cx!r}\n{cy!r}\n")
+    write_text(place / "scale" / f"scales_{index:05d}.txt", f"{side / UNIT_PX!r}\n")
+    write_text(
+        place / "label" / f"label_{index:05d}.txt", "".join(f"{u!r} {v!r}\n" for u, v in keypoints.tolist())
+    )
+    write_text(place / "bboxes" / f"{_stem(index)}.txt", "\t".join(["0", *box]) + "\n")
+    mask = masks.decode(annotation["segmentation"]) * np.uint8(255)
+    write_bytes(place / "masks" / f"mask_{index:05d}.png", encoded(mask, "png"))
+
+
+def _place_jpeg(source: Path, target: Path) -> None:
+    """Link a JPEG; make one of anything else."""
+    if source.suffix.lower() in (".jpg", ".jpeg"):
+        link(source, target)
+        return
+    image = cv2.imread(str(source), cv2.IMREAD_COLOR)
+    if image is None:
+        raise DataError(f"{source} is missing or broken; put it back and export again")
+    write_bytes(target, encoded(image, "jpg"))
