@@ -45,40 +45,44 @@ def export_okt(folder: Path, coco: Path) -> DialectSummary:
     """
     images: dict[str, int] = {}
     counts: Counter[str] = Counter()
-    unplaced: dict[str, int] = {}
+    left_out: Counter[str] = Counter()
     with replacing(folder) as building:
         for split in splits_of(coco):
             images[split.name] = len(split.images)
             for number, item in enumerate(objects_from_coco(split.data), start=1):
-                model = item.model
-                unplaced[model.name] = int((~model.known).sum())
-                pairs = _whole(split, number, model.known)
-                first = counts[model.name]
-                counts[model.name] += len(pairs)
+                model, first = item.model, counts[item.model.name]
+                pairs, incomplete = _whole(split, number, model.known)
+                left_out[f"{model.name}: frames left out, a keypoint is not in front of the camera"] += (
+                    incomplete
+                )
+                left_out[f"{model.name}: keypoints left out, they were never clicked"] = int(
+                    (~model.known).sum()
+                )
                 for index, (image, annotation) in enumerate(pairs, start=first):
                     _write_frame(building / model.name, index, coco, image, annotation, model.known)
                 if pairs:
-                    frames = folder.absolute() / model.name / "frames"
-                    paths = [f"{frames / _stem(index)}.jpg\n" for index in range(first, counts[model.name])]
-                    write_text(building / model.name / LISTS[split.name], "".join(paths))
+                    _write_list(building, folder, split.name, model.name, range(first, first + len(pairs)))
                     _write_object(building / model.name, model, pairs[0][0])
-    left_out = {name: count for name, count in unplaced.items() if count}
-    lines = [
-        f"{name}: {count} keypoints were never clicked and are left out" for name, count in left_out.items()
-    ]
-    return DialectSummary(images, counts.total(), tuple(lines))
+                counts[model.name] += len(pairs)
+    lines = tuple(f"{what}: {count}" for what, count in left_out.items() if count)
+    return DialectSummary(images, counts.total(), lines)
 
 
-def _whole(split: Split, category: int, known: Bool[np.ndarray, " k"]) -> list[tuple[Json, Json]]:
-    """The images with the object, and its annotations; frames in which a known keypoint has no place go."""
+def _whole(split: Split, category: int, known: Bool[np.ndarray, " k"]) -> tuple[list[tuple[Json, Json]], int]:
+    """Images with the object and its annotations, where every known keypoint has a place; how many others."""
     by_id = {image["id"]: image for image in split.images}
-    return [
-        (by_id[image_id], annotation)
-        for image_id, annotations in split.annotations.items()
-        for annotation in annotations
-        if annotation["category_id"] == category
-        and (np.array(annotation["keypoints"][2::3])[known] > 0).all()
+    every = [
+        one for several in split.annotations.values() for one in several if one["category_id"] == category
     ]
+    whole = [one for one in every if (np.array(one["keypoints"][2::3])[known] > 0).all()]
+    return [(by_id[one["image_id"]], one) for one in whole], len(every) - len(whole)
+
+
+def _write_list(building: Path, folder: Path, split: str, name: str, indices: range) -> None:
+    """The paths of a split's images, where they will be."""
+    frames = folder.absolute() / name / "frames"
+    lines = [f"{frames / _stem(index)}.jpg\n" for index in indices]
+    write_text(building / name / LISTS[split], "".join(lines))
 
 
 def _stem(index: int) -> str:
