@@ -11,6 +11,7 @@ import pytest
 
 from rpl_data import build as module
 from rpl_data.build import Progress, build, recipe_of, stale_steps
+from rpl_data.clicklog import clicks_from_csv
 from rpl_data.pipeline.dense import Sphere, joined_meshes, joined_spheres
 from rpl_data.pipeline.products import quality_rows, timings
 from rpl_data.pool import Pool
@@ -101,6 +102,22 @@ def test_only_what_depends_on_a_change_runs(built: tuple[Recipe, Workspace], rec
     assert watcher.ran == [
         "import", "clicks/carton", "drift/00", "drift/01", "drift/02", "cut", "solve/carton"
     ]  # fmt: skip
+
+
+def test_clicks_in_frames_without_a_pose_are_left_out_and_said(recording: Path, tmp_path: Path) -> None:
+    clicked = clicks_from_csv(
+        (recording / "clicks.csv").read_text(), source="", object_name="carton",
+        keypoints=recipe_for(recording).objects[0].keypoint_names,
+    )  # fmt: skip
+    frame = next(c.frame for c in clicked if c.scene == "00" and 0 < c.frame < 5)
+    poses = recording / "00" / "camera.poses"
+    lines = [line for line in poses.read_text().splitlines(keepends=True) if not line.startswith("#")]
+    poses.write_text("".join(line for n, line in enumerate(lines) if n != frame))
+    ledger = build(recipe_for(recording), Workspace(tmp_path / "workspace"), until="solve", workers=1)
+    (entry,) = ledger.of_stage("solve").values()
+    told = f"carton: scene 00: clicks in frames {frame} are not used, as the camera's pose is not known there"
+    assert told in entry.outcome.messages
+    assert entry.outcome.details["clicks"] == sum((c.scene, c.frame) != ("00", frame) for c in clicked)
 
 
 def test_interrupted_build_goes_on(recording: Path, tmp_path: Path) -> None:

@@ -11,7 +11,6 @@ from rpl_data.parts import Span
 from rpl_data.pipeline.context import Context, step
 from rpl_data.steps import Advance, Outcome, Step
 from rpl_data.types import Click, DataError
-from rpl_data.workspace import read_depth_m
 
 FEWEST_KEYPOINTS = 4
 """Of an object, in every part, and clicked elsewhere too: three tie a part to the rest, one is spare."""
@@ -27,7 +26,10 @@ def _drift_step(context: Context, name: str) -> Step:
 
     def run(advance: Advance) -> Outcome:
         scene = workspace.load_scene(name)
-        drift = measure_drift(scene, workspace.load_trajectory(scene), read_depth_m, advance=advance)
+        read = workspace.depth_reader(scene)
+        drift = measure_drift(
+            scene, workspace.load_trajectory(scene), lambda _, frame: read(frame), advance=advance
+        )
         write_json(workspace.drift_file(name), drift_to_json(drift))
         return Outcome(len(drift.frames), details={"drift_mm": 1000 * drift.whole_m})
 

@@ -16,7 +16,16 @@ from rpl_data.pipeline.context import Context, step
 from rpl_data.recipe import ObjectRecipe
 from rpl_data.solve import register, solve
 from rpl_data.steps import Advance, Outcome, Step
-from rpl_data.types import ClickResidual, DataError, KeypointModel, Observation, Solution
+from rpl_data.types import (
+    Click,
+    ClickResidual,
+    DataError,
+    KeypointModel,
+    Observation,
+    Scene,
+    Solution,
+    Trajectory,
+)
 from rpl_data.workspace import Workspace, read_depth_m
 
 
@@ -30,10 +39,12 @@ def _solve_step(context: Context, item: ObjectRecipe) -> Step:
 
     def run(advance: Advance) -> Outcome:
         observations = observe(workspace, item.name)
-        solution = solve_annotation(context, workspace.load_annotation(item.name), observations)
+        annotation = workspace.load_annotation(item.name)
+        solution = solve_annotation(context, annotation, observations)
         workspace.save_solution(solution)
         outliers = sum(residual.outlier for residual in solution.residuals)
-        lines = [f"{item.name}: {line}" for line in solution.warnings]
+        unused = clicks_without_pose(annotation.clicks, observations)
+        lines = [f"{item.name}: {line}" for line in (*unused, *solution.warnings)]
         details = {
             "clicks": len(observations),
             "outliers": outliers,
@@ -52,6 +63,20 @@ def _solve_step(context: Context, item: ObjectRecipe) -> Step:
         after=context.poses_of(),
         outputs=[workspace.solution_file(item.name)],
     )
+
+
+def clicks_without_pose(clicks: Sequence[Click], observations: Sequence[Observation]) -> list[str]:
+    """A line a scene about the clicks that were not lifted: in frames whose pose is not known."""
+    lifted = {observation.click for observation in observations}
+    frames: dict[str, set[int]] = {}
+    for click in clicks:
+        if click not in lifted:
+            frames.setdefault(click.scene, set()).add(click.frame)
+    return [
+        f"scene {scene}: clicks in frames {', '.join(map(str, sorted(found)))} are not used, as the camera's "
+        "pose is not known there"
+        for scene, found in frames.items()
+    ]
 
 
 def spreads_mm(solution: Solution, observations: Sequence[Observation]) -> dict[str, dict[str, float]]:
@@ -157,17 +182,36 @@ def register_step(context: Context, object_name: str, scene: str) -> Step:
 
 
 def observe(workspace: Workspace, object_name: str, *, scene: str | None = None) -> list[Observation]:
-    """The clicks of an object (in one scene, or all), lifted; DataError when there are none."""
+    """The clicks of an object (in one scene, or all), lifted; those in frames without a pose are left out.
+
+    Raises:
+        DataError: there are none, or a click cannot be lifted.
+    """
     clicks = workspace.load_annotation(object_name).clicks
     if scene is not None:
         clicks = tuple(click for click in clicks if click.scene == scene)
+    where = f" in scene {scene}" if scene else ""
     if not clicks:
         raise DataError(
-            f"object {object_name} has no clicks{f' in scene {scene}' if scene else ''}; name a CSV file "
-            f"with `clicks:` in the recipe, or run `rpl clicks import FILE.csv --workspace {workspace.root}`"
+            f"object {object_name} has no clicks{where}; name a CSV file with `clicks:` in the recipe, or "
+            f"run `rpl clicks import FILE.csv --workspace {workspace.root}`"
         )
     scenes = {name: workspace.load_scene(name) for name in workspace.scene_names()}
     trajectories = {
         name: workspace.load_trajectory(scenes[name]) for name in {c.scene for c in clicks} & scenes.keys()
     }
-    return lift_clicks(clicks, scenes, trajectories, read_depth_m)
+    posed = [
+        c for c in clicks if not (c.scene in scenes and _lost(c, scenes[c.scene], trajectories[c.scene]))
+    ]
+    if not posed:
+        raise DataError(
+            f"object {object_name}: all {len(clicks)} clicks{where} are in frames whose pose is not known; "
+            "click in others"
+        )
+    return lift_clicks(posed, scenes, trajectories, read_depth_m)
+
+
+def _lost(click: Click, scene: Scene, trajectory: Trajectory) -> bool:
+    """The clicked frame lies within the recording, but has no pose or was left out for having none."""
+    within = scene.frames and scene.frames[0].index <= click.frame <= scene.frames[-1].index
+    return bool(within) and click.frame not in trajectory.frames
