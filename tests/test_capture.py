@@ -304,6 +304,18 @@ def test_an_exposure_that_cannot_be_matched_stays_automatic() -> None:
     assert sensor.values[rs.option.enable_auto_exposure] == 1
 
 
+def test_a_camera_that_refuses_films_on() -> None:
+    class Refusing(Sensor):
+        def set_option(self, option: Any, value: float) -> None:
+            if option == rs.option.white_balance:
+                raise RuntimeError("hwmon command failed")
+            super().set_option(option, value)
+
+    sensor = Refusing(light=1 / 800)
+    (line,) = lock(sensor, sensor.mean_color, rate_hz=30)
+    assert line == "the camera refused to hold exposure or white balance: hwmon command failed"
+
+
 def test_the_exposure_is_locked_while_the_camera_films(tmp_path: Path) -> None:
     """The software camera has neither option: that is said, and it films on."""
     camera, said = SoftwareCamera(), ["start"]

@@ -10,6 +10,7 @@ balance, until red and blue are to each other as they were.
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -50,7 +51,8 @@ def steady_rate(sensor: Any) -> None:
     import pyrealsense2 as rs
 
     if sensor.supports(rs.option.auto_exposure_priority):
-        sensor.set_option(rs.option.auto_exposure_priority, 0)
+        with suppress(RuntimeError):  # refused by some firmware; then the rate drops in the dark
+            sensor.set_option(rs.option.auto_exposure_priority, 0)
 
 
 def lock(sensor: Any, mean_color: MeanColor, *, rate_hz: int) -> tuple[str, ...]:
@@ -63,10 +65,13 @@ def lock(sensor: Any, mean_color: MeanColor, *, rate_hz: int) -> tuple[str, ...]
     """
     before = mean_color()
     wanted_red = float((before[0] + 1) / (before[2] + 1))
-    return (
-        _lock_exposure(sensor, lambda: float(mean_color().mean()), float(before.mean()), rate_hz),
-        _lock_white_balance(sensor, mean_color, wanted_red),
-    )
+    try:
+        return (
+            _lock_exposure(sensor, lambda: float(mean_color().mean()), float(before.mean()), rate_hz),
+            _lock_white_balance(sensor, mean_color, wanted_red),
+        )
+    except RuntimeError as error:
+        return (f"the camera refused to hold exposure or white balance: {error}",)
 
 
 def _lock_exposure(sensor: Any, brightness: Callable[[], float], wanted: float, rate_hz: int) -> str:

@@ -6,6 +6,7 @@ import math
 import shutil
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -112,7 +113,8 @@ def capture(
         streams.counts = StreamCounts()
         captured = _record(streams, shots, folder, options, say, show, stop)
     facts = [f"recorded by {streams.camera.name}", *streams.camera.notes, *settled, *captured.losses]
-    write_text(folder / "capture.txt", "".join(f"{line}\n" for line in facts))
+    with suppress(DataError):  # on a full disk, which is among the losses already
+        write_text(folder / "capture.txt", "".join(f"{line}\n" for line in facts))
     return captured
 
 
