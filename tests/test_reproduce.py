@@ -19,10 +19,12 @@ from rpl_data.geometry import fit_rigid, transform
 from rpl_data.types import DataError
 from rpl_data.workspace import Workspace, load_mesh, save_mesh
 from training.reproduce.__main__ import COMMANDS, main
+from training.reproduce.cad_protocol import by_cad, true_cads
 from training.reproduce.results import finite_or_none, write_results
 from training.reproduce.slopes import before_the_fit, slope_of
 from training.reproduce.table1 import measure
 from training.reproduce.table1_page import write_page
+from training.reproduce.worst import worst_scenes
 
 ROOT = Path(__file__).parent.parent
 
@@ -102,6 +104,29 @@ def test_a_scene_whose_surface_lost_the_object_is_left_out_and_named(
     assert len(row.left_out) == 1 and row.left_out[0].startswith(f"{name}: object carton: only")
     assert row.strict == whole.strict and row.by_cad is not None
     assert "Not judged by CAD" in write_page(tmp_path, [row], seed=0).read_text()
+
+
+def test_a_recording_that_was_cut_is_judged_like_the_whole(tiny_workspace: Workspace, tmp_path: Path) -> None:
+    """Both parts stand as the whole did, so every label is as good as before."""
+    shutil.copytree(tiny_workspace.root, tmp_path / "copy", symlinks=True)
+    changed = Workspace(tmp_path / "copy")
+    video = changed.scene_names()[0]
+    frames = [frame.index for frame in changed.load_scene(video).frames]
+    middle = len(frames) // 2
+    changed.cut_scene(video, [(frames[0], frames[middle]), (frames[middle + 1], frames[-1])])
+    solution = changed.load_solution("carton")
+    places = dict(solution.scene_from_object)
+    standing = places.pop(video)
+    for part in changed.parts().scenes_of(video):
+        places[part] = standing
+        shutil.copyfile(changed.surface_file(video), changed.surface_file(part))
+    changed.save_solution(replace(solution, scene_from_object=places))
+    cads = true_cads(Workspace(tiny_workspace.truth), ["carton"], seed=0)
+    whole, cut = (by_cad(place, cads)["carton"].row for place in (tiny_workspace, changed))
+    assert cut.frames == whole.frames  # none is left out
+    assert cut.error_2d_mean_px == pytest.approx(whole.error_2d_mean_px, abs=0.3)
+    worst = worst_scenes(changed, Workspace(tiny_workspace.truth))["carton"]
+    assert worst == worst_scenes(tiny_workspace, Workspace(tiny_workspace.truth))["carton"]
 
 
 def test_a_folder_that_is_no_workspace_is_one_line(

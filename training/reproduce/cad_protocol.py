@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -59,7 +59,8 @@ def by_cad(workspace: Workspace, cads: Mapping[str, Cad]) -> dict[str, CadResult
     places: dict[str, dict[str, tuple[CadInScene, str]]] = {name: {} for name in cads}
     left_out: dict[str, dict[str, str]] = {name: {} for name in cads}
     errors: dict[str, list[LabelErrors]] = {name: [] for name in cads}
-    for scene in workspace.labelled_scene_names():
+    parts, labelled = workspace.parts(), set(workspace.labelled_scene_names())
+    for scene in [scene for scene in workspace.scene_names() if parts.video_of(scene) in labelled]:
         for name in [name for name in cads if scene in solutions[name].scene_from_object]:
             try:
                 places[name][scene] = place(workspace, cads[name], solutions[name], sparse[name], scene)
@@ -107,21 +108,26 @@ def errors_in(
     sparse: Mapping[str, SparseOnCad],
     scene_from_cad: Mapping[str, Transform],
 ) -> dict[str, LabelErrors]:
-    """The labels of a scene against GT-SPARSE and GT-CAD, carried by the same trajectory."""
+    """The labels of a scene against GT-SPARSE and GT-CAD, carried by the same trajectory.
+
+    Those of a recording that was cut are filed under the recording's name.
+    """
     scene = workspace.load_scene(name)
     trajectory = workspace.load_trajectory(scene)
-    labels = list(workspace.load_labels(name))
+    parts = workspace.parts()
+    video = parts.video_of(name)
+    labels = [one for one in workspace.load_labels(video) if parts.scene_at(video, one.frame) == name]
 
     def poses(scene_from: Transform) -> Iterator[tuple[tuple[str, int], Transform]]:
         for label in labels:
-            yield (name, label.frame), invert(trajectory.at(label.frame)) @ scene_from
+            yield (video, label.frame), invert(trajectory.at(label.frame)) @ scene_from
 
     truth = tuple(
         TrueObject(_gt_sparse(workspace, one, sparse[one]), cads[one].mesh, dict(poses(scene_from)))
         for one, scene_from in scene_from_cad.items()
     )
     alignments = {one: sparse[one].cad_from_object for one in scene_from_cad}
-    return label_errors(labels, true_labels(scene, truth), alignments)
+    return label_errors(labels, true_labels(replace(scene, name=video), truth), alignments)
 
 
 def _gt_sparse(workspace: Workspace, name: str, sparse: SparseOnCad) -> KeypointModel:

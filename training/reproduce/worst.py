@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,20 +48,21 @@ def worst_scenes(workspace: Workspace, truth: Workspace) -> dict[str, WorstScene
     for scene in workspace.labelled_scene_names():
         if scene not in truth.labelled_scene_names():
             continue
+        places = workspace.parts().scenes_of(scene)  # those a recording was cut into
         found = label_errors(workspace.load_labels(scene), truth.load_labels(scene), alignments)
         for name in found.keys() & alignments.keys():
             if found[name].instances:
-                one = _in_scene(scene, solutions[name], found[name])
+                one = _in_scene(scene, places, solutions[name], found[name])
                 worst[name] = max(worst.get(name, one), one, key=lambda scene: scene.error_2d_px)
     return worst
 
 
-def _in_scene(scene: str, solution: Solution, errors: LabelErrors) -> WorstScene:
+def _in_scene(scene: str, places: Sequence[str], solution: Solution, errors: LabelErrors) -> WorstScene:
     instances = errors.instances
     return WorstScene(
         scene=scene,
         error_2d_px=float(np.nanmean([one.mean_px for one in instances])),
         iou=float(np.mean([one.iou_full for one in instances])),
-        clicked=len({one.click.keypoint for one in solution.residuals if one.click.scene == scene}),
+        clicked=len({one.click.keypoint for one in solution.residuals if one.click.scene in places}),
         rotation_deg=float(np.rad2deg(np.mean([one.rotation_rad for one in instances]))),
     )
