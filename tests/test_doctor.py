@@ -168,6 +168,14 @@ def test_a_planted_fault_is_found_first_and_alone(sound: Recording, fault: str) 
     assert found.findings[0].sure >= 0.9
 
 
+def test_depth_and_poses_that_are_late_together_are_one_finding(sound: Recording) -> None:
+    late = late_depth(with_poses(sound, np.concatenate([poses_of(sound)[:3], poses_of(sound)[:-3]])), 3)
+    (finding,) = examine(late).findings
+    assert finding.kind == "depth lag" and "depth and poses are 3.0 frames behind" in finding.what
+    assert finding.mend == Mend(depth_lag=3, pose_lag=3)
+    assert examine(mended(late, finding.mend)).findings == ()
+
+
 def test_repeats_that_were_left_out_are_no_gap(sound: Recording) -> None:
     """The option that the finding names leaves nothing to find."""
     repeated = FAULTS["repeated depth"][0](sound)

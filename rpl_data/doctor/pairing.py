@@ -25,11 +25,17 @@ SURE = 0.9
 
 @dataclass(frozen=True)
 class Lag:
-    """How far depth is behind colour, in frames; `whole` is the part that can be mended."""
+    """How far depth is behind colour, in frames.
+
+    Attributes:
+        whole: the part that can be mended.
+        poses_too: the poses are as late as depth, as those of a tracker that looks at depth only are.
+    """
 
     frames: float
     whole: int
     sure: float
+    poses_too: bool = False
 
 
 def lag_of(aligned: Alignment) -> Lag:
@@ -52,8 +58,10 @@ def which_lags(aligned: Alignment, lag: Lag, found: list[Finding]) -> tuple[Lag,
         return lag, found
     apart = lag.whole - late.mend.pose_lag
     likely = aligned.prefers(apart)
+    rest = [finding for finding in found if finding is not late]
+    if lag.whole and not apart:
+        return replace(lag, poses_too=True), rest
     if apart and likely >= 0.5:
-        rest = [finding for finding in found if finding is not late]
         return Lag(float(apart), apart, min(likely, late.sure)), rest
     if lag.whole or likely < 1 - SURE:
         return lag, found
@@ -66,11 +74,11 @@ def lag_findings(lag: Lag) -> list[Finding]:
     """A finding when depth is late or early."""
     if lag.sure < SURE and not lag.whole:
         return []
-    what = f"depth is {_behind(lag.frames)} colour"
+    what = f"{'depth and poses are' if lag.poses_too else 'depth is'} {_behind(lag.frames)} colour"
     if not lag.whole:
         todo = "less than a frame cannot be mended: move slowly, and click in the slowest frames"
         return [Finding("depth lag", what, lag.sure, todo)]
-    mend = Mend(depth_lag=lag.whole)
+    mend = Mend(depth_lag=lag.whole, pose_lag=lag.whole if lag.poses_too else 0)
     todo = option(mend)
     if lag.sure < SURE:
         todo += f"; or the poses are as much off, and {option(Mend(pose_lag=-lag.whole))} is right"

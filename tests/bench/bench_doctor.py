@@ -139,6 +139,12 @@ def camera(recording: Recording, **numbers: float) -> Recording:
     return replace(recording, scene=replace(recording.scene, intrinsics=changed))
 
 
+def strayed(recording: Recording, rng: np.random.Generator) -> Recording:
+    """Poses on a random walk of 40 mm and 2.4 degrees (root mean square at the end; some stay near)."""
+    times_s = np.array([frame.timestamp_s for frame in recording.scene.frames])
+    return poses(recording, lambda true: drifted(true, times_s, Drift(0.04, 2.4), rng=rng))
+
+
 def misregistered(recording: Recording, rng: np.random.Generator) -> Recording:
     """The recording as it is; its depth images are moved when they are read, see `shifted_reader`."""
     return recording
@@ -160,6 +166,7 @@ FAULTS: dict[str, tuple[Fault, set[str]]] = {
     "focal length x1.2": (focal, {"intrinsics"}),
     "intrinsics' size": (size, {"intrinsics"}),
     "3 dropped frames": (dropped, {"dropped frames"}),
+    "drift of 40 mm": (strayed, {"drift"}),
 }
 
 
