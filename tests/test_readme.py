@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
+import importlib
 import re
 import shlex
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -37,12 +40,22 @@ def test_bash_blocks_run(line: str) -> None:
 
 @pytest.mark.parametrize("line", commands("console"))
 def test_console_blocks_parse(line: str) -> None:
-    words = shlex.split(line)
-    assert words[0] == "rpl"
     from jsonargparse import auto_parser
 
-    parsed = auto_parser(COMMANDS, exit_on_error=False).parse_args(words[1:])
-    assert parsed.subcommand in COMMANDS
+    words = shlex.split(line)
+    assert words[0] == "rpl" or words[:2] == ["python", "-m"]
+    program, arguments = (COMMANDS, words[1:]) if words[0] == "rpl" else (program_of(words[2]), words[3:])
+    with contextlib.chdir(ROOT):  # where the configurations start
+        parsed = auto_parser(program, exit_on_error=False).parse_args(arguments)
+    assert not isinstance(program, dict) or parsed.subcommand in program
+
+
+def program_of(module: str) -> Any:
+    """What `python -m <module>` hands its arguments to: a function, or functions by their names."""
+    if module == "training.reproduce":
+        return importlib.import_module("training.reproduce.__main__").COMMANDS
+    loaded = importlib.import_module(module)
+    return getattr(loaded, module.split(".")[-1], None) or loaded.main
 
 
 def test_there_are_blocks_of_both_kinds() -> None:
