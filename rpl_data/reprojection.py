@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from rpl_data.geometry import Transform, back_project, invert, project, transform
+from rpl_data.geometry import Transform, back_project, inside_image, invert, project, transform
 from rpl_data.types import DepthImage, Frame, Intrinsics, Scene, Trajectory
 
 STEP_PX = 4
@@ -92,9 +92,9 @@ def depth_reprojection_error_m(
     uv_px = np.column_stack([columns[measured], rows[measured]]).astype(float)
     depth_m = depth_b_m[rows[measured], columns[measured]].astype(float)
     points_a = transform(a_from_b, back_project(intrinsics, uv_px, depth_m))
-    ahead = points_a[:, 2] > 0
-    u, v = np.rint(project(intrinsics, points_a[ahead])).astype(int).T
-    inside = (u >= 0) & (u < intrinsics.width) & (v >= 0) & (v < intrinsics.height)
-    seen_m = depth_a_m[v[inside], u[inside]]
-    differences_m = np.abs(points_a[ahead][inside, 2] - seen_m)[seen_m > 0]
+    uv_a_px = project(intrinsics, points_a)  # NaN behind the camera
+    inside = inside_image(intrinsics, uv_a_px)
+    u, v = np.rint(uv_a_px[inside]).astype(int).T
+    seen_m = depth_a_m[v, u]
+    differences_m = np.abs(points_a[inside, 2] - seen_m)[seen_m > 0]
     return float(np.median(differences_m)) if len(differences_m) >= LEAST_PIXELS else float("nan")

@@ -74,6 +74,9 @@ def test_everything_is_there(tiny_workspace: Workspace) -> None:
     assert list(table) == [stage for stage in module.STAGES if stage != "track"]  # a twin brings its poses
     assert table["label"]["frames"] == 18
     assert all(row["seconds"] >= 0 for row in table.values())
+    report = tiny_workspace.report.read_text()
+    assert report.count("poses stray by") == 3
+    assert report.count("clicks of a keypoint are") == 3
 
 
 def test_second_build_runs_nothing(tiny_workspace: Workspace) -> None:

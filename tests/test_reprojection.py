@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -55,6 +56,14 @@ def test_a_third_of_the_pixels_hidden_does_not_matter() -> None:
 def test_views_apart_cannot_be_compared() -> None:
     away = from_rotvec(np.array([0, np.pi, 0]), np.zeros(3))
     assert np.isnan(depth_reprojection_error_m(CAMERA, away, *[wall_depth_m(np.eye(4))] * 2))
+
+
+def test_points_that_come_to_lie_behind_or_beside_the_camera_are_left_out() -> None:
+    """A lens, and a pose that takes half of the wall behind the camera: no warning, no number from there."""
+    lens = replace(CAMERA, distortion=(0.1, -0.2, 0.001, 0.001, 0.05))
+    for turn in (0.3, 1.2, 1.6, 2.5):
+        wrong = from_rotvec(np.array([0, turn, 0]), np.array([0, 0, -0.9]))
+        depth_reprojection_error_m(lens, wrong, *[wall_depth_m(np.eye(4))] * 2)
 
 
 def test_pairs_over_a_gap_skip_frames_without_pose_or_depth() -> None:
