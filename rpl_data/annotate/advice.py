@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -15,7 +14,7 @@ from rpl_data.clicklog import Annotation
 ENOUGH = FEWEST + 1
 """Clicks a scene: three place it, the fourth checks them."""
 OFTEN = 6
-"""Clicks on a keypoint after which no more of them are asked for."""
+"""Clicks on a keypoint after which one more would not help."""
 UNSURE_M = 0.004
 """A keypoint less certain than this wants another click."""
 
@@ -106,20 +105,20 @@ def _asking(annotation: Annotation, scene: str, here: Sequence[int], keypoint: i
 
 
 def _unsure(annotation: Annotation, live: Live) -> Advice | None:
-    """The keypoint known worst, when another click would help much."""
+    """The keypoint known worst, when another click would help much and there is a place for it."""
     if live.solution is None or annotation.known_points is not None:
         return None
     variances = np.trace(live.solution.covariance, axis1=1, axis2=2) / 3
-    count = Counter(click.keypoint for click in annotation.clicks)
-    often = [k for k in range(len(variances)) if count[k] >= OFTEN]  # one more click would not help
-    variances[often] = np.nan
-    if not np.isfinite(variances).any() or np.nanmax(variances) < UNSURE_M**2:
-        return None
-    worst = int(np.nanargmax(variances))
     scenes = sorted(live.solution.scene_from_object)
-    clicked = [c.scene for c in annotation.clicks if c.keypoint == worst]
-    scene = min(scenes, key=clicked.count)
-    name, sigma_mm = annotation.keypoints[worst], 1e3 * float(np.sqrt(variances[worst]))
-    known = f"keypoint {name} is known to ±{sigma_mm:.0f} mm only"
-    text = f"{known}: mark it in one more frame, seen from another side"
-    return Advice(text, scene, None, worst)
+    for k in np.argsort(-np.nan_to_num(variances)):
+        keypoint, sigma_m = int(k), float(np.sqrt(np.nan_to_num(variances[k])))
+        if sigma_m < UNSURE_M:
+            break
+        clicked = [c.scene for c in annotation.clicks if c.keypoint == keypoint]
+        visible = [scene for scene in scenes if (keypoint, scene) not in annotation.skipped]
+        if not visible or len(clicked) >= OFTEN:
+            continue
+        known = f"keypoint {annotation.keypoints[keypoint]} is known to ±{1e3 * sigma_m:.0f} mm only"
+        text = f"{known}: mark it in one more frame, seen from another side"
+        return Advice(text, min(visible, key=clicked.count), None, keypoint)
+    return None

@@ -32,6 +32,7 @@ def job_routes(session: Session) -> APIRouter:
             session.scenes.forget()
 
     jobs = Jobs(run, session.news)
+    session.when_closed.append(jobs.stop)
 
     def state() -> Json:
         job = jobs.now()

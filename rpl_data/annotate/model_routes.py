@@ -7,6 +7,7 @@ from pathlib import Path
 
 from fastapi import APIRouter, Request
 from fastapi.responses import PlainTextResponse, Response
+from starlette.concurrency import run_in_threadpool
 
 from rpl_data.annotate.model import MESHES, given_mesh_payload, keep_mesh, read_known_points
 from rpl_data.annotate.payload import Json
@@ -22,7 +23,11 @@ def model_routes(session: Session) -> APIRouter:
 
     @routes.post("/api/objects/{name}/model")
     async def load(request: Request, name: str, file: str, metres_per_unit: float = 1.0) -> Json:
-        annotation, content = session.log(name).now().annotation, await request.body()
+        content = await request.body()
+        return await run_in_threadpool(read, name, file, content, metres_per_unit)
+
+    def read(name: str, file: str, content: bytes, metres_per_unit: float) -> Json:
+        annotation = session.log(name).now().annotation
         if not 1e-6 <= metres_per_unit <= 1e3:
             raise DataError(f"{metres_per_unit} is no unit; expected metres a unit: 1, or 0.001 for mm")
         if Path(file).suffix.lower() in MESHES:

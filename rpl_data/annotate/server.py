@@ -53,7 +53,7 @@ def make_app(session: Session, place: Place) -> FastAPI:
     @asynccontextmanager
     async def life(app: FastAPI) -> AsyncIterator[None]:
         yield
-        session.news.close()
+        session.close()
 
     app = FastAPI(lifespan=life, openapi_url=None, docs_url=None, redoc_url=None)
     app.add_middleware(GZipMiddleware, minimum_size=800, compresslevel=5)
@@ -117,7 +117,7 @@ def _add_scenes(app: FastAPI, session: Session) -> None:
         table = poses_table(session.scenes.get(scene))
         return Response(table.astype("<f4").tobytes(), media_type="application/octet-stream", headers=KEEP)
 
-    @app.get("/api/scenes/{scene}/frames/{frame}.jpg")
+    @app.get("/api/scenes/{scene}/frames/{frame:int}.jpg")
     def picture(request: Request, scene: str, frame: int, width: int = 0) -> Response:
         stamp = session.pictures.stamp(scene, frame)
         headers = {**KEEP, "ETag": stamp}

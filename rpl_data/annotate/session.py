@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -53,6 +53,12 @@ class Session:
         self._results: dict[str, Result] = {}
         self._suggestions: dict[tuple[str, str, bool], list[Suggestion]] = {}
         self._solving = threading.Lock()
+        self.when_closed: list[Callable[[], object]] = [self.news.close]
+
+    def close(self) -> None:
+        """The server ends: so do streams and jobs."""
+        for does in self.when_closed:
+            does()
 
     def objects(self) -> list[str]:
         """Names, in the order of the recipe."""

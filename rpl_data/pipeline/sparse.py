@@ -193,8 +193,9 @@ def observe(workspace: Workspace, object_name: str, *, scene: str | None = None)
     where = f" in scene {scene}" if scene else ""
     if not clicks:
         raise DataError(
-            f"object {object_name} has no clicks{where}; name a CSV file with `clicks:` in the recipe, or "
-            f"run `rpl clicks import FILE.csv --workspace {workspace.root}`"
+            f"object {object_name} has no clicks{where}; mark them with `rpl annotate {workspace.root}`, "
+            "name a CSV file with `clicks:` in the recipe, or run "
+            f"`rpl clicks import FILE.csv --workspace {workspace.root}`"
         )
     scenes = {name: workspace.load_scene(name) for name in workspace.scene_names()}
     trajectories = {

@@ -130,3 +130,19 @@ def clicks(server: Server | ServerHere) -> dict[tuple[int, str, int], tuple[floa
 def place(page: Page, u: float, v: float) -> None:
     page.mouse.click(*on_page(page, u, v))
     saved(page)
+
+
+def in_plot(page: Page, point_mm: tuple[float, float, float]) -> tuple[float, float]:
+    """Where a point of the 3D view is on the page, by the matrices it is drawn with."""
+    x, y = page.evaluate(
+        """(point) => {
+            const plot = document.getElementById("plot"), scene = plot._fullLayout.scene._scene;
+            const { model, view, projection } = scene.glplot.cameraParams, box = plot.getBoundingClientRect();
+            const by = (m, v) => [0, 1, 2, 3].map((r) => v.reduce((sum, x, i) => sum + m[4 * i + r] * x, 0));
+            const scaled = [...point.map((value, i) => value * scene.dataScale[i]), 1];
+            const [u, v, , w] = by(projection, by(view, by(model, scaled)));
+            return [box.x + (0.5 + u / w / 2) * box.width, box.y + (0.5 - v / w / 2) * box.height];
+        }""",
+        list(point_mm),
+    )
+    return x, y

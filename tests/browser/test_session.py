@@ -88,10 +88,10 @@ def test_a_session_from_no_click_to_the_dataset(
     page.keyboard.press("v")
     page.wait_for_selector("#plot[data-drawn]")
     page.keyboard.press("g")  # dense model and labels
+    expect(page.locator("#job-stop")).to_be_visible()
+    page.reload()  # the job goes on without the page
     expect(page.locator("#next-text")).to_contain_text("look through", timeout=120_000)
     expect(page.locator("#job-label")).to_be_disabled()
-    page.reload()  # what was done is not lost with the page
-    expect(page.locator("#next-text")).to_contain_text("look through")
     page.keyboard.press("g")
     expect(page.locator("#sheet figure")).to_have_count(6)
     page.wait_for_function("() => document.querySelector('#sheet img').naturalWidth > 0")
@@ -100,6 +100,13 @@ def test_a_session_from_no_click_to_the_dataset(
     page.keyboard.press("g")  # export
     expect(page.locator("#next-text")).to_contain_text("done", timeout=60_000)
     check_dataset(Workspace(server.workspace), truth)
+
+
+def test_a_job_that_cannot_run_says_what_to_do(page: Page) -> None:
+    page.locator("#job-label").click()
+    said = page.locator("#jobs [role=alert]")
+    expect(said).to_contain_text("object carton has no clicks; mark them", timeout=60_000)
+    expect(page.locator("#job-label")).to_be_enabled()
 
 
 def check_dataset(workspace: Workspace, truth: Truth) -> None:

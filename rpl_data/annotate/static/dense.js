@@ -12,8 +12,8 @@ export function setUp() {
   onChange(placeModel);
 }
 
-const bytes = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
-const floats = (text) => new Float32Array(bytes(text).buffer);
+export const bytes = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
+export const floats = (text) => new Float32Array(bytes(text).buffer);
 
 // After a build: what was fetched is old.
 export function forget() {

@@ -24,13 +24,26 @@ export function nextOpen(from) {
   return from;
 }
 
+// The next keypoint that passes the test; the same when there is none.
+export function selectNext(test) {
+  const count = app.state.keypoints.length;
+  for (let step = 1; step <= count; step++) if (test((app.keypoint + step) % count)) return select(app.keypoint + step);
+}
+
 // Keep the selected keypoint when it is to be marked in this scene, else go on to one that is.
 export function selectOpen() {
   const count = app.state?.keypoints.length || 0;
   if (count) select(nextOpen((app.keypoint + count - 1) % count));
 }
 
+// Other parts may want a click for something else: take(u, v) is true when it was theirs.
+const takers = [];
+export function takeClicks(take) {
+  takers.push(take);
+}
+
 export function place(u_px, v_px) {
+  if (takers.some((take) => take(u_px, v_px))) return;
   const keypoint = app.keypoint, where = { keypoint, scene: app.scene, frame: frameNow() };
   if (!app.state) return;
   if (!app.state.keypoints.length) return alertOnce("Add a keypoint first (A).");

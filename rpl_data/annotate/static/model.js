@@ -2,12 +2,13 @@
 // clicks place the object in a scene.
 
 import { get, objectPath } from "./api.js";
+import { bytes, floats } from "./dense.js";
 import { ask, element } from "./dom.js";
 import { addEntry, chooseFile } from "./files.js";
 import { selectNext } from "./keypoints.js";
 import { act, alertOnce } from "./log.js";
 import { onNews } from "./news.js";
-import { addTraces, bytesOf, floatsOf, insteadOf, onPick, stage, xyz } from "./solid.js";
+import { addTraces, insteadOf, labelFont, onPick, stage, xyz } from "./solid.js";
 import { app, change, keypointTitle, onChange } from "./store.js";
 
 const ACCEPTED = ".txt,.pp,.ply,.obj,.off,.stl";
@@ -63,7 +64,7 @@ async function fetchMesh() {
   asked = object;
   const found = await get(`${objectPath(object)}/given`).catch(() => null);
   if (asked !== object) return;
-  mesh = found && { points: floatsOf(found.points), triangles: new Uint16Array(bytesOf(found.triangles).buffer) };
+  mesh = found && { points: floats(found.points), triangles: new Uint16Array(bytes(found.triangles).buffer) };
   change({ picking: Boolean(mesh) && Boolean(app.picking) });
 }
 
@@ -86,7 +87,7 @@ function picking() {
     },
     {
       type: "scatter3d", name: "picked", mode: "markers+text", ...xyz(picked.map(({ point }) => point)), text: picked.map(({ k }) => keypointTitle(k)),
-      hoverinfo: "skip", marker: { size: 7, color: picked.map(({ k }) => app.state.keypoints[k].color) },
+      hoverinfo: "skip", textfont: labelFont(), marker: { size: 7, color: picked.map(({ k }) => app.state.keypoints[k].color) },
     },
   ];
 }

@@ -6,7 +6,7 @@ import { addKeys } from "./keys.js";
 import { app, change, keypointTitle, onChange } from "./store.js";
 
 export const SCENE_COLORS = ["#0a84d6", "#e08a00", "#12a06a", "#d65aa0", "#8f6bf0", "#d9480f", "#5f9e00", "#00a3a3"];
-const MM = 1000;
+const MM = 1000, STILL_PX = 4;
 const section = document.getElementById("solid");
 const plot = element("div", { id: "plot", tabIndex: 0, ariaLabel: "3D view: arrow keys turn it, + and - zoom" });
 const empty = element("p", { className: "empty", id: "plot-empty" });
@@ -32,6 +32,18 @@ export function setUp() {
 // Other parts add traces: give() is called at every drawing, watch() says what it depends on.
 export function addTraces(give, watch) {
   extras.push({ give, watch });
+}
+
+// Another part may show something else instead: give() is null, or all that is to be drawn.
+let instead = () => null;
+export function insteadOf(give) {
+  instead = give;
+}
+
+// Called with a point of the drawing that was clicked, metres.
+let picked = () => {};
+export function onPick(does) {
+  picked = does;
 }
 
 function nextView() {
@@ -62,8 +74,8 @@ function say(text) {
 
 async function draw() {
   if (app.view !== "solid" || !app.state || !app.workspace) return;
-  const scenes = shownScenes();
-  if (!scenes.length && !denseModel() && !extras.some(({ give }) => give().length))
+  const other = instead(), scenes = other ? [] : shownScenes();
+  if (!other && !scenes.length && !denseModel() && !extras.some(({ give }) => give().length))
     return say("Nothing to show yet: mark a keypoint (view Mark), and what the cameras saw around it appears here.");
   if (!window.Plotly) say("loading the 3D view …");
   try {
@@ -77,10 +89,23 @@ async function draw() {
     document.documentElement.dataset.theme, ...extras.flatMap(({ watch }) => watch())];
   if (inputs.length === drawn.length && inputs.every((value, i) => value === drawn[i])) return;
   drawn = inputs;
-  const traces = [...surfaces(clouds), ...dense(), ...skeleton(), keypoints(scenes), ...extras.flatMap(({ give }) => give())];
+  const traces = other || [...surfaces(clouds), ...dense(), ...skeleton(), keypoints(scenes), ...extras.flatMap(({ give }) => give())];
   await window.Plotly.react(plot, traces, layout(), { displaylogo: false, displayModeBar: false, responsive: true });
-  if (plot.dataset.drawn === undefined) plot.on("plotly_relayout", (event) => { camera = event["scene.camera"] || camera; });
+  if (plot.dataset.drawn === undefined) listen();
   plot.dataset.drawn = Number(plot.dataset.drawn || 0) + 1;
+}
+
+function listen() {
+  plot.on("plotly_relayout", (event) => { camera = event["scene.camera"] || camera; });
+  // Plotly's own click needs a drawing between press and release, which a quick hand does not wait for.
+  let under = null, pressed = null;
+  plot.on("plotly_hover", ({ points: [{ x, y, z }] }) => { under = [x / MM, y / MM, z / MM]; });
+  plot.on("plotly_unhover", () => { under = null; });
+  plot.addEventListener("pointerdown", (event) => { pressed = [event.clientX, event.clientY, under]; }, true);
+  plot.addEventListener("pointerup", (event) => {
+    const [x, y, point] = pressed || [];
+    if (point && Math.hypot(event.clientX - x, event.clientY - y) < STILL_PX) picked(point);
+  }, true);
 }
 
 const axis = (points, i) => points.map((point) => MM * point[i]);
@@ -143,7 +168,7 @@ function keypoints(scenes) {
     type: "scatter3d", mode: "markers+text", showlegend: false, ...xyz(shown.map(({ point }) => point)),
     text: shown.map(({ k }) => (show.names || k === app.keypoint ? escaped(keypointTitle(k)) : String(k))),
     hovertext: shown.map(({ k }) => escaped(`${of(k).name}${sigma(k)}`)), hovertemplate: "%{hovertext}<extra></extra>",
-    textposition: "top center", textfont: { color: css("--ink"), size: 13 },
+    textposition: "top center", textfont: labelFont(),
     marker: {
       size: shown.map(({ k }) => (k === app.keypoint ? 9 : 6)), color: shown.map(({ k }) => of(k).color),
       line: { color: css("--ink"), width: 1 },
@@ -154,12 +179,13 @@ function keypoints(scenes) {
 // Plotly reads a few tags in texts.
 const escaped = (text) => text.replaceAll("&", "&amp;").replaceAll("<", "&lt;").replaceAll(">", "&gt;");
 const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+export const labelFont = () => ({ color: css("--ink"), size: 13 });
 
 function layout() {
   const ink = css("--ink"), line = css("--line");
   const axisLook = { title: "", color: ink, gridcolor: line, zeroline: false, showbackground: false, ticksuffix: " mm", nticks: 4, showspikes: false };
   return {
-    uirevision: app.state.object, margin: { l: 0, r: 0, t: 0, b: 0 }, paper_bgcolor: css("--panel"),
+    uirevision: `${app.state.object}${instead() ? " alone" : ""}`, margin: { l: 0, r: 0, t: 0, b: 0 }, paper_bgcolor: css("--panel"),
     font: { color: ink, size: 12 }, showlegend: true,
     legend: { x: 0, y: 1, bgcolor: "rgba(0,0,0,0)", itemsizing: "constant", font: { color: ink } },
     scene: {
