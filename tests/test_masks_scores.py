@@ -20,7 +20,8 @@ from rpl_data.formats.coco import read_coco
 from rpl_data.types import DataError
 from training.evaluate_masks import evaluate, table
 from training.mask_scores import average_precision, score_split
-from training.masks import ModelConfig, Segmenter, build_model
+from training.mask_weights import Segmenter
+from training.masks import ModelConfig, build_model
 from training.predict_masks import main as predict_masks
 from training.predict_masks import predict_to
 

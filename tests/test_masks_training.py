@@ -18,17 +18,10 @@ from rpl_data.torch.instances import InstanceDataset
 from rpl_data.torch.transforms import Augmentation
 from rpl_data.types import DataError
 from training.mask_crops import SMALLEST_PX, SquareCrops, random_square
-from training.mask_scores import predict
+from training.mask_results import predict
 from training.mask_settings import Settings, learning_rate, load_settings
-from training.masks import (
-    ModelConfig,
-    Segmenter,
-    build_model,
-    load_segmenter,
-    load_weights,
-    train_body,
-    with_norm,
-)
+from training.mask_weights import Segmenter, load_segmenter, load_weights
+from training.masks import ModelConfig, build_model, train_body, with_norm
 from training.train_masks import CHECKPOINT, train
 
 ROOT = Path(__file__).parent.parent
@@ -295,7 +288,7 @@ def test_more_than_100_instances(coco, tmp_path):
     model = build_model(many, classes=2)
     assert all(torch.isfinite(loss) for loss in model(images, targets).values())
     model.roi_heads.score_thresh, model.roi_heads.nms_thresh, model.rpn.nms_thresh = 0.0, 1.0, 1.0
-    found = predict(Segmenter(model.eval(), many, tuple(dataset.names)), [dataset[1][0]], [1])
+    found = predict(Segmenter(model.eval(), many, tuple(dataset.names)), dataset[1][0], 1)
     assert len(found) > 100
 
 

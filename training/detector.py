@@ -19,7 +19,7 @@ from torchvision.models.detection.fcos import FCOS, FCOSHead
 from torchvision.ops import box_iou
 
 from rpl_data.torch.detection import DetectionTarget, shrunk, square_from_box
-from rpl_data.torch.keypoints import to_unit_range
+from rpl_data.torch.images import to_unit_range
 from rpl_data.torch.readable import Unreadable
 from training.hourglass import Hourglass, Residual
 from training.options import DetectorNetwork, Learning

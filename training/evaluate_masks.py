@@ -10,8 +10,9 @@ import torch
 
 from rpl_data.files import write_json
 from rpl_data.types import DataError
-from training.mask_scores import SplitScore, predict_split, score_split
-from training.masks import Segmenter, load_segmenter
+from training.mask_results import predict_split
+from training.mask_scores import SplitScore, score_split
+from training.mask_weights import Segmenter, load_segmenter
 
 SCORE_THRESHOLD = 0.5
 """Least score of what counts as found for the IoU."""
@@ -21,7 +22,7 @@ def evaluate(
     segmenter: Segmenter, coco_json: Path, out: Path | None = None, *, threshold: float = SCORE_THRESHOLD
 ) -> SplitScore:
     """Scores on a split; with `out`, also `<split>_results.json` (COCO's) and `<split>_scores.json`."""
-    results = [entry for image in predict_split(segmenter, coco_json) for entry in image]
+    results = predict_split(segmenter, coco_json)
     score = score_split(coco_json, results, threshold=threshold)
     if out is not None:
         write_json(out / f"{coco_json.stem}_results.json", results, indent=None)

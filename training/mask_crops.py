@@ -9,8 +9,9 @@ import numpy as np
 import torch
 from torch.utils.data import DataLoader, Dataset, Sampler
 
-from rpl_data.torch.instances import InstanceDataset, InstanceSample, collate, warp_pixels
+from rpl_data.torch.instances import InstanceDataset, InstanceSample, collate
 from rpl_data.torch.transforms import Affine, Augmentation, crop_from_square, zoom_of
+from rpl_data.torch.warps import warp_pixels
 
 SMALLEST_PX = 2
 """Instances of which a crop shows less (a sliver, a degenerate box) are not trained on."""

@@ -3,24 +3,15 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import torch
 from pycocotools import mask as masks
-from torch import Tensor
-from torch.utils.data import DataLoader
 
 from rpl_data.formats.coco import read_coco
-from rpl_data.torch.instances import InstanceDataset, collate
-from training.masks import Segmenter
-
-Json = dict[str, Any]
-MASK_THRESHOLD = 0.5
-"""A pixel belongs to the object when the network gives it more than this."""
+from training.mask_results import Json
 
 
 @dataclass(frozen=True)
@@ -56,46 +47,6 @@ class SplitScore:
     mask_ap: float | None
     mask_ap50: float | None
     classes: tuple[ClassScore, ...]
-
-
-# Predictions --------------------------------------------------------------------------------------
-
-
-@torch.no_grad()
-def predict(segmenter: Segmenter, images: Sequence[Tensor], image_ids: Sequence[int]) -> list[Json]:
-    """COCO results of images (float32, 3 x height x width, 0 to 1), best first an image.
-
-    Masks are visible pixels of the whole image; instances without a pixel are left out.
-    """
-    device = next(segmenter.model.parameters()).device
-    results: list[Json] = []
-    for image, image_id in zip(images, image_ids, strict=True):
-        found = segmenter.model([image.to(device)])[0]
-        pixels = (found["masks"][:, 0] > MASK_THRESHOLD).cpu().numpy().astype(np.uint8)
-        rows = zip(pixels, found["labels"].tolist(), found["scores"].tolist(), strict=True)
-        results += [_result(image_id, *row) for row in rows if row[0].any()]
-    return results
-
-
-def _result(image_id: int, pixels: np.ndarray, label: int, score: float) -> Json:
-    rle = masks.encode(np.asfortranarray(pixels))
-    return {
-        "image_id": image_id,
-        "category_id": label,
-        "bbox": [float(side) for side in masks.toBbox(rle)],
-        "score": score,
-        "segmentation": {"size": list(rle["size"]), "counts": rle["counts"].decode("ascii")},
-    }
-
-
-def predict_split(segmenter: Segmenter, coco_json: Path, *, workers: int = 0) -> Iterator[list[Json]]:
-    """The results of every image of a COCO file, an image at a time."""
-    loader = DataLoader(InstanceDataset(coco_json), batch_size=1, num_workers=workers, collate_fn=collate)
-    for images, targets in loader:
-        yield predict(segmenter, images, [target["image_id"] for target in targets])
-
-
-# Scores -------------------------------------------------------------------------------------------
 
 
 def score_split(coco_json: Path, results: Sequence[Json], *, threshold: float) -> SplitScore:

@@ -14,7 +14,7 @@ from rpl_data.formats.coco import instance_from_coco, intrinsics_from_coco, obje
 from rpl_data.geometry import fit_rigid
 from rpl_data.pose import Method, PoseEstimate, PoseFailure
 from rpl_data.pose.errors import INFINITE, pose_errors
-from rpl_data.torch.regions import read_image
+from rpl_data.torch.images import read_image
 from rpl_data.types import DataError, InstanceLabel, KeypointModel
 from training.options import Crops
 from training.pose_pipeline import PosePipeline, SeenKeypoints, read_depth_m

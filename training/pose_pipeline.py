@@ -13,7 +13,7 @@ import torch
 from rpl_data.geometry import depth_sigma_m
 from rpl_data.pose import Method, PoseEstimate, PoseFailure, correspondences, estimate_pose
 from rpl_data.pose.depth import depths_at
-from rpl_data.torch.keypoints import to_unit_range
+from rpl_data.torch.images import to_unit_range
 from rpl_data.torch.transforms import crop_from_square, warped
 from rpl_data.types import DataError, DepthImage, Intrinsics
 from training.detector import Detection, DetectorTraining, load_detector

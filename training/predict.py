@@ -53,7 +53,7 @@ def predict(
         method: of PnP.
     """
     from rpl_data.files import write_json, write_text
-    from rpl_data.torch.regions import read_image
+    from rpl_data.torch.images import read_image
     from training.pose_pipeline import load_pipeline
 
     files = images_of(images)

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import colorsys
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,14 +12,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import torch
-from pycocotools import mask as masks
 
 from rpl_data.files import write_bytes, write_json
-from rpl_data.torch.keypoints import to_unit_range
-from rpl_data.torch.regions import read_image
+from rpl_data.torch.images import read_image, to_unit_range
 from rpl_data.types import DataError
-from training.mask_scores import Json, predict
-from training.masks import Segmenter, load_segmenter
+from training.mask_pictures import draw
+from training.mask_results import Json, predict
+from training.mask_weights import Segmenter, load_segmenter
 
 IMAGE_SUFFIXES = {".bmp", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp"}
 SCORE_THRESHOLD = 0.5
@@ -84,36 +82,6 @@ def frame_rate(video: Path) -> float:
     return rate if 0 < rate < 1000 else 30.0
 
 
-# Drawing ------------------------------------------------------------------------------------------
-
-
-def class_color(label: int, classes: int) -> tuple[int, int, int]:
-    """Bright colours spread over the hues."""
-    red, green, blue = colorsys.hsv_to_rgb((label - 1) / max(1, classes), 0.75, 1.0)
-    return round(255 * red), round(255 * green), round(255 * blue)
-
-
-def draw(pixels: np.ndarray, results: Sequence[Json], names: Sequence[str]) -> np.ndarray:
-    """A new picture with masks tinted and outlined, boxes, names and scores; the best lie on top."""
-    picture = pixels.copy()
-    for entry in sorted(results, key=lambda entry: float(entry["score"])):
-        label = entry["category_id"]
-        color = class_color(label, len(names) - 1)
-        inside = np.ascontiguousarray(masks.decode(entry["segmentation"]))
-        picture[inside > 0] = (0.6 * picture[inside > 0] + 0.4 * np.array(color)).astype(np.uint8)
-        outlines, _ = cv2.findContours(inside, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-        cv2.drawContours(picture, outlines, -1, color, 1, cv2.LINE_AA)
-        left, top, width, height = (round(side) for side in entry["bbox"])
-        cv2.rectangle(picture, (left, top), (left + width - 1, top + height - 1), color, 1)
-        _write(picture, f"{names[label]} {entry['score']:.2f}", (left, max(12, top - 4)), color)
-    return picture
-
-
-def _write(picture: np.ndarray, words: str, corner: tuple[int, int], color: tuple[int, int, int]) -> None:
-    for shade, thickness in (((15, 15, 15), 3), (color, 1)):
-        cv2.putText(picture, words, corner, cv2.FONT_HERSHEY_SIMPLEX, 0.45, shade, thickness, cv2.LINE_AA)
-
-
 # Output -------------------------------------------------------------------------------------------
 
 Saver = Callable[[Picture], None]
@@ -170,7 +138,7 @@ def predict_to(segmenter: Segmenter, source: Path, out: Path, *, threshold: floa
         overlays = saving_video(out / f"{source.stem}.mp4", frame_rate(source))
     with overlays as save:
         for number, picture in enumerate(pictures, start=1):
-            found = predict(segmenter, [to_unit_range(picture.pixels)], [number])
+            found = predict(segmenter, to_unit_range(picture.pixels), number)
             seen = [entry for entry in found if entry["score"] >= threshold]
             save(Picture(picture.name, draw(picture.pixels, seen, segmenter.names)))
             height, width = picture.pixels.shape[:2]

@@ -22,14 +22,8 @@ from rpl_data.torch.instances import InstanceSample, InstanceTarget
 from rpl_data.types import DataError
 from training.mask_crops import SquareCrops, crop_loader
 from training.mask_settings import Settings, comparable, learning_rate
-from training.masks import (
-    build_model,
-    description,
-    load_weights,
-    read_file,
-    train_body,
-    with_norm,
-)
+from training.mask_weights import description, load_weights, read_file
+from training.masks import build_model, train_body, with_norm
 
 log = logging.getLogger(__name__)
 CHECKPOINT = "last.ckpt"

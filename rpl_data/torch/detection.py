@@ -12,8 +12,7 @@ from torch import Tensor
 from torch.utils.data import Dataset
 
 from rpl_data.formats.coco import read_coco
-from rpl_data.torch.keypoints import to_unit_range
-from rpl_data.torch.regions import read_image
+from rpl_data.torch.images import read_image, to_unit_range
 from rpl_data.torch.transforms import Augmentation, jittered, moved, random_crop_from_square, warped
 from rpl_data.types import DataError
 

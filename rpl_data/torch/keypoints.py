@@ -9,13 +9,14 @@ from typing import Any, TypedDict
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Float32, Float64, Int64
+from jaxtyping import Float64, Int64
 from torch import Tensor
 from torch.utils.data import Dataset, get_worker_info
 
 from rpl_data.formats.coco import objects_from_coco, read_coco
 from rpl_data.torch.heatmaps import draw_heatmaps
-from rpl_data.torch.regions import Region, RegionCache, read_image, region_around
+from rpl_data.torch.images import read_image, to_unit_range
+from rpl_data.torch.regions import Region, RegionCache, region_around
 from rpl_data.torch.transforms import (
     Affine,
     Augmentation,
@@ -202,13 +203,6 @@ class KeypointDataset(Dataset[KeypointSample]):
             region_around(box, half=half, width=int(width), height=int(height))
             for box, (width, height) in zip(self._rows.square_boxes, self._rows.sizes, strict=True)
         ]
-
-
-def to_unit_range(image: Image) -> Float32[Tensor, "3 height width"]:
-    """uint8 height x width x 3 as float32 3 x height x width, 0 to 1."""
-    planes = np.empty((3, *image.shape[:2]), dtype=np.uint8)
-    cv2.split(image, list(planes))  # three times as fast as a permuted copy
-    return torch.from_numpy(planes).to(torch.float32).div_(255)
 
 
 def _choose(data: dict[str, Any], name: str | None, source: Path) -> tuple[KeypointModel, int]:

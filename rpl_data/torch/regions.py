@@ -9,10 +9,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 from jaxtyping import Float64, UInt8
 
+from rpl_data.torch.images import read_image
 from rpl_data.torch.transforms import Image
 from rpl_data.types import DataError
 
@@ -39,20 +39,6 @@ def region_around(square_box: Float64[np.ndarray, "3"], *, half: float, width: i
     left, top = (int(np.clip(np.floor(c - reach), 0, n - 1)) for c, n in ((cx, width), (cy, height)))
     right, bottom = (int(np.clip(np.ceil(c + reach), 1, n)) for c, n in ((cx, width), (cy, height)))
     return Region(left, top, max(right, left + 1), max(bottom, top + 1))
-
-
-def read_image(path: str, *, halved: bool = False) -> Image:
-    """The image as RGB; DataError when it is missing or broken.
-
-    Args:
-        halved: half as wide and high, each pixel the mean of four (a last odd one may be lost); of a JPEG the
-            fine half is then not decoded at all, which takes less than half the time.
-    """
-    size = cv2.IMREAD_REDUCED_GRAYSCALE_2 if halved else 0  # RGB decides about the colours
-    image = cv2.imread(path, size | cv2.IMREAD_COLOR_RGB) if os.path.exists(path) else None
-    if image is None:
-        raise DataError(f"cannot read the image {path}: missing or broken; export the dataset again")
-    return image
 
 
 class RegionCache:

@@ -23,7 +23,8 @@ from rpl_data.torch.transforms import Augmentation
 from training.evaluate_masks import evaluate
 from training.mask_crops import SquareCrops
 from training.mask_settings import Settings, load_settings
-from training.masks import build_model, load_segmenter, with_norm
+from training.mask_weights import load_segmenter
+from training.masks import build_model, with_norm
 from training.train_masks import train
 
 ROOT = Path(__file__).parents[2]

@@ -165,7 +165,7 @@ def score_sources(
 ) -> dict[str, dict[str, SplitScore]]:
     """For each split the scores of both networks, against the true masks."""
     from training.evaluate_masks import evaluate
-    from training.masks import load_segmenter
+    from training.mask_weights import load_segmenter
     from training.train_masks import CHECKPOINT
 
     scores: dict[str, dict[str, SplitScore]] = {split: {} for split in splits}

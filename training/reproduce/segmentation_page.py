@@ -119,9 +119,9 @@ def _examples(coco_json: Path, arms: list[str], out: Path, count: int = 3) -> st
     """Images spread over the split, the true masks and what each network found."""
     import cv2
 
-    from rpl_data.torch.regions import read_image
+    from rpl_data.torch.images import read_image
     from training.evaluate_masks import SCORE_THRESHOLD
-    from training.predict_masks import draw
+    from training.mask_pictures import draw
 
     data = read_coco(coco_json)
     names = ["background", *(c["name"] for c in sorted(data["categories"], key=lambda c: int(c["id"])))]

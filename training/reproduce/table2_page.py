@@ -230,7 +230,7 @@ def _tile(root: Path, data: Mapping[str, Any], cell: Cell, judged: Judged) -> An
     import numpy as np
 
     from rpl_data.formats.coco import instance_from_coco, intrinsics_from_coco, objects_from_coco
-    from rpl_data.torch.regions import read_image
+    from rpl_data.torch.images import read_image
     from training.pose_pictures import close_up, drawn
 
     models = [item.model for item in objects_from_coco(data)]
