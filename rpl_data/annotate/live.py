@@ -118,7 +118,7 @@ def _solve_known(
             solve(annotation, mine)
             placed += mine
         except DataError as error:
-            loose[scene] = str(error).removeprefix(f"object {annotation.object}, ")
+            loose[scene] = str(error).removeprefix(f"object {annotation.object}, scene {scene}: ")
     solution = solve(annotation, placed) if placed else None
     return Live(solution, loose, "", time.perf_counter() - started)
 

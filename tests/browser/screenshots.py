@@ -61,8 +61,16 @@ def unmarked(demo: Workspace, workspace: Workspace) -> Workspace:
 
 
 def keep(workspace: Workspace, clicks: list[Click]) -> None:
-    """Add clicks to the log."""
-    workspace.append_events(OBJECT, [click_event(click) for click in clicks])
+    """Add clicks to the log; what is clicked nowhere in a scene is not visible there."""
+    there = {(click.keypoint, click.scene) for click in clicks}
+    keypoints = range(len(workspace.load_annotation(OBJECT).keypoints))
+    skips = [
+        {"op": "skip", "keypoint": keypoint, "scene": scene}
+        for scene in sorted({click.scene for click in clicks})
+        for keypoint in keypoints
+        if (keypoint, scene) not in there
+    ]
+    workspace.append_events(OBJECT, [*map(click_event, clicks), *skips])
 
 
 def mark(page: Page, docs: Path, clicks: list[Click]) -> None:
