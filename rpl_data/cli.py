@@ -345,18 +345,20 @@ def annotate(
     serve(workspace, place)
 
 
-def clicks_import(file: Path, workspace: Path = HERE) -> None:
+def clicks_import(file: Path, workspace: Path = HERE, proposed: bool = False) -> None:
     """Add the clicks of a CSV file; a click on the same keypoint in the same frame is replaced.
 
     Args:
         file: columns object,keypoint,scene,frame,u_px,v_px; a keypoint by name, or by number from 0.
         workspace: a folder made by `rpl build` or `rpl import`.
+        proposed: the clicks are a program's (`python -m training.predict --clicks`): what a person decided
+            stays, they only fill in keypoints that were not clicked in that scene nor declared not visible.
     """
     from rpl_data.build import context_of
     from rpl_data.pipeline.inputs import add_clicks
     from rpl_data.workspace import Workspace
 
-    for name, count in add_clicks(context_of(Workspace(workspace)), file).items():
+    for name, count in add_clicks(context_of(Workspace(workspace)), file, proposed=proposed).items():
         print(f"{name}: {count} clicks added or changed")
 
 

@@ -135,6 +135,28 @@ def test_clicks_go_out_and_in(recipe: Path, tmp_path: Path, capsys: pytest.Captu
     assert len(after) == len(before)
 
 
+def test_proposed_clicks_only_fill_in(
+    recipe: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    place, table = Workspace(tmp_path / "ws"), tmp_path / "recording" / "clicks.csv"
+    at = ["--workspace", str(place.root)]
+    heading, first, *rest = table.read_text().splitlines(keepends=True)
+    _, keypoint, scene, *_ = first.split(",")
+    mine = [line for line in rest if line.split(",")[1:3] != [keypoint, scene]]
+    table.write_text(heading + "".join(mine))
+    assert main(["import", str(recipe), *at]) == 0
+    assert main(["clicks", "import", str(table), *at]) == 0
+    before = set(place.load_annotation("carton").clicks)
+    proposals = tmp_path / "proposals.csv"
+    moved = [",".join([*line.split(",")[:4], "1.0", "2.0\n"]) for line in mine]
+    proposals.write_text(heading + first + "".join(moved))
+    capsys.readouterr()
+    assert main(["clicks", "import", str(proposals), *at, "--proposed=true"]) == 0
+    assert "carton: 1 clicks added or changed" in capsys.readouterr().out
+    after = set(place.load_annotation("carton").clicks)
+    assert before < after and len(after) == len(before) + 1
+
+
 def test_register_places_a_scene_and_keeps_the_model(recipe: Path, tmp_path: Path) -> None:
     place, clicks = Workspace(tmp_path / "ws"), tmp_path / "recording" / "clicks.csv"
     whole = clicks.read_text().splitlines(keepends=True)

@@ -12,18 +12,19 @@ from training.options import Crops
 
 def evaluate_pose(
     coco: Path,
-    keypoints: list[Path],
+    keypoints: list[Path] = [],  # noqa: B006 (never changed)
     detector: Path | None = None,
     split: str = "test",
     crops: Crops = "detected",
-    methods: list[Method] = ["epnp", "consensus"],  # noqa: B006 (never changed)
+    methods: list[Method] = ["epnp", "consensus"],  # noqa: B006
     metres_per_unit: float | None = None,
     out: Path | None = None,
 ) -> None:
     """Median position and orientation error, ADD, ADD-S, recall and PCK against true poses.
 
     The strict protocol is the default: scenes training never saw, crops of the detector, failures counted as
-    infinite. The paper's is `--split val --crops given`.
+    infinite. The paper's is `--split val --crops given`. For example: export/coco_truth --keypoints
+    '[drill/last.ckpt]' --detector detector/last.ckpt.
 
     Args:
         coco: folder with true labels: export/coco_truth (or export/coco to see how well labels are learned).

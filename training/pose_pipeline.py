@@ -69,7 +69,7 @@ class PosePipeline:
         elif self.detector is not None:
             found = self.detector.detect(image)
         else:
-            raise DataError("without a detector the crops must be given; name a checkpoint of train_detector")
+            raise DataError("without --detector, a checkpoint of train_detector, the crops must be given")
         return [
             _keypoints(self.networks[name], image, detection)
             for name, detection in found.items()
@@ -127,7 +127,9 @@ def read_depth_m(path: Path, metres_per_unit: float, *, like: np.ndarray) -> Dep
 
 
 def load_pipeline(networks: Sequence[Path], detector: Path | None = None) -> PosePipeline:
-    """The pipeline of checkpoints, one of `train_keypoints` an object."""
+    """The pipeline of checkpoints, one of `train_keypoints` an object; DataError when that is not so."""
+    if not networks:
+        raise DataError("no keypoint network is named; --keypoints takes a list: '[run/last.ckpt]'")
     loaded = [load_keypoints(path) for path in networks]
     by_name = {network.model.name: network for network in loaded}
     if len(by_name) < len(loaded):

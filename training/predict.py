@@ -21,10 +21,10 @@ SURE = 0.5
 
 def predict(
     images: Path,
-    keypoints: list[Path],
-    detector: Path,
-    camera: list[float],
-    distortion: list[float] = [],  # noqa: B006 (never changed)
+    keypoints: list[Path] = [],  # noqa: B006 (never changed)
+    detector: Path | None = None,
+    camera: list[float] = [],  # noqa: B006
+    distortion: list[float] = [],  # noqa: B006
     depth: Path | None = None,
     metres_per_unit: float = 0.001,
     out: Path = Path("predictions"),
@@ -34,14 +34,16 @@ def predict(
 ) -> None:
     """Poses of the objects in an image or in all images of a folder.
 
-    Writes poses.json (an entry an image: every object's camera_from_object or why there is none, keypoints,
-    confidences) and, in overlays/, the images with what was found drawn on them.
+    For example: IMAGES --keypoints '[drill/last.ckpt, carton/last.ckpt]' --detector detector/last.ckpt
+    --camera '[615, 615, 320, 240]'. Writes poses.json (an entry an image: every object's camera_from_object
+    or why there is none, keypoints, confidences) and, in overlays/, the images with what was found drawn on
+    them.
 
     Args:
         images: an image, or a folder; folders in it are looked into.
         keypoints: checkpoints of train_keypoints, one an object.
         detector: checkpoint of train_detector.
-        camera: fx fy cx cy in pixels, the centre of the top-left pixel is 0, 0: '[615, 615, 320, 240]'.
+        camera: fx, fy, cx, cy in pixels; the centre of the top-left pixel is 0, 0.
         distortion: OpenCV's coefficients, when the lens has any.
         depth: folder of depth images (16-bit PNG) registered to the images and named like them; poses then
             use the depth at the keypoints too.
@@ -49,7 +51,7 @@ def predict(
         out: folder.
         overlays: write pictures too.
         clicks: a CSV file for sure keypoints of objects that have a pose, as click proposals for
-            `rpl clicks import --proposed`; an image's folder is its scene, its name its frame's number.
+            `rpl clicks import --proposed true`; an image's folder is its scene, its name its frame's number.
         method: of PnP.
     """
     from rpl_data.files import write_json, write_text
@@ -151,7 +153,7 @@ def _entry(seen: SeenKeypoints, result: PoseEstimate | PoseFailure) -> dict[str,
 
 def _intrinsics(camera: Sequence[float], distortion: Sequence[float], image: Any) -> Intrinsics:
     if len(camera) != 4:
-        raise DataError(f"the camera is fx, fy, cx, cy; got {len(camera)} numbers: {camera}")
+        raise DataError(f"--camera is four numbers, '[fx, fy, cx, cy]'; got {len(camera)}: {camera}")
     height, width = image.shape[:2]
     fx, fy, cx, cy = camera
     return Intrinsics(fx, fy, cx, cy, width, height, tuple(distortion))

@@ -152,8 +152,15 @@ def import_clicks(workspace: Workspace, item: ObjectRecipe, path: Path) -> int:
     return len(events)
 
 
-def add_clicks(context: Context, path: Path) -> dict[str, int]:
-    """Add the clicks of a CSV file to the logs; returns how many events that took, by object."""
+def add_clicks(context: Context, path: Path, *, proposed: bool = False) -> dict[str, int]:
+    """Add the clicks of a CSV file to the logs; returns how many events that took, by object.
+
+    Args:
+        context: of the workspace.
+        path: the CSV file.
+        proposed: the clicks are a program's: none is taken for a keypoint that has been clicked in that scene
+            or was declared not visible there.
+    """
     text = read_text(path)
     named = set(objects_in_csv(text))
     chosen = [item for item in context.objects if item.name in named]
@@ -168,6 +175,9 @@ def add_clicks(context: Context, path: Path) -> dict[str, int]:
         names = annotation.keypoints or item.keypoint_names
         clicks = clicks_from_csv(text, source=str(path), object_name=item.name, keypoints=names)
         clicks = [context.workspace.parts().click_in_scene(click) for click in clicks]
+        if proposed:
+            decided = annotation.skipped | {(click.keypoint, click.scene) for click in annotation.clicks}
+            clicks = [click for click in clicks if (click.keypoint, click.scene) not in decided]
         events[item.name] = events_to(annotation, names, [*annotation.clicks, *clicks])
     for name, found in events.items():  # after all of the file was understood
         context.workspace.append_events(name, found)
