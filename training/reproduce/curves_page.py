@@ -20,11 +20,10 @@ SAYS = {
     "keypoints": "fairly independent of N_k",
     "scenes": "improves with N_s",
 }
-
-
 NOTE_OF_FIT = (
     "A model is fitted to the truth before it is measured, which hides more of the error the fewer keypoints "
-    "there are (sqrt(1 - 2 / N_k) is left). Dashed, and what the statement is judged by: without that."
+    "there are: sqrt(1 - 2 / N_k) is left. Without that: the dashed "
+    "lines, by which the statement is judged."
 )
 
 
@@ -133,13 +132,15 @@ def draw(curves: Sequence[Curve], against: str) -> bytes:
 
 
 def _table(chosen: Sequence[Judged]) -> str:
-    header = ("object", "first mm", "last mm", "change mm", "judged by", "spread mm", "failed", "the paper's")
+    """Against N_k with one more column: the change that is judged."""
+    of_keypoints = chosen[0].curve.against == "keypoints"
+    changes = ("change, 95 % interval", *(("without what the fit hides",) if of_keypoints else ()))
+    header = ("object", "first mm", "last mm", *changes, "spread mm", "failed", "the paper's statement")
     body: list[list[str | Cell]] = []
     for one in chosen:
         means = np.nanmean(np.array(one.curve.error_mm), axis=0)
         verdict = Cell("holds", kind="good") if one.holds else Cell("does not hold", kind="over")
-        changes = (_interval(one.measured), _interval(one.fair))
-        ends = (number(means[0]), number(means[-1]))
-        failed = str(one.curve.failed)
-        body.append([one.curve.object, *ends, *changes, number(one.measured.spread), failed, verdict])
+        intervals = [_interval(slope) for slope in (one.measured, one.fair)[: len(changes)]]
+        ends, spread = (number(means[0]), number(means[-1])), number(one.measured.spread)
+        body.append([one.curve.object, *ends, *intervals, spread, str(one.curve.failed), verdict])
     return table(header, body)
