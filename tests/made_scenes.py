@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from rpl_data.geometry import from_rotvec, invert, rays, rotation_angle_rad
-from rpl_data.reconstruct.tracking import Track, collected, track
+from rpl_data.reconstruct.path import Track, collected
+from rpl_data.reconstruct.tracking import track
 from rpl_data.types import DepthImage, Frame, GreyImage, Intrinsics, Scene, Trajectory
 
 CAMERA = Intrinsics(300.0, 300.0, 159.5, 119.5, 320, 240)
@@ -31,7 +32,12 @@ def brightness(points: np.ndarray, contrast: float) -> np.ndarray:
 
 
 def shot(
-    scene_from_camera: np.ndarray, *, boxes: bool, contrast: float, rng: np.random.Generator
+    scene_from_camera: np.ndarray,
+    *,
+    boxes: bool,
+    contrast: float,
+    rng: np.random.Generator,
+    noise: float = 1.0,
 ) -> tuple[GreyImage, DepthImage]:
     """Small brightness and depth of a wall 0.9 m ahead of the first camera, with things before it or not."""
     v, u = np.mgrid[0 : CAMERA.height, 0 : CAMERA.width]
@@ -46,8 +52,8 @@ def shot(
         across = np.sort(([x, y, z] - origin + half * np.array([-1, 1])[:, None, None]) / directions, axis=0)
         enters, leaves = across[0].max(axis=1), across[1].min(axis=1)
         t = np.where(enters < leaves, np.minimum(t, enters), t)
-    grey = brightness(origin + directions * t[:, None], contrast) + rng.normal(0, 2, len(t))
-    depth_m = t + rng.normal(0, 0.001, len(t)) * (t / 0.7) ** 2
+    grey = brightness(origin + directions * t[:, None], contrast) + noise * rng.normal(0, 2, len(t))
+    depth_m = t + noise * rng.normal(0, 0.001, len(t)) * (t / 0.7) ** 2
     small = grey.reshape(CAMERA.height // 2, 2, CAMERA.width // 2, 2).mean(axis=(1, 3))
     return small.clip(0, 255).round().astype(np.uint8), depth_m.reshape(u.shape).astype(np.float32)
 

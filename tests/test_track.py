@@ -17,7 +17,8 @@ from rpl_data.formats.rpl import write_associations
 from rpl_data.geometry import from_rotvec
 from rpl_data.pipeline.poses import decoded
 from rpl_data.recipe import parse_recipe
-from rpl_data.reconstruct.tracking import collected, losses, track
+from rpl_data.reconstruct.path import collected, losses
+from rpl_data.reconstruct.tracking import track
 from rpl_data.reprojection import reprojection_over_gap
 from rpl_data.types import DataError
 from rpl_data.workspace import Workspace, read_depth_m

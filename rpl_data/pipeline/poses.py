@@ -23,7 +23,8 @@ def _track_step(context: Context, name: str) -> Step:
     workspace = context.workspace
 
     def run(advance: Advance) -> Outcome:
-        from rpl_data.reconstruct.tracking import collected, losses, track
+        from rpl_data.reconstruct.path import collected, losses
+        from rpl_data.reconstruct.tracking import track
 
         scene = workspace.load_scene(name)
         frames = [frame for frame in scene.frames if frame.depth is not None]

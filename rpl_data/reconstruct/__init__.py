@@ -1,1 +1,1 @@
-"""Scene -> trajectory and surface: from given poses (`surface`)."""
+"""Scene -> trajectory (`tracking`, `path`) and, from poses given or tracked, the surface (`surface`)."""

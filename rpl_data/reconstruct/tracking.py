@@ -20,7 +20,7 @@ from rpl_data.reconstruct.information import Estimate, motion_between, moved, si
 from rpl_data.reconstruct.model_map import Keyframe, ModelMap
 from rpl_data.reconstruct.relocalise import keyframe_from_camera, landmarks_of
 from rpl_data.reconstruct.view import View, Viewer
-from rpl_data.types import DataError, DepthImage, Frame, GreyImage, Scene, Trajectory
+from rpl_data.types import DepthImage, Frame, GreyImage, Scene
 
 KEYFRAME_M = 0.08
 """A view this far from that of every keyframe becomes one; a turn counts by its arc (`LEVER_M`)."""
@@ -164,8 +164,7 @@ class Tracker:
         if trust == 1.0 and weakest_sigma_m(fit.estimate.information - PREDICTED) < SURE_M:
             return fit
         known = self._map.align(view, fit.estimate.scene_from_camera)
-        fit = align(view, keyframe, known.scene_from_camera, known, levels=(0,), color_trust=trust)
-        return fit
+        return align(view, keyframe, known.scene_from_camera, known, levels=(0,), color_trust=trust)
 
 
 def unlike(fit: Fit) -> float:
@@ -178,55 +177,3 @@ def holds(fit: Fit) -> bool:
     alike = unlike(fit) < 1 - LEAST_CORRELATION
     known = weakest_sigma_m(fit.estimate.information - PREDICTED) < KNOWN_M
     return fit.seen > LEAST_SEEN and fit.agreeing > LEAST_AGREEING and alike and known
-
-
-@dataclass(frozen=True)
-class Track:
-    """The path of the camera in a recording.
-
-    Attributes:
-        trajectory: of the frames that were tracked.
-        lost: indices of the others.
-    """
-
-    trajectory: Trajectory
-    lost: tuple[int, ...]
-
-
-def collected(scene: Scene, tracked: Iterable[Tracked]) -> Track:
-    """All frames of a recording.
-
-    Raises:
-        DataError: hardly anything could be tracked.
-    """
-    found = [(item.frame.index, item.scene_from_camera) for item in tracked]
-    good = [(index, pose) for index, pose in found if pose is not None]
-    if len(good) < 2:
-        raise DataError(
-            f"scene {scene.name}: the camera could not be tracked in any of its {len(found)} frames; "
-            "expected depth and something to hold on to (edges, print, several objects) in every view, and a "
-            "camera that moves less than a tenth of the image from frame to frame; record it again, or give "
-            "it poses"
-        )
-    trajectory = Trajectory(
-        np.array([index for index, _ in good], dtype=np.int64), np.array([pose for _, pose in good])
-    )
-    return Track(trajectory, tuple(index for index, pose in found if pose is None))
-
-
-def losses(scene: Scene, track: Track) -> list[str]:
-    """What was lost, a line each: frames in between, and the rest when the track was never found again."""
-    last = int(track.trajectory.frames[-1])
-    rest = [index for index in track.lost if index > last]
-    between = [index for index in track.lost if index < last]
-    total = len(scene.frames)
-    lines = []
-    if between:
-        listed = ", ".join(map(str, between[:12])) + (", ..." if len(between) > 12 else "")
-        lines.append(f"{len(between)} of {total} frames could not be tracked and are left out: {listed}")
-    if rest:
-        lines.append(
-            f"the track was lost for good after frame {last}: the last {len(rest)} of {total} frames are "
-            "left out; move the camera more slowly there, or record that part as a scene of its own"
-        )
-    return lines

@@ -21,8 +21,9 @@ from made_scenes import errors, orbit, tracked
 from rpl_data.capture import open_scenes
 from rpl_data.geometry import fit_rigid, invert, resized, transform
 from rpl_data.pipeline.poses import decoded
+from rpl_data.reconstruct.path import Track, collected
 from rpl_data.reconstruct.surface import fuse_surface
-from rpl_data.reconstruct.tracking import Track, Tracker, collected, track
+from rpl_data.reconstruct.tracking import Tracker, track
 from rpl_data.reconstruct.view import REDUCE, Viewer
 from rpl_data.reprojection import reprojection_over_gap
 from rpl_data.types import DataError, DepthImage, Frame, GreyImage, Recording, Scene, Trajectory

@@ -6,13 +6,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import yaml
 from jaxtyping import Float64
 
 from rpl_data.build import context_of
 from rpl_data.formats.pose_lines import read_pose_lines
 from rpl_data.formats.rpl import write_poses
-from rpl_data.recipe import Recipe, SceneSource, parse_recipe, recipe_to_yaml
+from rpl_data.recipe import Recipe, SceneSource
 from rpl_data.twin.drift import Drift, drifted
 from rpl_data.types import DataError
 from rpl_data.workspace import Workspace
@@ -43,9 +42,7 @@ def with_trajectories(workspace: Workspace, kind: Trajectories, folder: Path, *,
         truth=workspace.truth,
     )
     if kind == "tracked":
-        tracked = replace(changed, reconstruct=replace(changed.reconstruct, method="track"))
-        # Read back, so that what a recipe file may not ask for is refused here too.
-        return parse_recipe(yaml.safe_load(recipe_to_yaml(tracked)), source="tracked trajectories")
+        return replace(changed, reconstruct=replace(changed.reconstruct, method="track"))
     write_drifting(workspace, folder, Drift(), seed=seed)
     return replace(changed, scenes=(SceneSource(folder, metres_per_unit=0.001),))
 

@@ -1,0 +1,92 @@
+"""Differences between a frame and a keyframe -> what they say about the motion (normal equations)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool
+
+from rpl_data.reconstruct.comparison import Compared, Derivative, Pixels, Values
+from rpl_data.reconstruct.information import INDEPENDENT, Information, Motion, above_noise
+
+LEAST_PIXELS = 100
+"""Fewer say nothing."""
+
+GREY_NOISE, DEPTH_NOISE = 0.35, 0.15
+"""Noise of a slope (of the smoothed depth, for depth) for one of the difference of two pixels; half of that
+difference's variance is the keyframe's, and the filters of the slopes do the rest."""
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What one kind of difference says about the motion.
+
+    Attributes:
+        information, pull: of the normal equations.
+        weights: of the pixels.
+        slope_noise: standard deviation of the keyframe's slopes.
+    """
+
+    information: Information
+    pull: Motion
+    weights: Values
+    slope_noise: float
+
+    def above_noise(self, compared: Compared) -> Information:
+        """The information without what noisy slopes show where there are none."""
+        weights = self.weights * np.float32(self.slope_noise**2)
+        u, v = compared.u_by_motion, compared.v_by_motion
+        noise = (u * weights) @ u.T + (v * weights) @ v.T
+        return above_noise(self.information, noise.astype(float))
+
+
+def of_brightness(pixels: Pixels, compared: Compared) -> Evidence:
+    """Differences of brightness, with a gain and an offset between the exposures."""
+    gain, offset = _exposure(compared.grey[compared.agrees], pixels.grey[compared.agrees])
+    residuals = pixels.grey - (gain * compared.grey + offset)
+    return _evidence(
+        residuals, gain * compared.grey_by_motion, compared.agrees, slope_noise=GREY_NOISE, floor=1.0
+    )
+
+
+def of_depth(compared: Compared) -> Evidence:
+    """Differences of depth."""
+    return _evidence(
+        -compared.step_m, compared.step_by_motion, compared.smooth, slope_noise=DEPTH_NOISE, floor=5e-4
+    )
+
+
+def _evidence(
+    residuals: Values,
+    derivative: Derivative,
+    use: Bool[np.ndarray, " n"],
+    *,
+    slope_noise: float,
+    floor: float,
+) -> Evidence:
+    """Normal equations with Cauchy's weights; the scale is the residuals' own, and `floor` more.
+
+    Args:
+        slope_noise: for a scale of 1.
+    """
+    count = int(np.count_nonzero(use))
+    if count < LEAST_PIXELS:
+        return Evidence(np.zeros((6, 6)), np.zeros(6), np.zeros_like(residuals), slope_noise)
+    sizes = np.abs(residuals[use])
+    sigma = 1.4826 * float(np.partition(sizes, count // 2)[count // 2]) + floor
+    weights = use * np.float32(INDEPENDENT / sigma**2) / (1 + (residuals / np.float32(2 * sigma)) ** 2)
+    weighted = np.where(use, derivative * weights, np.float32(0))
+    derivative = np.where(use, derivative, np.float32(0))  # NaN near missing depth
+    information = (weighted @ derivative.T).astype(float)
+    return Evidence(information, (weighted @ residuals).astype(float), weights, slope_noise * sigma)
+
+
+def _exposure(there: Values, here: Values) -> tuple[np.float32, np.float32]:
+    """Gain and offset between two exposures by quartiles: edges that do not meet yet hardly move them."""
+    if len(there) < LEAST_PIXELS:
+        return np.float32(1), np.float32(0)
+    quartiles = (np.array([0.25, 0.5, 0.75]) * len(there[::4])).astype(int)
+    a, b = np.sort(there[::4])[quartiles], np.sort(here[::4])[quartiles]
+    gain = np.clip((b[2] - b[0]) / max(a[2] - a[0], np.float32(1)), np.float32(0.5), np.float32(2))
+    return gain, b[1] - gain * a[1]
