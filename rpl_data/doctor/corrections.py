@@ -7,7 +7,7 @@ on from the corrected geometry, so two faults at a time are found one after the 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -21,8 +21,14 @@ from rpl_data.mend import Mend, mended_poses
 MUCH_BETTER = 0.7
 """A correction must bring the differences of depth down to this share."""
 
+BETTER, LEAST_FACTOR = 0.95, 1.1
+"""Of a focal length a smaller gain will do, when the best one is surely this factor away: what is left is
+the noise of depth, which has no say in where the best one lies. Calibrations are right to 1 %."""
+
 SURE = 0.9
 """And do so in this share of resamples."""
+
+FEWEST_PAIRS = 5
 
 LAGS = tuple(lag for lag in range(-5, 6) if lag)
 DEPTH_FACTORS = (0.1, 0.2, 0.25, 0.5, 0.7, 0.8, 0.9, 1.1, 1.25, 1.4, 2.0, 4.0, 5.0, 10.0)
@@ -36,6 +42,7 @@ class Correction:
 
     Attributes:
         mend: the option that does it, where there is one.
+        sure: of a factor, share of resamples that put it beyond `LEAST_FACTOR`.
     """
 
     kind: Kind
@@ -43,6 +50,7 @@ class Correction:
     todo: str
     geometry: Geometry
     mend: Mend | None = None
+    sure: float = 0.0
 
 
 def faults(views: Views, geometry: Geometry, *, most: int = 3) -> list[Finding]:
@@ -52,7 +60,7 @@ def faults(views: Views, geometry: Geometry, *, most: int = 3) -> list[Finding]:
     while len(findings) < most:
         tried = [(found, differences(views, found.geometry)) for found in _corrections(views, geometry)]
         best, then = min(tried, key=lambda pair: _mean(now, pair[1]))
-        sure = _sure(now, then)
+        sure = max(_sure(now, then, MUCH_BETTER), min(best.sure, _sure(now, then, BETTER)))
         if sure < SURE:
             break
         share = f"depth images then agree {_mean(now, now) / _mean(now, then):.1f} times better"
@@ -67,22 +75,32 @@ def _mean(now: Float64[np.ndarray, " pairs"], then: Float64[np.ndarray, " pairs"
     return float(then[both].mean()) if 2 * both.sum() > np.isfinite(now).sum() else float("inf")
 
 
-def _sure(
-    now: Float64[np.ndarray, " pairs"], then: Float64[np.ndarray, " pairs"], *, resamples: int = 200
-) -> float:
-    """Share of bootstrap resamples of the pairs in which `then` is much better."""
-    both = np.flatnonzero(np.isfinite(now) & np.isfinite(then))
-    if len(both) < 5:
+def _sure(now: Float64[np.ndarray, " pairs"], then: Float64[np.ndarray, " pairs"], share: float) -> float:
+    """Share of bootstrap resamples of the pairs in which `then` is at most that share of `now`."""
+    both = np.isfinite(now) & np.isfinite(then)
+    if both.sum() < FEWEST_PAIRS:
         return 0.0
-    chosen = np.random.default_rng(0).choice(both, (resamples, len(both)))
-    return float((then[chosen].mean(axis=1) < MUCH_BETTER * now[chosen].mean(axis=1)).mean())
+    means_now, means_then = _resampled_means(np.stack([now[both], then[both]]))
+    return float((means_then < share * means_now).mean())
+
+
+def _resampled_means(
+    values: Float64[np.ndarray, "rows pairs"], *, resamples: int = 200
+) -> Float64[np.ndarray, "rows resamples"]:
+    """Means of each row over the same resamples of the pairs."""
+    count = values.shape[1]
+    chosen = np.random.default_rng(0).choice(count, (resamples, count))
+    means: Float64[np.ndarray, "rows resamples"] = values[:, chosen].mean(axis=2)
+    return means
 
 
 def _corrections(views: Views, geometry: Geometry) -> Iterator[Correction]:
     yield from _readings(geometry)
     yield from _pose_lags(views, geometry)
     yield _best_factor(views, DEPTH_FACTORS, lambda factor: _other_depth_unit(geometry, factor))
-    yield _best_factor(views, FOCAL_FACTORS, lambda factor: _other_focal_length(geometry, factor))
+    yield _best_factor(
+        views, FOCAL_FACTORS, lambda factor: _other_focal_length(geometry, factor), with_sureness=True
+    )
     yield from (_other_size(geometry, factor) for factor in SIZE_FACTORS)
 
 
@@ -122,18 +140,33 @@ def shifted(
 
 
 def _best_factor(
-    views: Views, factors: Sequence[float], corrected: Callable[[float], Correction]
+    views: Views,
+    factors: Sequence[float],
+    corrected: Callable[[float], Correction],
+    *,
+    with_sureness: bool = False,
 ) -> Correction:
     """The best correction of a family with one factor: the best of a coarse, a finer and a fine grid."""
-    best = _cheapest(views, factors, corrected)
-    for step in (0.04, 0.01):
-        near = [best * float(np.exp(step * n)) for n in range(-3, 4)]
-        best = _cheapest(views, near, corrected)
-    return corrected(best)
+    tried: dict[float, Float64[np.ndarray, " pairs"]] = {}
+    grid = [1.0, *factors]
+    for step in (0.04, 0.01, 0.0):
+        tried |= {
+            factor: differences(views, corrected(factor).geometry) for factor in grid if factor not in tried
+        }
+        best = min(tried, key=lambda factor: np.nanmean(tried[factor]) if factor != 1 else np.inf)
+        grid = [best * float(np.exp(step * n)) for n in range(-3, 4)]
+    found = corrected(best)
+    return replace(found, sure=_sure_of_factor(tried)) if with_sureness else found
 
 
-def _cheapest(views: Views, factors: Sequence[float], corrected: Callable[[float], Correction]) -> float:
-    return min(factors, key=lambda factor: np.nanmean(differences(views, corrected(factor).geometry)))
+def _sure_of_factor(tried: Mapping[float, Float64[np.ndarray, " pairs"]]) -> float:
+    """Share of resamples whose best factor is farther from 1 than `LEAST_FACTOR`."""
+    values = np.stack(list(tried.values()))
+    judged = np.isfinite(values).all(axis=0)
+    if judged.sum() < FEWEST_PAIRS:
+        return 0.0
+    best = np.array(list(tried))[_resampled_means(values[:, judged]).argmin(axis=0)]
+    return float((np.abs(np.log(best)) > np.log(LEAST_FACTOR)).mean())
 
 
 def _other_depth_unit(geometry: Geometry, factor: float) -> Correction:
