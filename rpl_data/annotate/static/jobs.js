@@ -1,6 +1,7 @@
 // Builds: the dense model, the labels, the dataset. They run on the server and go on when the page is closed.
 
 import { get, post } from "./api.js";
+import { openObject } from "./app.js";
 import * as dense from "./dense.js";
 import { element } from "./dom.js";
 import { openScene } from "./frames.js";
@@ -22,6 +23,7 @@ export function setUp() {
   onNews("job", heard);
   onAction("label", () => start("label"));
   onAction("export", () => start("export"));
+  onAction("object", (step) => openObject(step.object));
   addKeys([[["x"], "make what is missing: dense model and labels, then the dataset", () => start(app.fresh.label ? "export" : "label")]]);
   onChange(refresh);
   onChange(advise);
@@ -77,7 +79,7 @@ function advise() {
 function afterClicks() {
   if (atWork()) return { text: `working: ${app.job.what || app.job.stage} …` };
   const other = (app.unmarked || []).find((name) => name !== app.state.object);
-  if (other) return { text: `${app.state.object} is marked in every scene; now mark ${other}: choose it above`, object: other };
+  if (other) return { text: `${app.state.object} is marked in every scene; now mark ${other}`, action: "object", object: other };
   if (!app.fresh?.label)
     return { text: "every scene is placed and every keypoint known: make the dense model and the labels", action: "label", label: "Make them " };
   if (!app.fresh.export)
