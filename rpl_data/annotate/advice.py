@@ -57,7 +57,10 @@ def _bad_click(annotation: Annotation, live: Live) -> Advice | None:
     worst = max(bad, key=lambda residual: residual.error_px)
     where = f"scene {worst.click.scene}, frame {worst.click.frame}"
     name = annotation.keypoints[worst.click.keypoint]
-    text = f"look at the click on {name} in {where}: {worst.reason}. Drag it to its place, or delete it (Del)"
+    text = (
+        f"look at the click on {name} in {where}: {worst.reason}. Drag it to its place; "
+        "if it is right, mark it in another sharp frame (]) too"
+    )
     return Advice(text, worst.click.scene, worst.click.frame, worst.click.keypoint)
 
 

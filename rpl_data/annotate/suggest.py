@@ -11,8 +11,8 @@ from jaxtyping import Float64
 from rpl_data.annotate.scenes import PosedScene
 from rpl_data.geometry import inside_image, invert, project
 
-MOST = 6
-"""Frames a scene."""
+MOST, LEAST = 6, 3
+"""Frames a scene; from the same side when there is no other."""
 APART_RAD = np.radians(12)
 """Frames from nearly the same side are not suggested twice."""
 OPENED = 4
@@ -45,10 +45,11 @@ def suggest_frames(posed: PosedScene, centre_scene: Float64[np.ndarray, "3"] | N
     if not usable.any():
         usable[:] = True
     chosen = _spread(towards / distance_m[:, None], usable, distance_m, speed)
+    sides = len(chosen)
     found: dict[int, str] = {}
-    for number, row in enumerate(chosen):
+    for number, row in enumerate(_with_slow_ones(chosen, usable, speed)):
         sharpest = _sharpest_near(posed, rows, row, usable, speed)
-        why = "sharp, new side" if number else "near and sharp"
+        why = "near and sharp" if number == 0 else "sharp, new side" if number < sides else "sharp"
         found.setdefault(int(posed.trajectory.frames[rows[sharpest]]), why)
     return [Suggestion(frame, why) for frame, why in sorted(found.items())]
 
@@ -99,6 +100,17 @@ def _spread(
             break
         chosen.append(int(apart.argmax()))
     return chosen
+
+
+def _with_slow_ones(chosen: list[int], usable: np.ndarray, speed: np.ndarray) -> list[int]:
+    """The chosen rows, and, where they are few, slow ones that lie apart from them in time."""
+    more, apart = list(chosen), max(1, len(speed) // (2 * LEAST))
+    for row in np.argsort(speed, kind="stable"):
+        if len(more) >= LEAST:
+            break
+        if usable[row] and all(abs(int(row) - other) >= apart for other in more):
+            more.append(int(row))
+    return more
 
 
 def _sharpest_near(

@@ -100,23 +100,28 @@ class Person:
     def follow_advice(self) -> None:
         """Do what the next step says until it is to make the labels."""
         for _ in range(60):
-            step = self.state()["next"]
+            here = self.state()
+            step = here["next"]
             if step["action"] == "label":
                 return
-            here = self.state()
-            if (step["scene"], step["keypoint"]) != (here["scene"], here["keypoint"]) or step["frame"]:
+            place = (step["scene"], step["frame"] or here["frame"], step["keypoint"])
+            if place != (here["scene"], here["frame"], here["keypoint"]):
                 self.key("g")
                 self.page.wait_for_timeout(300)
+            if step["frame"] is not None:  # it is to look at a click again: it was right
+                self.key("]")
             self.mark_or_skip()
         raise AssertionError(f"after 60 actions the page still says: {step['text']}")
 
-    def wait_for(self, stage: str) -> float:
-        """Press G, and wait until the stage is done; seconds."""
+    def make(self, stage: str) -> float:
+        """Follow the next steps until the stage is done; seconds."""
         started = time.perf_counter()
-        self.key("g")
-        while not self.page.evaluate(STATE)["fresh"].get(stage):
-            self.page.wait_for_timeout(200)
-            assert time.perf_counter() - started < 400, f"{stage} is not done"
+        while not (state := self.page.evaluate(STATE))["fresh"].get(stage):
+            step = state["next"]
+            if step.get("action") == stage or step.get("view"):  # nothing is offered while a job is at work
+                self.key("g")
+            self.page.wait_for_timeout(500)
+            assert time.perf_counter() - started < 400, f"{stage} is not done: {step['text']}"
         return time.perf_counter() - started
 
 
@@ -163,7 +168,7 @@ def main(data: Path, folder: Path) -> None:
         person.follow_advice()
         marked = time.perf_counter() - started
         annotation = workspace.load_annotation("cube")
-        labelled, exported = person.wait_for("label"), person.wait_for("export")
+        labelled, exported = person.make("label"), person.make("export")
         browser.close()
         server.kill()
     errors_px = label_errors_px(workspace, cube)

@@ -18,11 +18,11 @@ export async function openScene(name, index = null, part = {}) {
   change({ ...part, scene: name, row });
 }
 
-// The first suggested frame; null when it is not known soon.
+// The suggested frame that is near and sharp; null when it is not known soon.
 async function beginning(name) {
   const late = new Promise((resolve) => setTimeout(resolve, PATIENCE_MS, null));
   const found = app.suggestions[name] || (await Promise.race([suggestions(name), late]));
-  return found?.[0]?.frame ?? null;
+  return (found?.find(({ why }) => why.startsWith("near")) || found?.[0])?.frame ?? null;
 }
 
 // Frames of a scene worth marking; null when the server cannot say.
