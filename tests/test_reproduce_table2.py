@@ -14,8 +14,9 @@ from rpl_data.pose.errors import INFINITE, PoseErrors
 from rpl_data.workspace import Workspace
 from training.options import DetectorNetwork, Learning, Machine, Network
 from training.pose_scores import Judged, PoseScore
-from training.reproduce.pose_comparison import Cell, counts, ratios
+from training.reproduce.pose_comparison import Cell, Ratio, counts, ratios
 from training.reproduce.table2 import table2
+from training.reproduce.table2_page import verdict
 
 NETWORK = Network(stacks=1, features=16, levels=2, input_px=32, heatmap_px=8, loss="entropy")
 DETECTOR = DetectorNetwork(width_px=96, features=32)
@@ -76,6 +77,14 @@ def test_ratio_counts_failures_as_infinite() -> None:
     position = ratios([(cell("OURS"), broken), (cell("MANUAL"), fine)])[0]
     assert position.value == np.inf and position.high == np.inf
     assert np.isnan(ratios([(cell("OURS"), broken), (cell("MANUAL"), broken)])[0].value)
+
+
+@pytest.mark.parametrize(("value", "low", "high", "expected"), [
+    (1.0, 0.9, 1.1, "yes"), (1.1, 0.9, 1.3, "yes, not surely"),
+    (1.2, 1.0, 1.4, "no, not surely"), (1.4, 1.2, np.inf, "no"),
+])  # fmt: skip
+def test_verdict_says_what_the_interval_leaves_open(value, low, high, expected) -> None:
+    assert verdict(Ratio("drill", "val", "epnp", "position", value, low, high)) == expected
 
 
 def test_ratio_of_unlike_instances_is_none() -> None:
