@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -98,3 +99,25 @@ def read_text(path: Path, *, errors: Literal["strict", "replace"] = "strict") ->
         raise DataError(f"{path} does not exist") from error
     except (OSError, UnicodeDecodeError) as error:
         raise DataError(f"cannot read {path}: {error}") from error
+
+
+def append_bytes(path: Path, content: bytes) -> None:
+    """Add whole lines to a log, on the disk when this returns; on an error the log stays as it was."""
+    with path.open("ab", buffering=0) as file:  # a buffer would be written after the truncation
+        end = path.read_bytes().rfind(b"\n") + 1  # behind it: half a line, left by a crash
+        file.truncate(end)
+        try:
+            while content:
+                content = content[file.write(content) :]
+            os.fsync(file.fileno())  # an acknowledged click survives a power cut
+        except OSError:
+            file.truncate(end)
+            raise
+
+
+def remove(path: Path) -> None:
+    """Delete a file or a folder of ours, if it is there."""
+    if path.is_dir():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)

@@ -28,6 +28,7 @@ from rpl_data.geometry import (
     transform,
 )
 from rpl_data.raycast import RayScene, render_depth_m
+from rpl_data.surface_files import load_mesh, save_mesh
 from rpl_data.types import (
     DataError,
     FrameLabel,
@@ -39,7 +40,7 @@ from rpl_data.types import (
     Scene,
     Solution,
 )
-from rpl_data.workspace import Workspace, load_mesh, save_mesh
+from rpl_data.workspace import Workspace
 
 HIDDEN_BEHIND_M = 0.004
 """A keypoint this far behind the surface is hidden; less is the mesh's own inaccuracy."""

@@ -3,33 +3,33 @@
 from __future__ import annotations
 
 import json
-import os
-import shutil
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import cv2
 import numpy as np
-from jaxtyping import UInt16
 
 from rpl_data import records
 from rpl_data.clicklog import Annotation, Event, replay
 from rpl_data.depth_codec import DepthUnits, pack, unpack
-from rpl_data.files import read_json, read_text, write_bytes, write_json, write_text, writing
+from rpl_data.files import (
+    append_bytes,
+    read_json,
+    read_text,
+    remove,
+    write_bytes,
+    write_json,
+    write_text,
+    writing,
+)
 from rpl_data.geometry import Transform, from_quaternion_xyzw, to_quaternion_xyzw
 from rpl_data.parts import Parts, Span
-from rpl_data.ply import cloud_to_ply, mesh_to_ply
+from rpl_data.pixels import in_metres, read_depth_units
 from rpl_data.types import (
-    ColorImage,
     DataError,
     DepthImage,
-    DepthWarp,
     Frame,
     FrameLabel,
-    GreyImage,
-    Mesh,
-    PointCloud,
     Recording,
     Scene,
     Solution,
@@ -268,7 +268,7 @@ class Workspace:
                 units = read_depth_units(scene, frame)
                 if keep:
                     write_bytes(path, pack(units))
-            return _in_metres(scene, units)
+            return in_metres(scene, units)
 
         return read
 
@@ -281,7 +281,7 @@ class Workspace:
         lines = "".join(json.dumps(parts.event_in_video(event)) + "\n" for event in events)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            _append(path, lines.encode())
+            append_bytes(path, lines.encode())
         except OSError as error:
             why = f"{error.strerror}; the last action was not saved"
             raise DataError(f"cannot write {path}: {why}") from error
@@ -357,144 +357,8 @@ class Workspace:
                 yield records.frame_label_from_json(json.loads(line))
 
 
-def _append(path: Path, content: bytes) -> None:
-    """Add whole lines to a log, on the disk when this returns; on an error the log stays as it was."""
-    with path.open("ab", buffering=0) as file:  # a buffer would be written after the truncation
-        end = path.read_bytes().rfind(b"\n") + 1  # behind it: half a line, left by a crash
-        file.truncate(end)
-        try:
-            while content:
-                content = content[file.write(content) :]
-            os.fsync(file.fileno())  # an acknowledged click survives a power cut
-        except OSError:
-            file.truncate(end)
-            raise
-
-
-REDUCED_GREY = {
-    1: cv2.IMREAD_GRAYSCALE,
-    2: cv2.IMREAD_REDUCED_GRAYSCALE_2,
-    4: cv2.IMREAD_REDUCED_GRAYSCALE_4,
-    8: cv2.IMREAD_REDUCED_GRAYSCALE_8,
-}
-
-
-# Pixels -------------------------------------------------------------------------------------------
-
-
-def read_color(frame: Frame) -> ColorImage:
-    """The colour image as RGB; DataError when it is missing or broken."""
-    image = cv2.imread(str(frame.color), cv2.IMREAD_COLOR_RGB) if frame.color.exists() else None
-    if image is None:
-        raise DataError(
-            f"frame {frame.index}: cannot read the colour image {frame.color}; it is missing or broken"
-        )
-    return image
-
-
-def read_grey(frame: Frame, *, reduce: int) -> GreyImage:
-    """The brightness of the colour image at `1 / reduce` (1, 2, 4, 8) of its size.
-
-    DataError when it is missing or broken.
-
-    A JPEG is decoded at the small size, which takes a fraction of the time.
-    """
-    image = cv2.imread(str(frame.color), REDUCED_GREY[reduce]) if frame.color.exists() else None
-    if image is None:
-        raise DataError(
-            f"frame {frame.index}: cannot read the colour image {frame.color}; it is missing or broken"
-        )
-    return image
-
-
-def read_depth_m(scene: Scene, frame: Frame) -> DepthImage:
-    """The depth image in metres, 0 = none; DataError when it is missing, broken or of another size."""
-    return _in_metres(scene, read_depth_units(scene, frame))
-
-
-def _in_metres(scene: Scene, units: DepthUnits) -> DepthImage:
-    return units.astype(np.float32) * np.float32(scene.metres_per_unit)
-
-
 def _kept_units(path: Path, scene: Scene) -> DepthUnits | None:
     """A depth image of the cache; None where it is not there or broken, for it can be made again."""
     if not path.exists():
         return None
     return unpack(path.read_bytes(), height=scene.intrinsics.height, width=scene.intrinsics.width)
-
-
-def read_depth_units(scene: Scene, frame: Frame) -> UInt16[np.ndarray, "height width"]:
-    """The depth image as it is stored, on the colour image, 0 = none; DataError as `read_depth_m`."""
-    if frame.depth is None:
-        raise DataError(f"scene {scene.name}, frame {frame.index} has no depth image")
-    raw = cv2.imread(str(frame.depth), cv2.IMREAD_UNCHANGED) if frame.depth.exists() else None
-    expected = (scene.intrinsics.height, scene.intrinsics.width)
-    if raw is None or raw.dtype != np.uint16 or raw.shape != expected:
-        found = "nothing readable" if raw is None else f"{raw.dtype} {raw.shape}"
-        raise DataError(
-            f"scene {scene.name}, frame {frame.index}: {frame.depth} should be a 16-bit image of "
-            f"{expected[1]} x {expected[0]} px, found {found}; record it again or delete it"
-        )
-    units = raw.astype(np.uint16, copy=False)
-    for value in scene.no_depth_units:
-        units[units == value] = 0
-    return units if scene.depth_warp is None else _warped(units, scene.depth_warp)
-
-
-def _warped(raw: UInt16[np.ndarray, "height width"], warp: DepthWarp) -> UInt16[np.ndarray, "height width"]:
-    """Depth on the colour image; each pixel takes the nearest, 0 where none is."""
-    height, width = raw.shape
-    offset = (1 - warp.zoom) * (np.array([width, height]) - 1) / 2 + warp.shift_px
-    matrix = np.column_stack([warp.zoom * np.eye(2), offset])
-    return np.asarray(cv2.warpAffine(raw, matrix, (width, height), flags=cv2.INTER_NEAREST), np.uint16)
-
-
-# Surfaces -----------------------------------------------------------------------------------------
-
-
-def save_mesh(path: Path, mesh: Mesh) -> None:
-    """Write triangles as binary PLY, whole or not at all."""
-    write_bytes(path, mesh_to_ply(mesh))
-
-
-def load_mesh(path: Path) -> Mesh:
-    """Triangles from PLY, OBJ or anything Open3D reads; DataError when there are none."""
-    import open3d as o3d
-
-    if not path.exists():
-        raise DataError(f"there is no mesh {path}")
-    legacy = o3d.io.read_triangle_mesh(str(path))
-    if not legacy.has_triangles():
-        raise DataError(f"{path} holds no triangles; expected a mesh, not a point cloud")
-    colors = (
-        (np.asarray(legacy.vertex_colors) * 255).round().astype(np.uint8)
-        if legacy.has_vertex_colors()
-        else None
-    )
-    return Mesh(np.asarray(legacy.vertices).copy(), np.asarray(legacy.triangles).astype(np.int64), colors)
-
-
-def save_cloud(path: Path, cloud: PointCloud) -> None:
-    """Write points with normals as binary PLY, whole or not at all."""
-    write_bytes(path, cloud_to_ply(cloud))
-
-
-def load_cloud(path: Path) -> PointCloud:
-    """Points with normals from PLY; DataError when there are none."""
-    import open3d as o3d
-
-    if not path.exists():
-        raise DataError(f"there is no point cloud {path}")
-    legacy = o3d.io.read_point_cloud(str(path))
-    if not legacy.has_points() or not legacy.has_normals():
-        raise DataError(f"{path} should hold points with normals")
-    colors = (np.asarray(legacy.colors) * 255).round().astype(np.uint8) if legacy.has_colors() else None
-    return PointCloud(np.asarray(legacy.points).copy(), np.asarray(legacy.normals).copy(), colors)
-
-
-def remove(path: Path) -> None:
-    """Delete a file or a folder of ours, if it is there."""
-    if path.is_dir():
-        shutil.rmtree(path)
-    else:
-        path.unlink(missing_ok=True)

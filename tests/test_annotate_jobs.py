@@ -20,8 +20,9 @@ from rpl_data.annotate.work import Tell
 from rpl_data.build import build
 from rpl_data.files import locked
 from rpl_data.recipe import LabelRecipe, ObjectRecipe, Recipe, SceneSource
+from rpl_data.surface_files import load_cloud, load_mesh
 from rpl_data.types import DataError
-from rpl_data.workspace import Workspace, load_cloud, load_mesh
+from rpl_data.workspace import Workspace
 
 
 @pytest.fixture(scope="module")

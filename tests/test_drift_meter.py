@@ -17,9 +17,10 @@ from rpl_data.geometry import from_rotvec, rays, rigid
 from rpl_data.parts import Parts
 from rpl_data.pipeline.cuts import choose_cut
 from rpl_data.pipeline.products import quality_rows
+from rpl_data.pixels import read_depth_m
 from rpl_data.recipe import SceneSource
 from rpl_data.types import Click, DataError, Frame, Intrinsics, Recording, Scene, Trajectory
-from rpl_data.workspace import Workspace, read_depth_m
+from rpl_data.workspace import Workspace
 
 CAMERA = Intrinsics(150.0, 150.0, 79.5, 59.5, 160, 120)
 FRAMES = 40

@@ -18,9 +18,9 @@ from rpl_data.formats.coco import read_coco
 from rpl_data.formats.yolo import LINES, detect_line, pose_line, segment_line
 from rpl_data.pipeline.products import refuse_unknown_exports
 from rpl_data.split import SplitRule
+from rpl_data.surface_files import load_mesh, save_mesh
 from rpl_data.truth import box_mesh
 from rpl_data.types import DataError
-from rpl_data.workspace import load_mesh, save_mesh
 
 PLAIN = CAMERA.__class__(150.0, 151.0, 79.5, 59.5, 160, 120)
 SIZE = np.array([0.2, 0.2, 0.05])

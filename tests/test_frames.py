@@ -10,8 +10,8 @@ from recordings import CAMERA, LENS, cut, poses, write_color, write_depth
 
 from rpl_data.capture import open_scenes
 from rpl_data.formats.frames import read_frames, write_frame_camera, write_frame_pose
+from rpl_data.pixels import read_depth_m
 from rpl_data.types import DataError
-from rpl_data.workspace import read_depth_m
 
 FIRST = 540
 

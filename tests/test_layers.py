@@ -15,8 +15,8 @@ STAGES = {
 }  # fmt: skip
 LAYERS = [
     {"types"},
-    {"clicklog", "depth_codec", "files", "geometry", "ply", "records"},
-    {"masks", "mend", "parts", "regions", "reprojection", "split"},
+    {"clicklog", "depth_codec", "files", "geometry", "records"},
+    {"masks", "mend", "parts", "pixels", "regions", "reprojection", "split", "surface_files"},
     {
         "adjustment", "completion", "drift", "formats", "grasp", "lift", "occlusion", "overlay", "pool",
         "pose", "raycast", "simplify", "steps", "views", "workspace",

@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from rpl_data.geometry import from_rotvec, invert
 from rpl_data.mend import Mend, mended, mended_poses
+from rpl_data.pixels import read_depth_m
 from rpl_data.types import DataError, Frame, Intrinsics, Recording, Scene, Trajectory
-from rpl_data.workspace import read_depth_m
 
 POSES = np.array(
     [from_rotvec(np.array([0.3 * n, -0.2, 0.5]), np.array([0.1 * n, 0.2, -0.4])) for n in range(8)]

@@ -15,8 +15,8 @@ from rpl_data.capture.lens import intrinsics_of
 from rpl_data.capture.playback import read_realsense
 from rpl_data.formats.rosbag import repair_bag
 from rpl_data.geometry import project
+from rpl_data.pixels import read_color, read_depth_m
 from rpl_data.types import DataError, Recording
-from rpl_data.workspace import read_color, read_depth_m
 
 BAG = Path(__file__).parent / "data" / "realsense.bag"
 BAG_PAIRS = 120

@@ -16,6 +16,7 @@ from rpl_data.report.counts import FrameSummary
 from rpl_data.report.html import number
 from rpl_data.report.pictures import choose_frames, view_of
 from rpl_data.simplify import simplified
+from rpl_data.surface_files import save_mesh
 from rpl_data.types import (
     Click,
     ClickResidual,
@@ -32,7 +33,7 @@ from rpl_data.types import (
     Solution,
     SquareBox,
 )
-from rpl_data.workspace import Workspace, save_mesh
+from rpl_data.workspace import Workspace
 
 CAMERA = Intrinsics(100.0, 100.0, 39.5, 29.5, 80, 60)
 NAME = "cup <script>alert(1)</script>"

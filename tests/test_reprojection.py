@@ -10,9 +10,9 @@ import pytest
 
 from rpl_data.capture import open_scenes
 from rpl_data.geometry import from_rotvec, invert, rays
+from rpl_data.pixels import read_depth_m
 from rpl_data.reprojection import depth_reprojection_error_m, reprojection_over_gap
 from rpl_data.types import DepthImage, Frame, Intrinsics, Scene, Trajectory
-from rpl_data.workspace import read_depth_m
 
 CAMERA = Intrinsics(300.0, 300.0, 159.5, 119.5, 320, 240)
 WALL_M = 1.0

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from rpl_data.formats.surfels import Surfels, read_surfels, write_surfels
+from rpl_data.surface_files import load_cloud
 from rpl_data.types import DataError, PointCloud
-from rpl_data.workspace import load_cloud
 
 
 def ball(count: int = 500) -> Surfels:

@@ -16,12 +16,13 @@ from rpl_data.formats.camera_file import write_camera
 from rpl_data.formats.rpl import write_associations
 from rpl_data.geometry import from_rotvec
 from rpl_data.pipeline.poses import decoded
+from rpl_data.pixels import read_depth_m
 from rpl_data.recipe import parse_recipe
 from rpl_data.reconstruct.path import collected, losses
 from rpl_data.reconstruct.tracking import track
 from rpl_data.reprojection import reprojection_over_gap
 from rpl_data.types import DataError
-from rpl_data.workspace import Workspace, read_depth_m
+from rpl_data.workspace import Workspace
 
 
 @pytest.mark.parametrize("boxes", [True, False], ids=["with things", "bare printed wall"])

@@ -14,6 +14,8 @@ from scipy.spatial import cKDTree
 
 from rpl_data.formats.rpl import read_rpl
 from rpl_data.geometry import back_project, invert, project, transform
+from rpl_data.pixels import read_color, read_depth_m
+from rpl_data.surface_files import load_mesh
 from rpl_data.twin import TwinSpec, write_twin
 from rpl_data.twin.annotator import Mistakes, click
 from rpl_data.twin.film import Film, film
@@ -22,7 +24,7 @@ from rpl_data.twin.resting import resting_rotations
 from rpl_data.twin.scene import compose
 from rpl_data.twin.trajectory import hand_held
 from rpl_data.types import DataError, FrameLabel
-from rpl_data.workspace import Workspace, load_mesh, read_color, read_depth_m
+from rpl_data.workspace import Workspace
 
 TINY = TwinSpec(scenes=2, seconds=1.0, rate_hz=4.0, width=160, height=120, clutter=2)
 

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
+from rpl_data import pixels, surface_files
 from rpl_data import workspace as ws
 from rpl_data.clicklog import click_event, keypoints_event
 from rpl_data.geometry import from_rotvec
@@ -74,8 +75,8 @@ def test_a_trajectory_without_poses(workspace: ws.Workspace, tmp_path: Path) -> 
         (lambda w, s: w.load_trajectory(s), "scene 00 has no trajectory yet"),
         (lambda w, s: w.load_solution("cup"), "object cup has no solution yet; run `rpl solve`"),
         (lambda w, s: list(w.load_labels("00")), "scene 00 has no labels yet; run `rpl label`"),
-        (lambda w, s: ws.load_mesh(w.mesh_file("cup")), "there is no mesh"),
-        (lambda w, s: ws.load_cloud(w.cloud_file("cup")), "there is no point cloud"),
+        (lambda w, s: surface_files.load_mesh(w.mesh_file("cup")), "there is no mesh"),
+        (lambda w, s: surface_files.load_cloud(w.cloud_file("cup")), "there is no point cloud"),
         (lambda w, s: s.frame(1), "scene 00 has no frame 1: it has 4 frames, 0 to 6"),
         (lambda w, s: Trajectory(np.array([0, 2]), np.zeros((2, 4, 4))).at(1), "no pose for frame 1"),
         (lambda w, s: Trajectory(np.array([0, 2]), np.zeros((2, 4, 4))).at(3), "no pose for frame 3"),
@@ -123,11 +124,11 @@ def test_a_full_disk_saves_all_events_or_none(workspace: ws.Workspace, full_disk
 
 def test_a_mesh_on_a_full_disk_leaves_the_old_one(workspace: ws.Workspace, full_disk: FullDisk) -> None:
     path = workspace.mesh_file("cube")
-    ws.save_mesh(path, Mesh(np.eye(3), np.array([[0, 1, 2]])))
+    surface_files.save_mesh(path, Mesh(np.eye(3), np.array([[0, 1, 2]])))
     many = Mesh(RNG.normal(size=(3000, 3)), np.arange(3000).reshape(-1, 3))
     with full_disk(4096), pytest.raises(DataError, match="cannot write"):
-        ws.save_mesh(path, many)
-    assert len(ws.load_mesh(path).vertices) == 3
+        surface_files.save_mesh(path, many)
+    assert len(surface_files.load_mesh(path).vertices) == 3
     assert list(path.parent.iterdir()) == [path]
 
 
@@ -179,7 +180,7 @@ def test_labels_that_fail_half_way_leave_the_old_ones(workspace: ws.Workspace) -
 
 def test_color_is_rgb(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "0.png"), np.full((6, 8, 3), (1, 2, 3), np.uint8))  # BGR
-    assert ws.read_color(make_scene(tmp_path).frames[0])[0, 0].tolist() == [3, 2, 1]
+    assert pixels.read_color(make_scene(tmp_path).frames[0])[0, 0].tolist() == [3, 2, 1]
 
 
 def test_depth_is_metres_and_zero_is_none(tmp_path: Path) -> None:
@@ -187,7 +188,7 @@ def test_depth_is_metres_and_zero_is_none(tmp_path: Path) -> None:
     raw[0, 0], raw[0, 1] = 0, 65535
     cv2.imwrite(str(tmp_path / "0.depth.png"), raw)
     scene = make_scene(tmp_path, no_depth_units=(65535,))
-    depth_m = ws.read_depth_m(scene, scene.frames[0])
+    depth_m = pixels.read_depth_m(scene, scene.frames[0])
     assert depth_m.dtype == np.float32
     np.testing.assert_allclose(depth_m[0, :3], [0, 0, 1.5])
 
@@ -205,14 +206,14 @@ def test_depth_of_another_kind_is_refused(tmp_path: Path, image: np.ndarray | No
         cv2.imwrite(str(tmp_path / "0.depth.png"), image)
     scene = make_scene(tmp_path)
     with pytest.raises(DataError, match=rf"scene 00, frame 0: .* 16-bit image of 8 x 6 px, {found}"):
-        ws.read_depth_m(scene, scene.frames[0])
+        pixels.read_depth_m(scene, scene.frames[0])
 
 
 def test_broken_colour_is_named(tmp_path: Path) -> None:
     frame = make_scene(tmp_path).frames[1]
     frame.color.write_bytes(b"\x89PNG")
     with pytest.raises(DataError, match="frame 2: cannot read the colour image"):
-        ws.read_color(frame)
+        pixels.read_color(frame)
 
 
 # Surfaces
@@ -221,19 +222,19 @@ def test_broken_colour_is_named(tmp_path: Path) -> None:
 def test_mesh_and_cloud_round_trip(workspace: ws.Workspace) -> None:
     vertices, colors = RNG.normal(size=(4, 3)), RNG.integers(0, 256, (4, 3)).astype(np.uint8)
     mesh = Mesh(vertices, np.array([[0, 1, 2], [0, 2, 3]]), colors)
-    ws.save_mesh(workspace.mesh_file("cube"), mesh)
-    back = ws.load_mesh(workspace.mesh_file("cube"))
+    surface_files.save_mesh(workspace.mesh_file("cube"), mesh)
+    back = surface_files.load_mesh(workspace.mesh_file("cube"))
     np.testing.assert_allclose(back.vertices, vertices, atol=1e-6)
     np.testing.assert_array_equal(back.triangles, mesh.triangles)
     np.testing.assert_array_equal(back.colors, colors)
     normals = vertices / np.linalg.norm(vertices, axis=1, keepdims=True)
-    ws.save_cloud(workspace.cloud_file("cube"), PointCloud(vertices, normals))
-    cloud = ws.load_cloud(workspace.cloud_file("cube"))
+    surface_files.save_cloud(workspace.cloud_file("cube"), PointCloud(vertices, normals))
+    cloud = surface_files.load_cloud(workspace.cloud_file("cube"))
     np.testing.assert_allclose(cloud.points, vertices, atol=1e-6)
     np.testing.assert_allclose(cloud.normals, normals, atol=1e-6)
     assert cloud.colors is None
     with pytest.raises(DataError, match="holds no triangles"):
-        ws.load_mesh(workspace.cloud_file("cube"))
+        surface_files.load_mesh(workspace.cloud_file("cube"))
     assert len(list(workspace.mesh_file("cube").parent.iterdir())) == 2
 
 
@@ -241,7 +242,7 @@ def test_a_mesh_that_cannot_be_written_leaves_nothing(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     mesh = Mesh(np.zeros((3, 3)), np.array([[0, 1, 2]]))
     with pytest.raises(DataError, match="cannot write"):
-        ws.save_mesh(tmp_path / "file/mesh.ply", mesh)
+        surface_files.save_mesh(tmp_path / "file/mesh.ply", mesh)
     assert [p.name for p in tmp_path.iterdir()] == ["file"]
 
 

@@ -13,8 +13,8 @@ from scipy.io import savemat
 from rpl_data.capture import open_scenes
 from rpl_data.formats.ycb_video import CLASSES, read_ycb_video
 from rpl_data.geometry import from_rotvec, invert
+from rpl_data.pixels import read_depth_m
 from rpl_data.types import DataError
-from rpl_data.workspace import read_depth_m
 
 SCENE_FROM = {
     5: from_rotvec(np.array([0.3, -0.2, 0.5]), np.array([0.1, -0.05, 0.8])),

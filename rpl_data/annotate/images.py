@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import UInt8
 
 from rpl_data.annotate.scenes import SceneStore
+from rpl_data.pixels import read_color
 from rpl_data.types import ColorImage, DataError, DepthImage, Frame
-from rpl_data.workspace import read_color
 
 WIDTHS = (96, 160, 320, 640, 960, 1280, 1920)
 """Widths that are made; a request is served the next larger one, so that they can be cached."""

@@ -12,9 +12,9 @@ from starlette.concurrency import run_in_threadpool
 from rpl_data.annotate.model import MESHES, given_mesh_payload, keep_mesh, read_known_points
 from rpl_data.annotate.payload import Json
 from rpl_data.annotate.session import Session
+from rpl_data.files import remove
 from rpl_data.formats.sparse_model import points_in_first_scene, write_sparse_model
 from rpl_data.types import DataError
-from rpl_data.workspace import remove
 
 
 def model_routes(session: Session) -> APIRouter:

@@ -19,9 +19,11 @@ from jaxtyping import Float64, UInt8
 from rpl_data.annotate.scenes import PosedScene, SceneStore
 from rpl_data.annotate.session import Result
 from rpl_data.geometry import Points, back_project, transform
+from rpl_data.pixels import read_color
 from rpl_data.simplify import simplified
+from rpl_data.surface_files import load_mesh
 from rpl_data.types import DataError, DepthImage
-from rpl_data.workspace import Workspace, load_mesh, read_color
+from rpl_data.workspace import Workspace
 
 Json = dict[str, Any]
 MOST_POINTS = 5000

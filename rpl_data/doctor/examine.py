@@ -16,8 +16,8 @@ from rpl_data.doctor.edges import Pair, edges_of
 from rpl_data.doctor.findings import Diagnosis, Finding
 from rpl_data.doctor.pairing import SURE, lag_findings, lag_of, misregistered, which_lags
 from rpl_data.drift import MAX_DRIFT_MM, cut, measure_drift
+from rpl_data.pixels import read_color, read_depth_m
 from rpl_data.types import DataError, DepthImage, Frame, Recording, Scene, Trajectory
-from rpl_data.workspace import read_color, read_depth_m
 
 UNSURE_FRAMES, UNSURE_PX = 1.0, 8.0
 LEFT_OUT = "copy these images again, or take them off the list; nothing is done with them"

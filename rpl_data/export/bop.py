@@ -25,10 +25,9 @@ from rpl_data.export.folder import link, replacing
 from rpl_data.files import write_bytes, write_json, write_text
 from rpl_data.formats.bop import write_scene_camera, write_scene_gt
 from rpl_data.formats.coco import intrinsics_from_coco, objects_from_coco
-from rpl_data.ply import mesh_to_ply
 from rpl_data.records import matrix_from_json
+from rpl_data.surface_files import load_mesh, mesh_to_ply
 from rpl_data.types import Mesh
-from rpl_data.workspace import load_mesh
 
 
 def export_bop(folder: Path, coco: Path, metres_per_unit: Mapping[str, float]) -> DialectSummary:

@@ -10,11 +10,13 @@ import numpy as np
 from rpl_data.geometry import transform
 from rpl_data.pipeline.context import Context, posed_frames, step
 from rpl_data.pipeline.sparse import known_points
+from rpl_data.pixels import read_color
 from rpl_data.recipe import ObjectRecipe
 from rpl_data.regions import oriented_points
 from rpl_data.steps import Advance, Outcome, Step, stamps
+from rpl_data.surface_files import load_mesh, save_cloud, save_mesh
 from rpl_data.types import Frame, Mesh, Solution
-from rpl_data.workspace import Workspace, load_mesh, read_color, save_cloud, save_mesh
+from rpl_data.workspace import Workspace
 
 Box3 = tuple[tuple[float, float, float], tuple[float, float, float]]
 """Lowest and highest corner, metres."""

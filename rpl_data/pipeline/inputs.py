@@ -10,12 +10,12 @@ from pathlib import Path
 
 from rpl_data import capture
 from rpl_data.clicklog import clicks_from_csv, clicks_to_csv, events_to, keypoints_event, objects_in_csv
-from rpl_data.files import read_text
+from rpl_data.files import read_text, remove
 from rpl_data.pipeline.context import Context, step
 from rpl_data.recipe import ObjectRecipe, SceneSource
 from rpl_data.steps import Advance, Json, Outcome, Step, stamps
 from rpl_data.types import DataError, Recording
-from rpl_data.workspace import Workspace, remove
+from rpl_data.workspace import Workspace
 
 # Recordings ---------------------------------------------------------------------------------------
 

@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 from rpl_data.pipeline.context import Context, step
+from rpl_data.pixels import read_grey
 from rpl_data.steps import Advance, Outcome, Step
 from rpl_data.types import DepthImage, Frame, GreyImage
-from rpl_data.workspace import read_grey
 
 AHEAD = 8
 """Frames that are decoded while others are tracked."""

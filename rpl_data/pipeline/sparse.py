@@ -13,6 +13,7 @@ from rpl_data.drift import click_spreads_m
 from rpl_data.geometry import Transform, transform
 from rpl_data.lift import lift_clicks
 from rpl_data.pipeline.context import Context, step
+from rpl_data.pixels import read_depth_m
 from rpl_data.recipe import ObjectRecipe
 from rpl_data.solve import register, solve
 from rpl_data.steps import Advance, Outcome, Step
@@ -26,7 +27,7 @@ from rpl_data.types import (
     Solution,
     Trajectory,
 )
-from rpl_data.workspace import Workspace, read_depth_m
+from rpl_data.workspace import Workspace
 
 
 def solve_steps(context: Context) -> list[Step]:

@@ -27,12 +27,13 @@ from rpl_data.files import write_bytes, write_text
 from rpl_data.formats.camera_file import write_camera
 from rpl_data.formats.rpl import write_associations, write_poses
 from rpl_data.geometry import Transform
+from rpl_data.surface_files import save_mesh
 from rpl_data.twin import annotator
 from rpl_data.twin.film import Film, film
 from rpl_data.twin.objects import build
 from rpl_data.twin.spec import TwinSpec
 from rpl_data.types import Click, DataError, FrameLabel, Solution
-from rpl_data.workspace import Workspace, save_mesh
+from rpl_data.workspace import Workspace
 
 Progress = Callable[[int, int], None]
 

@@ -23,13 +23,13 @@ from scipy.spatial.transform import Rotation
 from rpl_data.capture import open_scenes
 from rpl_data.doctor import examine as doctor
 from rpl_data.geometry import invert
+from rpl_data.pixels import read_depth_m
 from rpl_data.twin.drift import Drift, drifted
 from rpl_data.twin.objects import OBJECTS
 from rpl_data.twin.sensor import ColorSensor, DepthSensor, Sensor
 from rpl_data.twin.spec import TwinSpec
 from rpl_data.twin.write import write_twin
 from rpl_data.types import DepthImage, Frame, Recording, Scene, Trajectory
-from rpl_data.workspace import read_depth_m
 
 RECORDINGS = 20
 FIRST_SEED = int(os.environ.get("RPL_BENCH_SEED", "2000"))

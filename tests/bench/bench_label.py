@@ -25,9 +25,10 @@ import open3d as o3d
 
 from rpl_data.geometry import from_rotvec, invert, project, transform
 from rpl_data.label import SceneObject, label_frames
+from rpl_data.pixels import read_depth_m
 from rpl_data.raycast import RayScene, render_depth_m
 from rpl_data.types import DepthImage, Frame, FrameLabel, Intrinsics, KeypointModel, Mesh, Scene, Trajectory
-from rpl_data.workspace import Workspace, read_depth_m
+from rpl_data.workspace import Workspace
 
 CAMERA = Intrinsics(600.0, 600.0, 319.5, 239.5, 640, 480)
 FILES = 60

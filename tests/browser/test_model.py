@@ -9,8 +9,9 @@ from driving import Server, in_plot, on_page, place, saved
 from playwright.sync_api import Page, expect
 
 from rpl_data.formats.sparse_model import write_sparse_model
+from rpl_data.surface_files import save_mesh
 from rpl_data.types import Mesh
-from rpl_data.workspace import Workspace, save_mesh
+from rpl_data.workspace import Workspace
 
 PYRAMID = Mesh(
     np.array([[0.0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0], [0, 0.1, 0], [0.05, 0.05, -0.12]]),

@@ -7,11 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from rpl_data.lift import lift_clicks
+from rpl_data.pixels import read_depth_m
 from rpl_data.quality import model_error
 from rpl_data.solve import solve
 from rpl_data.twin.annotator import click
 from rpl_data.types import DataError, FrameLabel, KeypointModel, Observation
-from rpl_data.workspace import Workspace, read_depth_m
+from rpl_data.workspace import Workspace
 from training.reproduce.curves import Curve
 
 KEYPOINTS, SCENES = 9, 8

@@ -1,16 +1,58 @@
-"""Surfaces as binary PLY, to be written whole: Open3D's writer reports success on a full disk."""
+"""Meshes and clouds as files, written whole as PLY: Open3D's writer reports success on a full disk."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float64, Int64, UInt8
 
-from rpl_data.types import Mesh, PointCloud
+from rpl_data.files import write_bytes
+from rpl_data.types import DataError, Mesh, PointCloud
 
 Floats = Float64[np.ndarray, "n 3"]
 Colors = UInt8[np.ndarray, "n 3"]
+
+
+def save_mesh(path: Path, mesh: Mesh) -> None:
+    """Write triangles as binary PLY, whole or not at all."""
+    write_bytes(path, mesh_to_ply(mesh))
+
+
+def load_mesh(path: Path) -> Mesh:
+    """Triangles from PLY, OBJ or anything Open3D reads; DataError when there are none."""
+    import open3d as o3d
+
+    if not path.exists():
+        raise DataError(f"there is no mesh {path}")
+    legacy = o3d.io.read_triangle_mesh(str(path))
+    if not legacy.has_triangles():
+        raise DataError(f"{path} holds no triangles; expected a mesh, not a point cloud")
+    colors = (
+        (np.asarray(legacy.vertex_colors) * 255).round().astype(np.uint8)
+        if legacy.has_vertex_colors()
+        else None
+    )
+    return Mesh(np.asarray(legacy.vertices).copy(), np.asarray(legacy.triangles).astype(np.int64), colors)
+
+
+def save_cloud(path: Path, cloud: PointCloud) -> None:
+    """Write points with normals as binary PLY, whole or not at all."""
+    write_bytes(path, cloud_to_ply(cloud))
+
+
+def load_cloud(path: Path) -> PointCloud:
+    """Points with normals from PLY; DataError when there are none."""
+    import open3d as o3d
+
+    if not path.exists():
+        raise DataError(f"there is no point cloud {path}")
+    legacy = o3d.io.read_point_cloud(str(path))
+    if not legacy.has_points() or not legacy.has_normals():
+        raise DataError(f"{path} should hold points with normals")
+    colors = (np.asarray(legacy.colors) * 255).round().astype(np.uint8) if legacy.has_colors() else None
+    return PointCloud(np.asarray(legacy.points).copy(), np.asarray(legacy.normals).copy(), colors)
 
 
 def mesh_to_ply(mesh: Mesh) -> bytes:

@@ -1,0 +1,78 @@
+"""Images of a recording, decoded: colour, brightness, and depth on the pixels of the colour image."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from jaxtyping import UInt16
+
+from rpl_data.depth_codec import DepthUnits
+from rpl_data.types import ColorImage, DataError, DepthImage, DepthWarp, Frame, GreyImage, Scene
+
+REDUCED_GREY = {
+    1: cv2.IMREAD_GRAYSCALE,
+    2: cv2.IMREAD_REDUCED_GRAYSCALE_2,
+    4: cv2.IMREAD_REDUCED_GRAYSCALE_4,
+    8: cv2.IMREAD_REDUCED_GRAYSCALE_8,
+}
+
+
+def read_color(frame: Frame) -> ColorImage:
+    """The colour image as RGB; DataError when it is missing or broken."""
+    image = cv2.imread(str(frame.color), cv2.IMREAD_COLOR_RGB) if frame.color.exists() else None
+    if image is None:
+        raise DataError(
+            f"frame {frame.index}: cannot read the colour image {frame.color}; it is missing or broken"
+        )
+    return image
+
+
+def read_grey(frame: Frame, *, reduce: int) -> GreyImage:
+    """The brightness of the colour image at `1 / reduce` (1, 2, 4, 8) of its size.
+
+    DataError when it is missing or broken.
+
+    A JPEG is decoded at the small size, which takes a fraction of the time.
+    """
+    image = cv2.imread(str(frame.color), REDUCED_GREY[reduce]) if frame.color.exists() else None
+    if image is None:
+        raise DataError(
+            f"frame {frame.index}: cannot read the colour image {frame.color}; it is missing or broken"
+        )
+    return image
+
+
+def read_depth_m(scene: Scene, frame: Frame) -> DepthImage:
+    """The depth image in metres, 0 = none; DataError when it is missing, broken or of another size."""
+    return in_metres(scene, read_depth_units(scene, frame))
+
+
+def in_metres(scene: Scene, units: DepthUnits) -> DepthImage:
+    """Stored depth as float32 metres."""
+    return units.astype(np.float32) * np.float32(scene.metres_per_unit)
+
+
+def read_depth_units(scene: Scene, frame: Frame) -> UInt16[np.ndarray, "height width"]:
+    """The depth image as it is stored, on the colour image, 0 = none; DataError as `read_depth_m`."""
+    if frame.depth is None:
+        raise DataError(f"scene {scene.name}, frame {frame.index} has no depth image")
+    raw = cv2.imread(str(frame.depth), cv2.IMREAD_UNCHANGED) if frame.depth.exists() else None
+    expected = (scene.intrinsics.height, scene.intrinsics.width)
+    if raw is None or raw.dtype != np.uint16 or raw.shape != expected:
+        found = "nothing readable" if raw is None else f"{raw.dtype} {raw.shape}"
+        raise DataError(
+            f"scene {scene.name}, frame {frame.index}: {frame.depth} should be a 16-bit image of "
+            f"{expected[1]} x {expected[0]} px, found {found}; record it again or delete it"
+        )
+    units = raw.astype(np.uint16, copy=False)
+    for value in scene.no_depth_units:
+        units[units == value] = 0
+    return units if scene.depth_warp is None else _warped(units, scene.depth_warp)
+
+
+def _warped(raw: UInt16[np.ndarray, "height width"], warp: DepthWarp) -> UInt16[np.ndarray, "height width"]:
+    """Depth on the colour image; each pixel takes the nearest, 0 where none is."""
+    height, width = raw.shape
+    offset = (1 - warp.zoom) * (np.array([width, height]) - 1) / 2 + warp.shift_px
+    matrix = np.column_stack([warp.zoom * np.eye(2), offset])
+    return np.asarray(cv2.warpAffine(raw, matrix, (width, height), flags=cv2.INTER_NEAREST), np.uint16)
