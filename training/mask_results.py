@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 from pycocotools import mask as masks
+from rich.progress import track
 from torch import Tensor
 
 from rpl_data.torch.instances import InstanceDataset
@@ -43,10 +45,10 @@ def _result(image_id: int, pixels: np.ndarray, label: int, score: float) -> Json
 
 
 def predict_split(segmenter: Segmenter, coco_json: Path) -> list[Json]:
-    """The results of every image of a COCO file."""
+    """The results of every image of a COCO file; a bar on a terminal shows how far it is."""
     dataset = InstanceDataset(coco_json)
     results: list[Json] = []
-    for row in range(len(dataset)):
+    for row in track(range(len(dataset)), coco_json.name, transient=True, disable=not sys.stdout.isatty()):
         image, target = dataset[row]
         results += predict(segmenter, image, target["image_id"])
     return results

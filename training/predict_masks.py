@@ -12,6 +12,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import torch
+from rich.progress import track
 
 from rpl_data.files import write_bytes, write_json
 from rpl_data.torch.images import read_image, to_unit_range
@@ -43,7 +44,7 @@ def pictures_of(source: Path) -> Iterator[Picture]:
         DataError: nothing is there, or it is neither.
     """
     if source.is_dir():
-        files = sorted(path for path in source.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES)
+        files = _images_in(source)
         if not files:
             raise DataError(f"{source} holds no image; expected {', '.join(sorted(IMAGE_SUFFIXES))}")
         yield from (Picture(path.name, read_image(str(path))) for path in files)
@@ -53,9 +54,21 @@ def pictures_of(source: Path) -> Iterator[Picture]:
         yield from _frames(source)
 
 
+def count_of(source: Path) -> int | None:
+    """How many pictures `pictures_of` will give; a video may not say."""
+    if is_video(source):
+        frames = _number_of(source, cv2.CAP_PROP_FRAME_COUNT)
+        return round(frames) if frames > 0 else None
+    return len(_images_in(source)) if source.is_dir() else 1
+
+
 def is_video(source: Path) -> bool:
     """A file that is not an image."""
     return not source.is_dir() and source.suffix.lower() not in IMAGE_SUFFIXES
+
+
+def _images_in(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES)
 
 
 def _frames(video: Path) -> Iterator[Picture]:
@@ -76,10 +89,16 @@ def _frames(video: Path) -> Iterator[Picture]:
 
 def frame_rate(video: Path) -> float:
     """Frames a second, 30 where the file does not say."""
-    capture = cv2.VideoCapture(str(video))
-    rate = float(capture.get(cv2.CAP_PROP_FPS))
-    capture.release()
+    rate = _number_of(video, cv2.CAP_PROP_FPS)
     return rate if 0 < rate < 1000 else 30.0
+
+
+def _number_of(video: Path, which: int) -> float:
+    """A property of a video, by OpenCV's number for it; 0 where the file does not say."""
+    capture = cv2.VideoCapture(str(video))
+    value = float(capture.get(which))
+    capture.release()
+    return value
 
 
 # Output -------------------------------------------------------------------------------------------
@@ -128,7 +147,8 @@ def predict_to(segmenter: Segmenter, source: Path, out: Path, *, threshold: floa
 
     `results.json` is a COCO results file; `images.json` says which image has which id, with the categories.
     """
-    pictures = pictures_of(source)
+    hidden = not sys.stdout.isatty()
+    pictures = track(pictures_of(source), source.name, count_of(source), transient=True, disable=hidden)
     results: list[Json] = []
     images: list[Json] = []
     drawn = 0
