@@ -31,7 +31,7 @@ class Progress:
     Attributes:
         settings: of the training, without what may change when it is resumed.
         epochs: that both sources have been trained.
-        seconds: on the clock. cpu_seconds: of the processor, all threads and processes together.
+        seconds: on the clock, for finished rounds. cpu_seconds: of the processor, all threads and processes.
         history: mean IoU on val of [OURS, MANUAL] after each round: [epoch, ours, manual].
     """
 
