@@ -23,7 +23,7 @@ from rpl_data.reconstruct.view import View
 ITERATIONS = 4
 """Gauss-Newton steps a level."""
 
-CONVERGED = 2e-5
+CONVERGED = 3e-4
 """Steps smaller than this, in radians and metres, are the last of a level."""
 
 PLAIN = 6.0
