@@ -7,11 +7,15 @@ Chromium and the server are real. FOLDER keeps the synthetic recording for the n
 from __future__ import annotations
 
 import argparse
+import os
+import shutil
 import sys
 import tempfile
 import time
 from dataclasses import replace
 from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as `rpl` does, before NumPy is loaded
 
 import numpy as np
 from playwright.sync_api import Browser, CDPSession, Page, sync_playwright
@@ -55,6 +59,11 @@ WATCH = """async () => {
         requestAnimationFrame(() => window.taken.push(performance.now() - started));
     }, () => [app.result, app.state, app.waiting]);
 }"""
+SELECTED = """async () => {
+    const { projectedKeypoints } = await import("/static/marks.js");
+    const { app } = await import("/static/store.js");
+    return projectedKeypoints()[app.keypoint];
+}"""
 GO = """async (row) => {
     const { goToRow } = await import("/static/frames.js");
     const { app, frame } = await import("/static/store.js");
@@ -93,6 +102,13 @@ def middle_clicks(workspace: Workspace) -> list[dict[str, object]]:
         (u, v) = project(scene.intrinsics, point)[0]
         events.append(click_event(replace(click, keypoint=len(annotation.keypoints), u_px=u, v_px=v)))
     return events
+
+
+def copied(workspace: Workspace, folder: Path) -> Workspace:
+    """A workspace to be clicked in; the recording stays where it is."""
+    shutil.copytree(workspace.root, folder, ignore=shutil.ignore_patterns("recording"))
+    (folder / "recording").symlink_to(workspace.recording)
+    return Workspace(folder)
 
 
 def long_workspace(folder: Path, marked: Workspace) -> Workspace:
@@ -150,13 +166,17 @@ def free_place(page: Page, random: np.random.Generator) -> tuple[float, float]:
 
 
 def times_of_clicks(page: Page, count: int) -> np.ndarray:
-    """Milliseconds from the button's release to the updated result on the screen, one a click."""
+    """Milliseconds from the button's release to the updated result on the screen, one a click.
+
+    Clicks are as good as a person's: 1 px beside where the selected keypoint is.
+    """
     page.evaluate(WATCH)
     random = np.random.default_rng(0)
     for _ in range(count):
         page.keyboard.press("j")
         before = page.evaluate("window.taken.length")
-        page.mouse.click(*free_place(page, random))
+        at = page.evaluate(SELECTED)
+        page.mouse.click(*on_page(page, *(np.array(at) + random.normal(0, 1, 2))))
         page.wait_for_function(f"window.taken.length > {before}", timeout=30_000)
         page.keyboard.press("Control+z")  # the next one is done on the same clicks
         settled(page)
@@ -214,12 +234,15 @@ def report(name: str, values: np.ndarray, limit: float, unit: str = "ms") -> Non
 def main(folder: Path, actions: int) -> None:
     """Print everything."""
     marked = marked_workspace(folder)
+    for name in ("timed", "soaked"):
+        shutil.rmtree(folder / name, ignore_errors=True)
     long = long_workspace(folder, marked)
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=chromium(), args=FLAGS)
-        server = Server(marked.root)
+        server = Server(copied(marked, folder / "timed").root)
         page, _ = opened(browser, server)
         settled(page)
+        page.evaluate(GO, 9)  # a frame without marks
         clicks = len(marked.load_annotation("carton").clicks)
         taken = times_of_clicks(page, CLICKS)
         baseline = min(from_nothing_ms(marked) for _ in range(3))
@@ -255,7 +278,7 @@ def main(folder: Path, actions: int) -> None:
         page.context.close()
         server.kill()
 
-        server = Server(marked.root)
+        server = Server(copied(marked, folder / "soaked").root)
         page, _ = opened(browser, server)
         settled(page)
         for number, there, here in soak(page, server, actions):

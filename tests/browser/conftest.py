@@ -14,7 +14,7 @@ from rpl_data.workspace import Workspace
 
 expect.set_options(timeout=30_000)  # two cores may be busy with other tests
 FLAGS = [
-    "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
+    "--no-sandbox", "--enable-unsafe-swiftshader",
     "--disable-background-networking", "--disable-component-update",
 ]  # fmt: skip
 RECIPE = """
