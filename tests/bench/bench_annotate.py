@@ -143,13 +143,12 @@ def opened(browser: Browser, server: Server) -> tuple[Page, float]:
 
 def settled(page: Page) -> None:
     """Wait until there is a result of what was done last."""
-    page.wait_for_function(
-        """async () => {
-            const { app } = await import("/static/store.js");
-            return !app.waiting && app.result?.revision === app.state.revision;
-        }""",
-        timeout=60_000,
-    )
+    asked = """async () => {
+        const { app } = await import("/static/store.js");
+        return Boolean(app.result) && !app.waiting && app.result.revision === app.state?.revision;
+    }"""
+    while not page.evaluate(asked):
+        page.wait_for_timeout(20)
 
 
 def free_place(page: Page, random: np.random.Generator) -> tuple[float, float]:
