@@ -92,6 +92,7 @@ def test_marking_on_a_slow_link(page: Page, server: Server) -> None:
     page.mouse.click(*on_page(page, 140.0, 95.0))
     saved(page)
     assert sorted(k for k, _, _ in clicks(server)) == [0, 2]
+    page.keyboard.press("Home")
     for _ in range(4):
         page.keyboard.press(".")
     expect(page.locator("#picture")).to_have_attribute("data-frame", "00/4", timeout=5000)

