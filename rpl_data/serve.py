@@ -89,7 +89,7 @@ def _run(workspace: Workspace, stage: str, tell: Tell) -> list[str]:
 
 
 def _fresh(workspace: Workspace) -> dict[str, bool]:
-    found = stale_steps(recipe_of(workspace), workspace)
+    found = stale_steps(_context(workspace).recipe, workspace)
     return {stage: bool(steps) and all(holds for _, holds in steps) for stage, steps in found.items()}
 
 
