@@ -19,8 +19,9 @@ Poses = Float64[np.ndarray, "m 4 4"]
 ROBUST_SCALE = 3.0
 """Residuals beyond this many standard deviations are pulled back hardest (Geman-McClure)."""
 
-SMALLEST_STEP = 1e-4
-"""Of a pose that still moves, radians and metres: a hundredth of what two pixels of noise leave open."""
+SMALLEST_STEP = 1e-3
+"""Radians and metres: a smaller step is still made, but is the last; two pixels of noise leave many times as
+much open, and near the end steps shrink more than tenfold."""
 
 
 def refined(
@@ -32,7 +33,7 @@ def refined(
         camera_from_object: where to start.
         given: what was seen.
         robust: Geman-McClure in place of squares; then a wrong keypoint hardly pulls.
-        iterations: at most; ends when nothing moves by more than `SMALLEST_STEP`.
+        iterations: at most; ends after a step below `SMALLEST_STEP`.
     """
     poses = camera_from_object.copy()
     residuals, jacobian = _linearised(poses, given)
