@@ -14,8 +14,9 @@ from rpl_data.workspace import Workspace
 from training.mask_scores import ClassScore, SplitScore
 from training.mask_settings import comparable, load_settings
 from training.reproduce.__main__ import main
-from training.reproduce.segmentation import Progress, segmentation, sources_of, train_round
+from training.reproduce.segmentation import segmentation, sources_of, train_round
 from training.reproduce.segmentation_page import verdict
+from training.reproduce.segmentation_progress import Progress
 from training.train_masks import train
 
 SETTINGS = """

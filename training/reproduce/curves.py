@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from rpl_data.types import DataError
 
@@ -14,29 +13,6 @@ if TYPE_CHECKING:
 
 OBJECTS = ("drill", "bracket", "junction_box")
 """In the place of the paper's cut-out tool, electronic wrench and screw gun."""
-
-
-@dataclass(frozen=True)
-class Curve:
-    """Mean 3D error of one object, a row a seed and a column a value of x.
-
-    Attributes:
-        against: `keypoints` (the first x landmarks of the one ordered list) or `scenes`.
-        other: how many there were of the other: the paper's N_s = 8 or N_k = 9, or all where there are fewer.
-        x: numbers of keypoints or of scenes.
-        error_mm: NaN where the clicks of that seed did not tie the scenes together.
-    """
-
-    object: str
-    against: Literal["keypoints", "scenes"]
-    other: int
-    x: tuple[int, ...]
-    error_mm: tuple[tuple[float, ...], ...]
-
-    @property
-    def failed(self) -> int:
-        """Seeds and values of x for which there was no answer."""
-        return sum(value != value for row in self.error_mm for value in row)
 
 
 def curves(

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from rpl_data.report.html import Cell, number, section, table
-from training.reproduce.curves import Curve
+from training.reproduce.curve import Curve
 from training.reproduce.results import picture, png_of, write_results
 from training.reproduce.slopes import Slope, before_the_fit, slope_of
 

@@ -13,7 +13,7 @@ from rpl_data.solve import solve
 from rpl_data.twin.annotator import click
 from rpl_data.types import DataError, FrameLabel, KeypointModel, Observation
 from rpl_data.workspace import Workspace
-from training.reproduce.curves import Curve
+from training.reproduce.curve import Curve
 
 KEYPOINTS, SCENES = 9, 8
 """The paper's: N_k = 9 while N_s varies, N_s = 8 while N_k does."""

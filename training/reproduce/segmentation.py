@@ -5,13 +5,14 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from rpl_data.files import read_json, write_json
+from rpl_data.files import write_json
 from rpl_data.formats.coco import read_coco
 from rpl_data.types import DataError
+from training.reproduce.segmentation_progress import Progress, load_progress
 
 if TYPE_CHECKING:
     from training.mask_scores import SplitScore
@@ -22,24 +23,6 @@ OURS, MANUAL = "OURS", "MANUAL"
 ROUND_EPOCHS = 3
 """Epochs of one source before it is the other's turn; scoring both on val costs about a third of one."""
 PRESET = Path(__file__).parents[1] / "configs" / "masks_cpu.yaml"
-
-
-@dataclass(frozen=True)
-class Progress:
-    """Where a run stands; kept in progress.json.
-
-    Attributes:
-        settings: of the training, without what may change when it is resumed.
-        epochs: that both sources have been trained.
-        seconds: on the clock, for finished rounds. cpu_seconds: of the processor, all threads and processes.
-        history: mean IoU on val of [OURS, MANUAL] after each round: [epoch, ours, manual].
-    """
-
-    settings: dict[str, Any]
-    epochs: int = 0
-    seconds: float = 0.0
-    cpu_seconds: float = 0.0
-    history: list[list[float | None]] = field(default_factory=list)
 
 
 def segmentation(
@@ -71,7 +54,7 @@ def segmentation(
     sources = sources_of(workspace)
     settings = load_settings(preset)
     settings = settings if epochs is None else replace(settings, epochs=epochs)
-    progress = _load_progress(out, settings)
+    progress = load_progress(out, settings)
     while progress.epochs < settings.epochs:
         progress = train_round(sources, settings, progress, out)
         print(_line(progress, settings), flush=True)
@@ -142,19 +125,6 @@ def _line(progress: Progress, settings: Settings) -> str:
     pairs = zip((OURS, MANUAL), means, strict=True)
     found = ", ".join(f"{name} {'-' if mean is None else f'{mean:.3f}'}" for name, mean in pairs)
     return f"epoch {epoch} of {settings.epochs}: mean IoU on val {found}; {progress.seconds / 60:.1f} min"
-
-
-def _load_progress(out: Path, settings: Settings) -> Progress:
-    """Of the run in `out`, nothing when there is none; DataError when its settings were others."""
-    from training.mask_settings import comparable
-
-    path = out / "progress.json"
-    if not path.exists():
-        return Progress(settings=comparable(settings))
-    progress = Progress(**read_json(path))
-    if progress.settings != comparable(settings):
-        raise DataError(f"{path} belongs to a run with other settings; choose another --out, or its --preset")
-    return progress
 
 
 # Scores -------------------------------------------------------------------------------------------

@@ -15,7 +15,7 @@ from training.reproduce.results import picture, png_of
 
 if TYPE_CHECKING:
     from training.mask_scores import SplitScore
-    from training.reproduce.segmentation import Progress
+    from training.reproduce.segmentation_progress import Progress
 
 Scores = Mapping[str, Mapping[str, "SplitScore"]]
 PROTOCOLS = {"val": "random frames of the training scenes (the paper's)", "test": "unseen scenes"}

@@ -11,7 +11,7 @@ import numpy as np
 from rpl_data.report.html import Cell, number, section, table, text
 from training.reproduce.paper import TABLE_1, TABLE_1_MEAN
 from training.reproduce.results import write_results
-from training.reproduce.table1 import Row, Scores
+from training.reproduce.table1_rows import Row, Scores
 
 NOTHING = Scores(np.nan, np.nan, np.nan, np.nan)
 STRICT = ("3D mm", "2D px", "IoU", "IoU visible")
