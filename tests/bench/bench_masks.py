@@ -121,7 +121,7 @@ def main() -> None:
     """Print everything."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("data", type=Path, nargs="?", default=ROOT / "workspaces/demo/export/coco")
-    parser.add_argument("--epochs", type=int, default=100, help="of the overfitting")
+    parser.add_argument("--epochs", type=int, default=80, help="of the overfitting")
     options = parser.parse_args()
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
