@@ -18,17 +18,19 @@ export function refill(list, ...children) {
   again?.focus();
 }
 
-const dialog = document.getElementById("dialog");
-
-// Show content in the dialog; resolves with its returnValue when it is closed.
+// Show content in a dialog; resolves with its returnValue when it is closed. Each has an element of its own: its
+// "close" event comes later than the closing, when another one may be open already.
 export function show(...content) {
-  dialog.replaceChildren(...content);
-  dialog.returnValue = "";
+  const dialog = element("dialog", {}, ...content);
+  document.body.append(dialog);
   dialog.showModal();
-  return new Promise((resolve) => dialog.addEventListener("close", () => resolve(dialog.returnValue), { once: true }));
+  return new Promise((resolve) => dialog.addEventListener("close", () => {
+    dialog.remove();
+    resolve(dialog.returnValue);
+  }, { once: true }));
 }
 
-export const closeDialog = (value = "") => dialog.close(value);
+export const closeDialog = (value = "") => document.querySelector("dialog[open]")?.close(value);
 
 // Ask for some texts; null when cancelled, else their values in order.
 export async function ask(title, fields) {
@@ -41,7 +43,7 @@ export async function ask(title, fields) {
     ...inputs.map(({ line }) => line),
     element("div", { className: "row" },
       element("button", { className: "primary", value: "ok", textContent: "OK" }),
-      element("button", { value: "", textContent: "Cancel", type: "button", onclick: () => dialog.close("") })));
+      element("button", { value: "", textContent: "Cancel", type: "button", onclick: () => closeDialog() })));
   const answer = show(form);
   (inputs[0]?.input || form.querySelector("button")).focus();
   inputs[0]?.input.select?.();

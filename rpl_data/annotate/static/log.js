@@ -8,7 +8,7 @@ const KEPT = "rpl-unsaved"; // in the tab's own storage: {queue, seen}
 const kept = JSON.parse(sessionStorage.getItem(KEPT) || "{}");
 const queue = kept.queue || []; // {object, action, text}
 const seen = kept.seen || {}; // the revision of each object that what is in the queue was done on
-let sending = false, solving = false;
+let sending = null, solving = false; // sending: the promise that ends when what waited is sent, or is stuck
 
 const waiting = (object) => queue.filter((entry) => entry.object === object);
 const newId = () => [0, 0].map(() => Math.random().toString(36).slice(2)).join("");
@@ -34,14 +34,18 @@ function described({ op, keypoint, scene, frame }) {
 // Send what waits, in order.
 async function send() {
   if (sending) return;
-  sending = true;
+  sending = sendAll();
   try {
-    while (queue.length && (await sendFirst()));
+    await sending;
   } finally {
-    sending = false;
+    sending = null;
     queueChanged();
   }
   if (!queue.length) await solve();
+}
+
+async function sendAll() {
+  while (queue.length && (await sendFirst()));
 }
 
 // True when the queue may go on.
@@ -104,8 +108,9 @@ export function alertOnce(text, again = false) {
   change({ alert: { text, again } });
 }
 
-export function sendAgain() {
+export async function sendAgain() {
   change({ alert: null });
+  await sending; // what is under way was asked before, and may fail still
   return send();
 }
 
