@@ -288,9 +288,11 @@ def test_more_than_100_instances(coco, tmp_path):
     model = build_model(many, classes=2)
     assert all(torch.isfinite(loss) for loss in model(images, targets).values())
     model.roi_heads.score_thresh, model.roi_heads.nms_thresh, model.rpn.nms_thresh = 0.0, 1.0, 1.0
-    for regression in (model.rpn.head.bbox_pred, model.roi_heads.box_predictor.bbox_pred):
-        torch.nn.init.zeros_(regression.weight)  # its boxes are the anchors then, whatever it was drawn as
-        torch.nn.init.zeros_(regression.bias)
+    logits = model.roi_heads.mask_predictor.mask_fcn_logits
+    for layer in (model.rpn.head.bbox_pred, model.roi_heads.box_predictor.bbox_pred, logits):
+        torch.nn.init.zeros_(layer.weight)
+        torch.nn.init.zeros_(layer.bias)
+    torch.nn.init.ones_(logits.bias)  # whatever it was drawn as, its boxes are the anchors and its masks full
     found = predict(Segmenter(model.eval(), many, tuple(dataset.names)), dataset[1][0], 1)
     assert len(found) > 100
 
