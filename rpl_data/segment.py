@@ -88,7 +88,8 @@ def segment_object(
     if not grown:
         raise DataError(
             f"object {solution.model.name}: none of {len(surfaces)} scene surfaces has points at the "
-            "keypoints; expected a surface there; check the clicks and the trajectories"
+            "keypoints; expected a surface there; check the clicks and the trajectories, and that depth is "
+            "measured there at all (dark and shiny parts give none): film such a part nearer or longer"
         )
     agreed = [_not_seen_through(region, scene, views, voxel_m) for scene, region in grown.items()]
     cloud = _around_keypoints(thinned(joined(agreed), voxel_m=voxel_m * 0.7), keypoints, voxel_m)
