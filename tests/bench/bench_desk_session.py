@@ -196,5 +196,8 @@ def label_errors_px(workspace: Workspace, cube: Cube) -> np.ndarray:
 
 
 if __name__ == "__main__":
-    with tempfile.TemporaryDirectory() as made:
-        main(Path(os.environ["RPL_REAL_DATA"]), Path(made))
+    if "RPL_REAL_DATA" not in os.environ:
+        print("left out: RPL_REAL_DATA does not say where the desk recording is")
+    else:
+        with tempfile.TemporaryDirectory() as made:
+            main(Path(os.environ["RPL_REAL_DATA"]), Path(made))

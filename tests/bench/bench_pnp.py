@@ -168,10 +168,5 @@ def main() -> None:
     print(f"2 wrong: {mine.cpu_us / known.cpu_us:.2f} of the time of RANSAC EPnP + LM (asked 1)")
 
 
-def test_two_wrong_keypoints_of_eight() -> None:
-    """`make bench` runs this."""
-    main()
-
-
 if __name__ == "__main__":
     main()

@@ -142,7 +142,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("data", nargs="?", type=Path, default=ROOT / "workspaces/demo/export/coco")
     parser.add_argument("--object")
-    parser.add_argument("--minutes", type=float, default=30.0, help="CPU minutes of the paper's network")
+    parser.add_argument("--minutes", type=float, default=5.0, help="CPU minutes of the paper's network")
     parser.add_argument("--only", nargs="+", choices=list(presets()), default=list(presets()))
     parser.add_argument("--goal", type=float, help="a PCK to reach; the paper's network is left out")
     told = parser.parse_args()
@@ -170,12 +170,6 @@ def reach(coco: Path, name: str | None, names: list[str], *, needed_s: float, go
         took_s, right = seen[-1]
         said = f"{needed_s / took_s:.1f}x sooner (asked {ASKED:.0f})" if right >= goal else "not reached"
         print(f"{key}: {took_s:.0f} s PCK {right:.3f}: {said}", flush=True)
-
-
-def test_time_to_pck() -> None:
-    """`make bench` runs this, shortened."""
-    torch.set_num_threads(1)
-    measure(ROOT / "workspaces/demo/export/coco", None, most_s=300, names=["cpu"])
 
 
 if __name__ == "__main__":

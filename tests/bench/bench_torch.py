@@ -217,10 +217,5 @@ def main() -> None:
             )
 
 
-def test_loading() -> None:
-    """`make bench` runs this."""
-    main()
-
-
 if __name__ == "__main__":
     main()

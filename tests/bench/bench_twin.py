@@ -83,10 +83,5 @@ def main(frames: int = 12) -> None:
     assert 1 / shaded_s >= LEAST_FRAMES_A_S, f"{1 / shaded_s:.2f} frames/s; expected {LEAST_FRAMES_A_S}"
 
 
-def test_twin() -> None:
-    """`make bench`."""
-    main()
-
-
 if __name__ == "__main__":
     main(*map(int, sys.argv[1:2]))
