@@ -13,7 +13,7 @@ test: $(STAMP)
 # Most benchmarks are programs; those that share the tests' fixtures are run by pytest.
 bench: demo
 	set -e; for program in $$(grep -L 'def test_' tests/bench/bench_*.py); do \
-		echo "== $$program"; .venv/bin/python $$program; done
+		echo "== $$program"; PYTHONPATH=. .venv/bin/python $$program; done
 	.venv/bin/python -m pytest -s -o addopts= -o python_files='bench_*.py' tests/bench
 
 lint: $(STAMP)
