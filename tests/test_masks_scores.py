@@ -22,8 +22,7 @@ from training.evaluate_masks import evaluate, table
 from training.mask_scores import average_precision, score_split
 from training.mask_weights import Segmenter
 from training.masks import ModelConfig, build_model
-from training.predict_masks import main as predict_masks
-from training.predict_masks import predict_to
+from training.predict_masks import predict_masks, predict_to
 
 ROOT = Path(__file__).parent.parent
 EXAMPLE = ROOT / "training/examples/plain_torchvision.py"

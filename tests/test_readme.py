@@ -54,8 +54,7 @@ def program_of(module: str) -> Any:
     """What `python -m <module>` hands its arguments to: a function, or functions by their names."""
     if module == "training.reproduce":
         return importlib.import_module("training.reproduce.__main__").COMMANDS
-    loaded = importlib.import_module(module)
-    return getattr(loaded, module.split(".")[-1], None) or loaded.main
+    return getattr(importlib.import_module(module), module.split(".")[-1])
 
 
 def test_there_are_blocks_of_both_kinds() -> None:

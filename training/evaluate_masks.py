@@ -9,7 +9,6 @@ from pathlib import Path
 import torch
 
 from rpl_data.files import write_json
-from rpl_data.types import DataError
 from training.mask_results import predict_split
 from training.mask_scores import SplitScore, score_split
 from training.mask_weights import Segmenter, load_segmenter
@@ -50,7 +49,7 @@ def _percent(value: float | None) -> str:
     return "-" if value is None else f"{100 * value:.1f}"
 
 
-def main(
+def evaluate_masks(
     checkpoint: Path,
     data: Path,
     out: Path | None = None,
@@ -71,17 +70,7 @@ def main(
     print(table(evaluate(load_segmenter(checkpoint), data, out, threshold=threshold)))
 
 
-def run() -> int:
-    """The program: 0 when all is well, 1 with one line on stderr when the user can mend it."""
-    from jsonargparse import auto_cli
-
-    try:
-        auto_cli(main, prog="python -m training.evaluate_masks")
-    except DataError as error:
-        print(f"evaluate_masks: {error}", file=sys.stderr)
-        return 1
-    return 0
-
-
 if __name__ == "__main__":
-    sys.exit(run())
+    from training.program import main
+
+    sys.exit(main(evaluate_masks))

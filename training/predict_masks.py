@@ -171,7 +171,7 @@ def predict_to(segmenter: Segmenter, source: Path, out: Path, *, threshold: floa
     return len(images), drawn
 
 
-def main(
+def predict_masks(
     checkpoint: Path,
     source: Path,
     out: Path = Path("runs/predicted"),
@@ -198,17 +198,7 @@ def main(
     print(f"{out}: {images} images, {drawn} objects with a score of {threshold:g} or more")
 
 
-def run() -> int:
-    """The program: 0 when all is well, 1 with one line on stderr when the user can mend it."""
-    from jsonargparse import auto_cli
-
-    try:
-        auto_cli(main, prog="python -m training.predict_masks")
-    except DataError as error:
-        print(f"predict_masks: {error}", file=sys.stderr)
-        return 1
-    return 0
-
-
 if __name__ == "__main__":
-    sys.exit(run())
+    from training.program import main
+
+    sys.exit(main(predict_masks))

@@ -13,7 +13,11 @@ def main(program: Callable[..., object], arguments: Sequence[str] | None = None)
     from jsonargparse import auto_cli
 
     try:
-        auto_cli(program, args=None if arguments is None else list(arguments))
+        auto_cli(
+            program,
+            args=None if arguments is None else list(arguments),
+            prog=f"python -m training.{program.__name__}",
+        )
     except DataError as error:
         print(f"{program.__name__}: {error}", file=sys.stderr)
         return 1

@@ -191,7 +191,7 @@ def _check_same_run(checkpoint: Path, module: MaskTraining) -> None:
         )
 
 
-def main(
+def train_masks(
     settings: Settings,
     data: Path,
     out: Path = Path("runs/masks"),
@@ -212,18 +212,8 @@ def main(
     print(f"{done.checkpoint}: {done.epochs} epochs, {done.seconds:.0f} s, {share:.1%} of it loading images")
 
 
-def run() -> int:
-    """The program: 0 when all is well, 1 with one line on stderr when the user can mend it."""
-    from jsonargparse import auto_cli
+if __name__ == "__main__":
+    from training.program import main
 
     logging.basicConfig(level=logging.INFO, format="%(message)s")
-    try:
-        auto_cli(main, prog="python -m training.train_masks")
-    except DataError as error:
-        print(f"train_masks: {error}", file=sys.stderr)
-        return 1
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(run())
+    sys.exit(main(train_masks))
