@@ -10,6 +10,8 @@ const queue = kept.queue || []; // {object, action, text}
 const seen = kept.seen || {}; // the revision of each object that what is in the queue was done on
 let sending = null, solving = false; // sending: the promise that ends when what waited is sent, or is stuck
 
+app.waiting = queue.length; // before anything is drawn: a page that was reloaded may not say that all is saved
+
 const waiting = (object) => queue.filter((entry) => entry.object === object);
 const newId = () => [0, 0].map(() => Math.random().toString(36).slice(2)).join("");
 
