@@ -120,7 +120,7 @@ def _read_meta(path: Path) -> Mapping[str, Any] | None:
     try:
         content: Mapping[str, Any] = loadmat(path, variable_names=_KEYS)
     except (OSError, ValueError, TypeError, NotImplementedError, MatReadError):
-        return None
+        return None  # SciPy raises each of these on broken files; the reader counts and names it
     return content
 
 
