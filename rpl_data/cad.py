@@ -18,9 +18,8 @@ from scipy.spatial.transform import Rotation
 
 from rpl_data.formats.meshlab import read_picked_points
 from rpl_data.geometry import Points, Transform, fit_rigid, invert, rigid, transform
+from rpl_data.meshes import load_mesh, oriented_points, select, thinned
 from rpl_data.raycast import RayScene
-from rpl_data.regions import oriented_points, select, thinned
-from rpl_data.surface_files import load_mesh
 from rpl_data.types import DataError, KeypointModel, Mesh, PointCloud
 
 MESHES = (".obj", ".ply", ".stl", ".glb", ".off")

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float64
 from scipy.spatial import ConvexHull, cKDTree
 
 from rpl_data.geometry import Points
-from rpl_data.regions import joined
+from rpl_data.meshes import joined
 from rpl_data.types import DataError, Mesh, PointCloud
 
 

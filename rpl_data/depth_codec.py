@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import UInt16
+
+from rpl_data.types import DepthUnits
 
 LEVEL = 1
 """Of zstd; higher ones save a few per cent of the bytes and cost more than the reading gains."""
-
-DepthUnits = UInt16[np.ndarray, "height width"]
 
 
 def pack(units: DepthUnits) -> bytes:

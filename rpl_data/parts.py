@@ -10,10 +10,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from rpl_data.types import Click
-
-Span = tuple[int, int]
-"""First and last frame (`Frame.index`)."""
+from rpl_data.types import Click, Span
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,10 @@ from __future__ import annotations
 import math
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from jaxtyping import Float64
 
+from rpl_data.json_arrays import Json, asdict_values, matrix_from_json, numbers, rows_from_json, rows_to_json
 from rpl_data.types import (
     Click,
     ClickResidual,
@@ -27,30 +26,6 @@ from rpl_data.types import (
     Solution,
     SquareBox,
 )
-
-Json = dict[str, Any]
-
-
-def rows_to_json(rows: Float64[np.ndarray, "n m"], digits: int | None = None) -> list[list[float] | None]:
-    """A list a row; null for a row that is not finite."""
-    return [numbers(row, digits) if np.isfinite(row).all() else None for row in rows]
-
-
-def rows_from_json(rows: list[list[float] | None], width: int) -> Float64[np.ndarray, "n m"]:
-    """The array of `rows_to_json`; NaN for null."""
-    filled = [[math.nan] * width if row is None else row for row in rows]
-    return np.array(filled, dtype=float).reshape(len(rows), width)
-
-
-def numbers(values: np.ndarray, digits: int | None = None) -> list[float]:
-    """A flat list of floats, rounded to `digits` decimals where given."""
-    flat = np.ravel(values)
-    return [float(x) for x in (flat if digits is None else np.round(flat, digits))]
-
-
-def matrix_from_json(values: list[float]) -> Float64[np.ndarray, "4 4"]:
-    """The 4x4 matrix of 16 row-major numbers."""
-    return np.array(values, dtype=float).reshape(4, 4)
 
 
 def recording_to_json(recording: Recording) -> Json:
@@ -188,8 +163,3 @@ def _instance_from_json(data: Json) -> InstanceLabel:
         truncated=data["truncated"],
         quality=data["quality"],
     )
-
-
-def asdict_values(box: SquareBox) -> list[float]:
-    """cx, cy, side of a square box, as COCO's extra key `square_box` has them."""
-    return [box.cx_px, box.cy_px, box.side_px]

@@ -14,7 +14,8 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, cKDTree
 
 from rpl_data.geometry import Points
-from rpl_data.types import Mesh, PointCloud
+from rpl_data.meshes import select, thinned
+from rpl_data.types import PointCloud
 
 
 @dataclass(frozen=True)
@@ -28,64 +29,6 @@ class Plane:
         """Signed distance of points, positive on the seen side."""
         height: Float64[np.ndarray, " n"] = points @ self.normal - self.offset_m
         return height
-
-
-def oriented_points(mesh: Mesh) -> PointCloud:
-    """The vertices of a mesh with normals from its triangles (area-weighted), so they point outwards."""
-    corners = mesh.vertices[mesh.triangles]
-    area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals = np.zeros_like(mesh.vertices)
-    for corner in range(3):
-        np.add.at(normals, mesh.triangles[:, corner], area)
-    length = np.linalg.norm(normals, axis=1)
-    used = length > 0
-    colors = None if mesh.colors is None else mesh.colors[used]
-    return PointCloud(mesh.vertices[used], normals[used] / length[used, None], colors)
-
-
-def select(cloud: PointCloud, chosen: Bool[np.ndarray, " n"] | Int64[np.ndarray, " m"]) -> PointCloud:
-    """Some of the points."""
-    colors = None if cloud.colors is None else cloud.colors[chosen]
-    return PointCloud(cloud.points[chosen], cloud.normals[chosen], colors)
-
-
-def smoothed_normals(cloud: PointCloud, *, radius_m: float) -> PointCloud:
-    """The cloud with every normal replaced by the mean of its neighbourhood's."""
-    pairs = cKDTree(cloud.points).query_pairs(radius_m, output_type="ndarray")
-    mean = cloud.normals.copy()
-    for a, b in ((0, 1), (1, 0)):
-        for axis in range(3):
-            mean[:, axis] += np.bincount(
-                pairs[:, a], weights=cloud.normals[pairs[:, b], axis], minlength=len(mean)
-            )
-    mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-12)
-    return PointCloud(cloud.points, mean, cloud.colors)
-
-
-def thinned(cloud: PointCloud, *, voxel_m: float) -> PointCloud:
-    """One point a voxel: the mean of its points, normals and colours."""
-    _, cell = np.unique(np.floor(cloud.points / voxel_m).astype(np.int64), axis=0, return_inverse=True)
-    cell = cell.ravel()
-    count = np.bincount(cell)
-
-    def mean(values: np.ndarray) -> np.ndarray:
-        return np.column_stack([np.bincount(cell, weights=column) for column in values.T]) / count[:, None]
-
-    normals = mean(cloud.normals)
-    length = np.linalg.norm(normals, axis=1)
-    kept = length > 0.2  # opposite sides of a thin sheet in one voxel have no common normal
-    colors = None if cloud.colors is None else np.round(mean(cloud.colors)).astype(np.uint8)[kept]
-    return PointCloud(mean(cloud.points)[kept], normals[kept] / length[kept, None], colors)
-
-
-def joined(clouds: list[PointCloud]) -> PointCloud:
-    """All points of several clouds; colours only when all have them."""
-    colors = [cloud.colors for cloud in clouds if cloud.colors is not None]
-    return PointCloud(
-        np.concatenate([cloud.points for cloud in clouds]),
-        np.concatenate([cloud.normals for cloud in clouds]),
-        np.concatenate(colors) if len(colors) == len(clouds) else None,
-    )
 
 
 def smooth_or_convex_pairs(

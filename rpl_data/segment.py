@@ -11,18 +11,14 @@ from scipy.spatial import cKDTree
 
 from rpl_data.completion import closed_mesh
 from rpl_data.geometry import Points, invert, transform
+from rpl_data.meshes import joined, oriented_points, select, smoothed_normals, thinned
 from rpl_data.regions import (
     Plane,
     beyond_footprint_m,
     components,
     height_above,
-    joined,
-    oriented_points,
     planes_below,
-    select,
     smooth_or_convex_pairs,
-    smoothed_normals,
-    thinned,
 )
 from rpl_data.types import DataError, Mesh, PointCloud, Solution
 

@@ -27,8 +27,8 @@ from rpl_data.geometry import (
     square_box,
     transform,
 )
+from rpl_data.meshes import load_mesh, save_mesh
 from rpl_data.raycast import RayScene, render_depth_m
-from rpl_data.surface_files import load_mesh, save_mesh
 from rpl_data.types import (
     DataError,
     FrameLabel,

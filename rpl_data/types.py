@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Literal, TypedDict
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int64, UInt8
+from jaxtyping import Float32, Float64, Int64, UInt8, UInt16
 
 DepthImage = Float32[np.ndarray, "height width"]
 """Metres along the optical axis; 0 = no depth."""
@@ -381,3 +381,9 @@ class QualityRow:
     truth_frames: int
     missed: int
     invented: int
+
+
+DepthUnits = UInt16[np.ndarray, "height width"]
+
+Span = tuple[int, int]
+"""First and last frame (`Frame.index`)."""

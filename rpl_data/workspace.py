@@ -11,7 +11,7 @@ import numpy as np
 
 from rpl_data import records
 from rpl_data.clicklog import Annotation, Event, replay
-from rpl_data.depth_codec import DepthUnits, pack, unpack
+from rpl_data.depth_codec import pack, unpack
 from rpl_data.files import (
     append_bytes,
     read_json,
@@ -23,16 +23,18 @@ from rpl_data.files import (
     writing,
 )
 from rpl_data.geometry import Transform, from_quaternion_xyzw, to_quaternion_xyzw
-from rpl_data.parts import Parts, Span
-from rpl_data.pixels import in_metres, read_depth_units
+from rpl_data.images import in_metres, read_depth_units
+from rpl_data.parts import Parts
 from rpl_data.types import (
     DataError,
     DepthImage,
+    DepthUnits,
     Frame,
     FrameLabel,
     Recording,
     Scene,
     Solution,
+    Span,
     Trajectory,
 )
 

@@ -19,8 +19,8 @@ from rpl_data.annotate.news import News
 from rpl_data.annotate.work import Tell
 from rpl_data.build import build
 from rpl_data.files import locked
+from rpl_data.meshes import load_cloud, load_mesh
 from rpl_data.recipe import LabelRecipe, ObjectRecipe, Recipe, SceneSource
-from rpl_data.surface_files import load_cloud, load_mesh
 from rpl_data.types import DataError
 from rpl_data.workspace import Workspace
 

@@ -21,8 +21,8 @@ from rpl_data.formats.sparse_model import (
     write_sparse_model,
 )
 from rpl_data.geometry import from_rotvec, rotation_angle_rad, transform
+from rpl_data.meshes import load_mesh, save_mesh
 from rpl_data.pipeline.products import export_labels
-from rpl_data.surface_files import load_mesh, save_mesh
 from rpl_data.types import Mesh, Solution
 from rpl_data.workspace import Workspace
 

@@ -240,7 +240,7 @@ def test_pictures_are_no_larger_than_asked_and_cached(client: TestClient) -> Non
 
 
 def test_depth_and_poses_are_those_of_the_recording(client: TestClient, tiny_workspace: Workspace) -> None:
-    from rpl_data.pixels import read_depth_m
+    from rpl_data.images import read_depth_m
 
     scene = tiny_workspace.load_scene("01")
     depth_m = np.pad(read_depth_m(scene, scene.frame(3)), 16)

@@ -13,8 +13,8 @@ from fastapi.testclient import TestClient
 from test_annotate_server import OBJECT, client_of
 
 from rpl_data.geometry import inside_image, invert, project, transform
-from rpl_data.pixels import read_depth_m
-from rpl_data.surface_files import load_mesh
+from rpl_data.images import read_depth_m
+from rpl_data.meshes import load_mesh
 from rpl_data.workspace import Workspace
 
 

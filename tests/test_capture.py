@@ -25,7 +25,7 @@ from rpl_data.capture.live import Captured, CaptureOptions, capture
 from rpl_data.capture.preview import Preview, side_by_side
 from rpl_data.capture.streams import Shot
 from rpl_data.cli import main
-from rpl_data.pixels import read_color, read_depth_m
+from rpl_data.images import read_color, read_depth_m
 from rpl_data.record import next_scene, record_scene, stopped_by_ctrl_c
 from rpl_data.types import DataError
 

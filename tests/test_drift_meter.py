@@ -14,10 +14,10 @@ from rpl_data.drift import Drift, cut, drift_from_json, drift_to_json, measure_d
 from rpl_data.formats.pose_lines import read_pose_lines
 from rpl_data.formats.rpl import write_poses
 from rpl_data.geometry import from_rotvec, rays, rigid
+from rpl_data.images import read_depth_m
 from rpl_data.parts import Parts
 from rpl_data.pipeline.cuts import choose_cut
 from rpl_data.pipeline.products import quality_rows
-from rpl_data.pixels import read_depth_m
 from rpl_data.recipe import SceneSource
 from rpl_data.types import Click, DataError, Frame, Intrinsics, Recording, Scene, Trajectory
 from rpl_data.workspace import Workspace

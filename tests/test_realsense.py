@@ -15,7 +15,7 @@ from rpl_data.capture.lens import intrinsics_of
 from rpl_data.capture.playback import read_realsense
 from rpl_data.formats.rosbag import repair_bag
 from rpl_data.geometry import project
-from rpl_data.pixels import read_color, read_depth_m
+from rpl_data.images import read_color, read_depth_m
 from rpl_data.types import DataError, Recording
 
 BAG = Path(__file__).parent / "data" / "realsense.bag"

@@ -16,7 +16,7 @@ import pytest
 
 from rpl_data.formats.meshlab import write_picked_points
 from rpl_data.geometry import fit_rigid, transform
-from rpl_data.surface_files import load_mesh, save_mesh
+from rpl_data.meshes import load_mesh, save_mesh
 from rpl_data.types import DataError
 from rpl_data.workspace import Workspace
 from training.reproduce.__main__ import COMMANDS, main

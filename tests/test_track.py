@@ -12,15 +12,15 @@ from made_scenes import CAMERA, FRAMES, errors, orbit, scene_of, shot, tracked
 
 from rpl_data.build import build
 from rpl_data.capture import open_scenes
+from rpl_data.drift import reprojection_over_gap
 from rpl_data.formats.camera_file import write_camera
 from rpl_data.formats.rpl import write_associations
 from rpl_data.geometry import from_rotvec
+from rpl_data.images import read_depth_m
 from rpl_data.pipeline.poses import decoded
-from rpl_data.pixels import read_depth_m
 from rpl_data.recipe import parse_recipe
 from rpl_data.reconstruct.path import collected, losses
 from rpl_data.reconstruct.tracking import track
-from rpl_data.reprojection import reprojection_over_gap
 from rpl_data.types import DataError
 from rpl_data.workspace import Workspace
 

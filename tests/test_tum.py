@@ -10,7 +10,7 @@ from recordings import LENS, cut, poses, write_color, write_depth
 
 from rpl_data.formats.tum import read_tum, write_tum
 from rpl_data.geometry import from_rotvec, project, rotation_angle_rad, transform
-from rpl_data.pixels import read_depth_m
+from rpl_data.images import read_depth_m
 from rpl_data.types import DataError
 
 TIMES = [100 + i / 30 for i in range(5)]

@@ -14,8 +14,8 @@ from scipy.spatial import cKDTree
 
 from rpl_data.formats.rpl import read_rpl
 from rpl_data.geometry import back_project, invert, project, transform
-from rpl_data.pixels import read_color, read_depth_m
-from rpl_data.surface_files import load_mesh
+from rpl_data.images import read_color, read_depth_m
+from rpl_data.meshes import load_mesh
 from rpl_data.twin import TwinSpec, write_twin
 from rpl_data.twin.annotator import Mistakes, click
 from rpl_data.twin.film import Film, film

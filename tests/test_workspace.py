@@ -11,7 +11,8 @@ import cv2
 import numpy as np
 import pytest
 
-from rpl_data import pixels, surface_files
+from rpl_data import images as pixels
+from rpl_data import meshes as surface_files
 from rpl_data import workspace as ws
 from rpl_data.clicklog import click_event, keypoints_event
 from rpl_data.geometry import from_rotvec

@@ -9,8 +9,8 @@ from functools import lru_cache
 
 from rpl_data.annotate.images import encoded, resized
 from rpl_data.annotate.session import Session
+from rpl_data.images import read_color
 from rpl_data.overlay import draw_overlay
-from rpl_data.pixels import read_color
 from rpl_data.types import DataError, KeypointModel
 
 SCENES_KEPT = 24

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from rpl_data.annotate.scenes import SceneStore
-from rpl_data.pixels import read_color
+from rpl_data.images import read_color
 from rpl_data.types import ColorImage, DataError, DepthImage, Frame
 
 WIDTHS = (96, 160, 320, 640, 960, 1280, 1920)

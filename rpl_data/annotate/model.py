@@ -13,9 +13,8 @@ from rpl_data.clicklog import Annotation, Event
 from rpl_data.formats.meshlab import read_picked_points
 from rpl_data.formats.sparse_model import read_sparse_model
 from rpl_data.geometry import Points
-from rpl_data.records import rows_to_json
-from rpl_data.simplify import simplified
-from rpl_data.surface_files import load_mesh, save_mesh
+from rpl_data.json_arrays import rows_to_json
+from rpl_data.meshes import load_mesh, save_mesh, simplified
 from rpl_data.types import DataError, Mesh
 from rpl_data.workspace import Workspace
 

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from rpl_data.geometry import to_quaternion_xyzw
-from rpl_data.pixels import read_depth_m
+from rpl_data.images import read_depth_m
 from rpl_data.types import Click, DataError, DepthImage, Frame, Scene, Trajectory
 from rpl_data.workspace import Workspace
 

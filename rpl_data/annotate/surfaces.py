@@ -19,9 +19,8 @@ from jaxtyping import Float64, UInt8
 from rpl_data.annotate.scenes import PosedScene, SceneStore
 from rpl_data.annotate.session import Result
 from rpl_data.geometry import Points, back_project, transform
-from rpl_data.pixels import read_color
-from rpl_data.simplify import simplified
-from rpl_data.surface_files import load_mesh
+from rpl_data.images import read_color
+from rpl_data.meshes import load_mesh, simplified
 from rpl_data.types import DataError, DepthImage
 from rpl_data.workspace import Workspace
 

@@ -16,7 +16,7 @@ from rpl_data.doctor.edges import Pair, edges_of
 from rpl_data.doctor.findings import Diagnosis, Finding
 from rpl_data.doctor.pairing import SURE, lag_findings, lag_of, misregistered, which_lags
 from rpl_data.drift import MAX_DRIFT_MM, cut, measure_drift
-from rpl_data.pixels import read_color, read_depth_m
+from rpl_data.images import read_color, read_depth_m
 from rpl_data.types import DataError, DepthImage, Frame, Recording, Scene, Trajectory
 
 UNSURE_FRAMES, UNSURE_PX = 1.0, 8.0

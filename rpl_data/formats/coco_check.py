@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from rpl_data.records import matrix_from_json
+from rpl_data.json_arrays import matrix_from_json
 from rpl_data.types import DataError
 
 Json = dict[str, Any]

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 
 from rpl_data.drift import Drift, cut, drift_from_json, drift_to_json, measure_drift
 from rpl_data.files import read_json, write_json
-from rpl_data.parts import Span
 from rpl_data.pipeline.context import Context, step
 from rpl_data.steps import Advance, Outcome, Step
-from rpl_data.types import Click, DataError
+from rpl_data.types import Click, DataError, Span
 
 FEWEST_KEYPOINTS = 4
 """Of an object, in every part, and clicked elsewhere too: three tie a part to the rest, one is spare."""

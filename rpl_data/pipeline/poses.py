@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
+from rpl_data.images import read_grey
 from rpl_data.pipeline.context import Context, step
-from rpl_data.pixels import read_grey
 from rpl_data.steps import Advance, Outcome, Step
 from rpl_data.types import DepthImage, Frame, GreyImage
 

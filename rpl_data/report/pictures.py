@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 import cv2
 import numpy as np
 
+from rpl_data.images import read_color
 from rpl_data.overlay import draw_overlay, keypoint_color
-from rpl_data.pixels import read_color
 from rpl_data.report.counts import FrameSummary
 from rpl_data.report.html import chip, folded, number, text
 from rpl_data.types import Box, ColorImage, FrameLabel, Intrinsics, KeypointModel, Scene

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from rpl_data.meshes import simplified
 from rpl_data.overlay import keypoint_color
-from rpl_data.simplify import simplified
 from rpl_data.types import KeypointModel, Mesh
 
 MOST_TRIANGLES = 20_000

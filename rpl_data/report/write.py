@@ -9,13 +9,13 @@ import numpy as np
 import yaml
 
 from rpl_data.files import read_text, write_text
+from rpl_data.meshes import load_mesh
 from rpl_data.report.clicks import click_section
 from rpl_data.report.counts import SceneReport, summarise_scene
 from rpl_data.report.html import Cell, number, page, section, table, text
 from rpl_data.report.pictures import contact_sheet, frames_a_scene, legends
 from rpl_data.report.solid import solid
 from rpl_data.report.tables import labels_section, quality_section, timings_section
-from rpl_data.surface_files import load_mesh
 from rpl_data.types import QualityRow, Solution
 from rpl_data.workspace import Workspace
 

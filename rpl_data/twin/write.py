@@ -27,7 +27,7 @@ from rpl_data.files import write_bytes, write_text
 from rpl_data.formats.camera_file import write_camera
 from rpl_data.formats.rpl import write_associations, write_poses
 from rpl_data.geometry import Transform
-from rpl_data.surface_files import save_mesh
+from rpl_data.meshes import save_mesh
 from rpl_data.twin import annotator
 from rpl_data.twin.film import Film, film
 from rpl_data.twin.objects import build

@@ -24,8 +24,8 @@ import numpy as np
 import open3d as o3d
 
 from rpl_data.geometry import from_rotvec, invert, project, transform
+from rpl_data.images import read_depth_m
 from rpl_data.label import SceneObject, label_frames
-from rpl_data.pixels import read_depth_m
 from rpl_data.raycast import RayScene, render_depth_m
 from rpl_data.types import DepthImage, Frame, FrameLabel, Intrinsics, KeypointModel, Mesh, Scene, Trajectory
 from rpl_data.workspace import Workspace

@@ -19,14 +19,14 @@ import pytest
 from made_scenes import errors, orbit, tracked
 
 from rpl_data.capture import open_scenes
+from rpl_data.drift import reprojection_over_gap
 from rpl_data.geometry import fit_rigid, invert, resized, transform
+from rpl_data.images import read_color, read_depth_m, read_grey
 from rpl_data.pipeline.poses import decoded
-from rpl_data.pixels import read_color, read_depth_m, read_grey
 from rpl_data.reconstruct.path import Track, collected
 from rpl_data.reconstruct.surface import fuse_surface
 from rpl_data.reconstruct.tracking import Tracker, track
 from rpl_data.reconstruct.view import REDUCE, Viewer
-from rpl_data.reprojection import reprojection_over_gap
 from rpl_data.types import DataError, DepthImage, Frame, GreyImage, Recording, Scene, Trajectory
 from rpl_data.workspace import Workspace
 

@@ -9,10 +9,10 @@ import numpy as np
 
 from rpl_data.cad import Cad, CadInScene, SparseOnCad, align_scene, align_sparse
 from rpl_data.geometry import Transform, invert
+from rpl_data.meshes import load_mesh
 from rpl_data.pipeline.sparse import observe
 from rpl_data.quality import LabelErrors, ModelError, label_errors, merged, summarise
 from rpl_data.solve import register
-from rpl_data.surface_files import load_mesh
 from rpl_data.truth import TrueObject, true_labels
 from rpl_data.types import DataError, KeypointModel, QualityRow, Solution
 from rpl_data.workspace import Workspace

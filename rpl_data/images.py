@@ -6,8 +6,7 @@ import cv2
 import numpy as np
 from jaxtyping import UInt16
 
-from rpl_data.depth_codec import DepthUnits
-from rpl_data.types import ColorImage, DataError, DepthImage, DepthWarp, Frame, GreyImage, Scene
+from rpl_data.types import ColorImage, DataError, DepthImage, DepthUnits, DepthWarp, Frame, GreyImage, Scene
 
 REDUCED_GREY = {
     1: cv2.IMREAD_GRAYSCALE,

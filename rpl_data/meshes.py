@@ -1,0 +1,170 @@
+"""Meshes and clouds as files, written whole as PLY: Open3D's writer reports success on a full disk."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int64, UInt8
+from scipy.spatial import cKDTree
+
+from rpl_data.files import write_bytes
+from rpl_data.types import DataError, Mesh, PointCloud
+
+Floats = Float64[np.ndarray, "n 3"]
+Colors = UInt8[np.ndarray, "n 3"]
+
+
+def save_mesh(path: Path, mesh: Mesh) -> None:
+    """Write triangles as binary PLY, whole or not at all."""
+    write_bytes(path, mesh_to_ply(mesh))
+
+
+def load_mesh(path: Path) -> Mesh:
+    """Triangles from PLY, OBJ or anything Open3D reads; DataError when there are none."""
+    import open3d as o3d
+
+    if not path.exists():
+        raise DataError(f"there is no mesh {path}")
+    legacy = o3d.io.read_triangle_mesh(str(path))
+    if not legacy.has_triangles():
+        raise DataError(f"{path} holds no triangles; expected a mesh, not a point cloud")
+    colors = (
+        (np.asarray(legacy.vertex_colors) * 255).round().astype(np.uint8)
+        if legacy.has_vertex_colors()
+        else None
+    )
+    return Mesh(np.asarray(legacy.vertices).copy(), np.asarray(legacy.triangles).astype(np.int64), colors)
+
+
+def save_cloud(path: Path, cloud: PointCloud) -> None:
+    """Write points with normals as binary PLY, whole or not at all."""
+    write_bytes(path, cloud_to_ply(cloud))
+
+
+def load_cloud(path: Path) -> PointCloud:
+    """Points with normals from PLY; DataError when there are none."""
+    import open3d as o3d
+
+    if not path.exists():
+        raise DataError(f"there is no point cloud {path}")
+    legacy = o3d.io.read_point_cloud(str(path))
+    if not legacy.has_points() or not legacy.has_normals():
+        raise DataError(f"{path} should hold points with normals")
+    colors = (np.asarray(legacy.colors) * 255).round().astype(np.uint8) if legacy.has_colors() else None
+    return PointCloud(np.asarray(legacy.points).copy(), np.asarray(legacy.normals).copy(), colors)
+
+
+def mesh_to_ply(mesh: Mesh) -> bytes:
+    """Vertices, with colours where known, and triangles."""
+    header, vertices = _vertices([("xyz", mesh.vertices)], mesh.colors)
+    faces = f"element face {len(mesh.triangles)}\nproperty list uchar int vertex_indices\n"
+    return _file(header + faces, vertices + _faces(mesh.triangles))
+
+
+def cloud_to_ply(cloud: PointCloud) -> bytes:
+    """Points with normals, and with colours where known."""
+    return _file(*_vertices([("xyz", cloud.points), (("nx", "ny", "nz"), cloud.normals)], cloud.colors))
+
+
+def _file(elements: str, content: bytes) -> bytes:
+    return f"ply\nformat binary_little_endian 1.0\n{elements}end_header\n".encode("ascii") + content
+
+
+def _vertices(columns: Sequence[tuple[Sequence[str], Floats]], colors: Colors | None) -> tuple[str, bytes]:
+    """The header and the content of the vertex element."""
+    fields = [(name, "<f8") for names, _ in columns for name in names]
+    if colors is not None:
+        fields += [(name, "u1") for name in ("red", "green", "blue")]
+    table = np.empty(len(columns[0][1]), dtype=fields)
+    for names, values in [*columns, *([] if colors is None else [(("red", "green", "blue"), colors)])]:
+        for name, column in zip(names, values.T, strict=True):
+            table[name] = column
+    kinds = {"<f8": "double", "u1": "uchar"}
+    properties = "".join(f"property {kinds[kind]} {name}\n" for name, kind in fields)
+    return f"element vertex {len(table)}\n{properties}", table.tobytes()
+
+
+def _faces(triangles: Int64[np.ndarray, "m 3"]) -> bytes:
+    table = np.empty(len(triangles), dtype=[("count", "u1"), ("corners", "<i4", 3)])
+    table["count"], table["corners"] = 3, triangles
+    return table.tobytes()
+
+
+def oriented_points(mesh: Mesh) -> PointCloud:
+    """The vertices of a mesh with normals from its triangles (area-weighted), so they point outwards."""
+    corners = mesh.vertices[mesh.triangles]
+    area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = np.zeros_like(mesh.vertices)
+    for corner in range(3):
+        np.add.at(normals, mesh.triangles[:, corner], area)
+    length = np.linalg.norm(normals, axis=1)
+    used = length > 0
+    colors = None if mesh.colors is None else mesh.colors[used]
+    return PointCloud(mesh.vertices[used], normals[used] / length[used, None], colors)
+
+
+def select(cloud: PointCloud, chosen: Bool[np.ndarray, " n"] | Int64[np.ndarray, " m"]) -> PointCloud:
+    """Some of the points."""
+    colors = None if cloud.colors is None else cloud.colors[chosen]
+    return PointCloud(cloud.points[chosen], cloud.normals[chosen], colors)
+
+
+def smoothed_normals(cloud: PointCloud, *, radius_m: float) -> PointCloud:
+    """The cloud with every normal replaced by the mean of its neighbourhood's."""
+    pairs = cKDTree(cloud.points).query_pairs(radius_m, output_type="ndarray")
+    mean = cloud.normals.copy()
+    for a, b in ((0, 1), (1, 0)):
+        for axis in range(3):
+            mean[:, axis] += np.bincount(
+                pairs[:, a], weights=cloud.normals[pairs[:, b], axis], minlength=len(mean)
+            )
+    mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-12)
+    return PointCloud(cloud.points, mean, cloud.colors)
+
+
+def thinned(cloud: PointCloud, *, voxel_m: float) -> PointCloud:
+    """One point a voxel: the mean of its points, normals and colours."""
+    _, cell = np.unique(np.floor(cloud.points / voxel_m).astype(np.int64), axis=0, return_inverse=True)
+    cell = cell.ravel()
+    count = np.bincount(cell)
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        return np.column_stack([np.bincount(cell, weights=column) for column in values.T]) / count[:, None]
+
+    normals = mean(cloud.normals)
+    length = np.linalg.norm(normals, axis=1)
+    kept = length > 0.2  # opposite sides of a thin sheet in one voxel have no common normal
+    colors = None if cloud.colors is None else np.round(mean(cloud.colors)).astype(np.uint8)[kept]
+    return PointCloud(mean(cloud.points)[kept], normals[kept] / length[kept, None], colors)
+
+
+def joined(clouds: list[PointCloud]) -> PointCloud:
+    """All points of several clouds; colours only when all have them."""
+    colors = [cloud.colors for cloud in clouds if cloud.colors is not None]
+    return PointCloud(
+        np.concatenate([cloud.points for cloud in clouds]),
+        np.concatenate([cloud.normals for cloud in clouds]),
+        np.concatenate(colors) if len(colors) == len(clouds) else None,
+    )
+
+
+def simplified(mesh: Mesh, *, most_triangles: int) -> Mesh:
+    """The mesh with no more triangles than that, its shape kept by quadric error (Garland, Heckbert 1997)."""
+    if len(mesh.triangles) <= most_triangles:
+        return mesh
+    import open3d as o3d
+
+    legacy = o3d.geometry.TriangleMesh(
+        o3d.utility.Vector3dVector(mesh.vertices), o3d.utility.Vector3iVector(mesh.triangles.astype(np.int32))
+    )
+    if mesh.colors is not None:
+        legacy.vertex_colors = o3d.utility.Vector3dVector(mesh.colors / 255.0)
+    small = legacy.simplify_quadric_decimation(most_triangles)
+    colors = np.clip(np.asarray(small.vertex_colors) * 255, 0, 255).round().astype(np.uint8)
+    return Mesh(
+        np.asarray(small.vertices).copy(),
+        np.asarray(small.triangles).astype(np.int64),
+        colors if small.has_vertex_colors() else None,
+    )
