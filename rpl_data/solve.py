@@ -29,10 +29,10 @@ from rpl_data.adjustment.bundle import (
 )
 from rpl_data.adjustment.hypotheses import hypotheses_of_scene
 from rpl_data.adjustment.procrustes import Adjusted, Fragments, Loss, adjust_points, eq2_cost
-from rpl_data.adjustment.rigidity import describe_loose, generic_points, loose_scenes
 from rpl_data.adjustment.slsqp import adjust_points_slsqp
 from rpl_data.adjustment.start import Hypotheses, Start, join_clean, join_scenes, match
 from rpl_data.adjustment.verdicts import click_residuals, describe_keypoints
+from rpl_data.clicks.rigidity import describe_loose, generic_points, loose_scenes
 from rpl_data.geometry import invert, rigid, spread_m, transform
 from rpl_data.types import ClickResidual, DataError, KeypointModel, Observation, Solution
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from rpl_data import records
-from rpl_data.clicklog import Annotation, Event, replay
+from rpl_data.clicks.log import Annotation, Event, replay
 from rpl_data.depth_codec import pack, unpack
 from rpl_data.files import (
     append_bytes,

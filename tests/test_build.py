@@ -11,7 +11,7 @@ import pytest
 
 from rpl_data import build as module
 from rpl_data.build import Progress, build, recipe_of, stale_steps
-from rpl_data.clicklog import clicks_from_csv
+from rpl_data.clicks.log import clicks_from_csv
 from rpl_data.pipeline.dense import Sphere, joined_meshes, joined_spheres
 from rpl_data.pipeline.products import quality_rows, timings
 from rpl_data.pool import Pool

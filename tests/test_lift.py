@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rpl_data.clicks.lift import candidate_depths_m, lift, lift_clicks
 from rpl_data.geometry import project
-from rpl_data.lift import candidate_depths_m, lift, lift_clicks
 from rpl_data.types import Click, DataError, Frame, Intrinsics, Scene, Trajectory
 
 CAMERA = Intrinsics(600.0, 600.0, 320.0, 240.0, 640, 480, (0.05, -0.1, 0.001, -0.001))

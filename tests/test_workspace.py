@@ -14,7 +14,7 @@ import pytest
 from rpl_data import images as pixels
 from rpl_data import meshes as surface_files
 from rpl_data import workspace as ws
-from rpl_data.clicklog import click_event, keypoints_event
+from rpl_data.clicks.log import click_event, keypoints_event
 from rpl_data.geometry import from_rotvec
 from rpl_data.types import (
     Click,

@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from rpl_data.annotate.scenes import SceneStore
-from rpl_data.clicklog import OPS, Annotation, Event
+from rpl_data.clicks.log import OPS, Annotation, Event
 from rpl_data.types import Click, DataError
 
 MOST_KEYPOINTS = 200

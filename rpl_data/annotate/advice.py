@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from rpl_data.annotate.live import FEWEST, Live
-from rpl_data.clicklog import Annotation
+from rpl_data.clicks.log import Annotation
 
 ENOUGH = FEWEST + 1
 """Clicks a scene: three place it, the fourth checks them."""

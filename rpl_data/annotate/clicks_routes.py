@@ -8,7 +8,7 @@ from pydantic import BaseModel
 
 from rpl_data.annotate.payload import Json
 from rpl_data.annotate.session import Session
-from rpl_data.clicklog import clicks_from_csv, clicks_to_csv, events_to
+from rpl_data.clicks.log import clicks_from_csv, clicks_to_csv, events_to
 
 
 class ClicksFile(BaseModel):

@@ -9,11 +9,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float64
 
-from rpl_data.adjustment.rigidity import describe_loose, generic_points, loose_scenes
 from rpl_data.annotate.scenes import SceneStore
-from rpl_data.clicklog import Annotation
+from rpl_data.clicks.lift import lift
+from rpl_data.clicks.log import Annotation
+from rpl_data.clicks.rigidity import describe_loose, generic_points, loose_scenes
 from rpl_data.geometry import transform
-from rpl_data.lift import lift
 from rpl_data.types import Click, DataError, Observation, Solution
 
 Solve = Callable[[Annotation, Sequence[Observation]], Solution]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from rpl_data.annotate.surfaces import packed
-from rpl_data.clicklog import Annotation, Event
+from rpl_data.clicks.log import Annotation, Event
 from rpl_data.formats.meshlab import read_picked_points
 from rpl_data.formats.sparse_model import read_sparse_model
 from rpl_data.geometry import Points

@@ -14,7 +14,7 @@ from rpl_data.annotate.live import FEWEST, Live
 from rpl_data.annotate.log import Revision
 from rpl_data.annotate.scenes import PosedScene
 from rpl_data.annotate.session import Result
-from rpl_data.clicklog import Event
+from rpl_data.clicks.log import Event
 from rpl_data.json_arrays import numbers, rows_to_json
 from rpl_data.overlay import keypoint_color
 from rpl_data.types import ClickResidual, Solution

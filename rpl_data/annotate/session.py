@@ -18,7 +18,7 @@ from rpl_data.annotate.news import News
 from rpl_data.annotate.scenes import SceneStore
 from rpl_data.annotate.suggest import Suggestion, suggest_frames
 from rpl_data.annotate.work import Work
-from rpl_data.clicklog import Annotation
+from rpl_data.clicks.log import Annotation
 from rpl_data.geometry import Transform
 from rpl_data.types import Click, DataError
 from rpl_data.workspace import Workspace

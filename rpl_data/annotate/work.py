@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from rpl_data.clicklog import Annotation, GraspClicks
+from rpl_data.clicks.log import Annotation, GraspClicks
 from rpl_data.geometry import Transform
 from rpl_data.types import ClickResidual, KeypointModel, Observation, Solution
 

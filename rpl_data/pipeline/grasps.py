@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from rpl_data.clicklog import GraspClicks
+from rpl_data.clicks.grasp import grasp_frame
+from rpl_data.clicks.log import GraspClicks
 from rpl_data.geometry import Transform, invert
-from rpl_data.grasp import grasp_frame
 from rpl_data.images import read_depth_m
 from rpl_data.types import DataError, Solution
 from rpl_data.workspace import Workspace

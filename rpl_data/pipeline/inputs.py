@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 
 from rpl_data import capture
-from rpl_data.clicklog import clicks_from_csv, clicks_to_csv, events_to, keypoints_event, objects_in_csv
+from rpl_data.clicks.log import clicks_from_csv, clicks_to_csv, events_to, keypoints_event, objects_in_csv
 from rpl_data.files import read_text, remove
 from rpl_data.pipeline.context import Context, step
 from rpl_data.recipe import ObjectRecipe, SceneSource

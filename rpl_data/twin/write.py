@@ -22,7 +22,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from rpl_data.clicklog import clicks_to_csv
+from rpl_data.clicks.log import clicks_to_csv
 from rpl_data.files import write_bytes, write_text
 from rpl_data.formats.camera_file import write_camera
 from rpl_data.formats.rpl import write_associations, write_poses

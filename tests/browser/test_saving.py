@@ -10,7 +10,7 @@ import pytest
 from driving import SHOWN, Server, clicks, on_page, place, saved
 from playwright.sync_api import Page, expect
 
-from rpl_data.clicklog import clicks_to_csv, keypoints_event
+from rpl_data.clicks.log import clicks_to_csv, keypoints_event
 from rpl_data.workspace import Workspace
 
 

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from rpl_data.clicks.lift import lift_clicks
 from rpl_data.images import read_depth_m
-from rpl_data.lift import lift_clicks
 from rpl_data.quality import model_error
 from rpl_data.solve import solve
 from rpl_data.twin.annotator import click
