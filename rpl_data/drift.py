@@ -8,7 +8,7 @@ is noise, is drift. Only what changes depth is seen, about a third to a half of 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from rpl_data.geometry import Transform, back_project, inside_image, invert, project, transform
-from rpl_data.types import DepthImage, Frame, Intrinsics, Observation, Scene, Span, Trajectory
+from rpl_data.types import DepthImage, Frame, Intrinsics, Scene, Span, Trajectory
 
 MAX_DRIFT_MM = 15.0
 """Poses that stray farther are cut, unless the recipe says otherwise."""
@@ -166,36 +166,6 @@ def _span(frames: Int64[np.ndarray, " n"], a: int, b: int) -> Span:
     first = int(frames[0]) if a == 0 else int(frames[a - 1] + frames[a]) // 2 + 1
     last = int(frames[-1]) if b == len(frames) else int(frames[b - 1] + frames[b]) // 2
     return first, last
-
-
-def click_spreads_m(
-    points_scene: Mapping[str, Float64[np.ndarray, "k 3"]], observations: Sequence[Observation]
-) -> dict[tuple[str, int], float]:
-    """How far the clicks of a keypoint lie apart over the frames of a scene, seen through its poses.
-
-    Every click's ray misses the keypoint's place by a vector; the spread is the standard deviation of
-    those, on an axis. It holds the hand's error (2 px are 2 mm at 0.6 m) and the drift of the poses.
-
-    Args:
-        points_scene: places of the keypoints by scene, scene frame; NaN where not known.
-
-    Returns:
-        By scene and keypoint, of those with clicks in two frames or more.
-    """
-    misses: dict[tuple[str, int], list[np.ndarray]] = {}
-    for o in observations:
-        place = (o.click.scene, o.click.keypoint)
-        if o.click.scene not in points_scene or not np.isfinite(points_scene[place[0]][place[1]]).all():
-            continue
-        ray = o.scene_from_camera[:3, :3] @ o.ray_camera
-        ray = ray / np.linalg.norm(ray)
-        toward = points_scene[place[0]][place[1]] - o.scene_from_camera[:3, 3]
-        misses.setdefault(place, []).append(toward - (toward @ ray) * ray)
-    return {
-        place: float(np.sqrt(np.var(found, axis=0, ddof=1).sum() / 2))
-        for place, found in misses.items()
-        if len(found) > 1
-    }
 
 
 def drift_to_json(drift: Drift) -> dict[str, Any]:

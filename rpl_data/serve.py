@@ -16,7 +16,7 @@ from rpl_data.pipeline.context import Context
 from rpl_data.pipeline.grasps import object_from_grasp
 from rpl_data.pipeline.sparse import solve_annotation
 from rpl_data.recipe import ObjectRecipe
-from rpl_data.solve import register
+from rpl_data.solve.solve import register
 from rpl_data.types import DataError
 from rpl_data.workspace import Workspace
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from rpl_data.adjustment.procrustes import Fragments, eq2_cost
 from rpl_data.geometry import fit_rigid, invert, rays, rigid, rotation_angle_rad, transform
-from rpl_data.solve import register, solve, solve_points
+from rpl_data.solve.procrustes import Fragments, eq2_cost
+from rpl_data.solve.solve import register, solve, solve_points
 from rpl_data.types import Click, DataError, Intrinsics, KeypointModel, Observation
 
 CAMERA = Intrinsics(600.0, 600.0, 320.0, 240.0, 640, 480)

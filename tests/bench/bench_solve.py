@@ -11,9 +11,9 @@ import time
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from rpl_data.adjustment.procrustes import Fragments, eq2_cost
 from rpl_data.geometry import fit_rigid, rigid, transform
-from rpl_data.solve import solve_points
+from rpl_data.solve.procrustes import Fragments, eq2_cost
+from rpl_data.solve.solve import solve_points
 
 
 def fragments(scenes: int, keypoints: int, seed: int, wrong: float) -> tuple[np.ndarray, Fragments]:

@@ -9,7 +9,7 @@ import numpy as np
 from rpl_data.clicks.lift import lift_clicks
 from rpl_data.images import read_depth_m
 from rpl_data.quality import model_error
-from rpl_data.solve import solve
+from rpl_data.solve.solve import solve
 from rpl_data.twin.annotator import click
 from rpl_data.types import DataError, FrameLabel, KeypointModel, Observation
 from rpl_data.workspace import Workspace

@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.optimize import minimize
 
-from rpl_data.adjustment.procrustes import Adjusted, Fragments
 from rpl_data.geometry import rigid
+from rpl_data.solve.procrustes import Adjusted, Fragments
 
 
 def adjust_points_slsqp(fragments: Fragments) -> Adjusted:

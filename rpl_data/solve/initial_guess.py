@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64
 
-from rpl_data.adjustment.procrustes import Fragments, kabsch_stack
 from rpl_data.geometry import fit_rigid, invert, spread_m, transform
+from rpl_data.solve.procrustes import Fragments, kabsch_stack
 
 Hypotheses = dict[int, Float64[np.ndarray, "_ 3"]]
 """Keypoint -> places where it may be, most likely first."""

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float64
 
-from rpl_data.adjustment.start import AGREE_M, Hypotheses
 from rpl_data.geometry import invert, transform
+from rpl_data.solve.initial_guess import AGREE_M, Hypotheses
 from rpl_data.types import Observation
 
 RAY_PX = 8.0

@@ -20,20 +20,14 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.spatial.transform import Rotation
 
-from rpl_data.adjustment.bundle import (
-    Bundle,
-    adjust_rays,
-    choose_places,
-    model_covariance,
-    rays_of,
-)
-from rpl_data.adjustment.hypotheses import hypotheses_of_scene
-from rpl_data.adjustment.procrustes import Adjusted, Fragments, Loss, adjust_points, eq2_cost
-from rpl_data.adjustment.slsqp import adjust_points_slsqp
-from rpl_data.adjustment.start import Hypotheses, Start, join_clean, join_scenes, match
-from rpl_data.adjustment.verdicts import click_residuals, describe_keypoints
 from rpl_data.clicks.rigidity import describe_loose, generic_points, loose_scenes
 from rpl_data.geometry import invert, rigid, spread_m, transform
+from rpl_data.solve.bundle_adjustment import Bundle, adjust_rays, choose_places, model_covariance, rays_of
+from rpl_data.solve.hypotheses import hypotheses_of_scene
+from rpl_data.solve.initial_guess import Hypotheses, Start, join_clean, join_scenes, match
+from rpl_data.solve.procrustes import Adjusted, Fragments, Loss, adjust_points, eq2_cost
+from rpl_data.solve.residuals import click_residuals, describe_keypoints
+from rpl_data.solve.slsqp import adjust_points_slsqp
 from rpl_data.types import ClickResidual, DataError, KeypointModel, Observation, Solution
 
 Method = Literal["robust", "slsqp"]
