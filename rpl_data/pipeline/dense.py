@@ -139,7 +139,7 @@ def _segment_step(context: Context, item: ObjectRecipe) -> Step:
     def run(advance: Advance) -> Outcome:
         if given is not None:
             return _keep_given(workspace, item.name, given)
-        from rpl_data.segment import segment_object
+        from rpl_data.segment.segment import segment_object
 
         surfaces = {name: load_mesh(workspace.surface_file(name)) for name in scenes}
         dense = segment_object(surfaces, workspace.load_solution(item.name), voxel_m=voxel_m, crop_m=crop)

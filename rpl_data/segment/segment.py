@@ -9,10 +9,10 @@ import numpy as np
 from jaxtyping import Bool, Float64
 from scipy.spatial import cKDTree
 
-from rpl_data.completion import closed_mesh
 from rpl_data.geometry import Points, invert, transform
 from rpl_data.meshes import joined, oriented_points, select, smoothed_normals, thinned
-from rpl_data.regions import (
+from rpl_data.segment.completion import closed_mesh
+from rpl_data.segment.region_growing import (
     Plane,
     beyond_footprint_m,
     components,
