@@ -11,8 +11,8 @@ import pytest
 from pycocotools import mask as coco
 
 from rpl_data.geometry import from_rotvec, transform
-from rpl_data.label import SceneObject, label_frames, sample_frames
-from rpl_data.masks import box_of, encode
+from rpl_data.label.label import SceneObject, label_frames, sample_frames
+from rpl_data.label.masks import box_of, encode
 from rpl_data.types import (
     DataError,
     Frame,

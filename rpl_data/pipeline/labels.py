@@ -9,7 +9,7 @@ from pathlib import Path
 
 from rpl_data.files import remove
 from rpl_data.geometry import Transform
-from rpl_data.label import SceneObject, label_frames, sample_frames
+from rpl_data.label.label import SceneObject, label_frames, sample_frames
 from rpl_data.meshes import load_mesh
 from rpl_data.pipeline.context import Context, posed_frames, step
 from rpl_data.steps import Advance, Outcome, Step

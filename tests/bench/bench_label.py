@@ -25,7 +25,7 @@ import open3d as o3d
 
 from rpl_data.geometry import from_rotvec, invert, project, transform
 from rpl_data.images import read_depth_m
-from rpl_data.label import SceneObject, label_frames
+from rpl_data.label.label import SceneObject, label_frames
 from rpl_data.raycast import RayScene, render_depth_m
 from rpl_data.types import DepthImage, Frame, FrameLabel, Intrinsics, KeypointModel, Mesh, Scene, Trajectory
 from rpl_data.workspace import Workspace

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64
 
 from rpl_data.geometry import Pixels, depth_sigma_m
-from rpl_data.masks import MaskPatch, Window, cleaned
+from rpl_data.label.masks import MaskPatch, Window, cleaned
 
 DepthPatch = Float32[np.ndarray, "h w"]
 

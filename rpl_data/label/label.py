@@ -15,8 +15,15 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from rpl_data.geometry import Pixels, Points, Transform, inside_image, invert, square_box, transform
-from rpl_data.masks import MaskPatch, Window, box_of, cleaned, encode, overlap, reaches_border
-from rpl_data.occlusion import FAR_M, DepthPatch, Tolerances, depth_agreement, hidden_pixels, keypoints_seen
+from rpl_data.label.masks import MaskPatch, Window, box_of, cleaned, encode, overlap, reaches_border
+from rpl_data.label.occlusion import (
+    FAR_M,
+    DepthPatch,
+    Tolerances,
+    depth_agreement,
+    hidden_pixels,
+    keypoints_seen,
+)
 from rpl_data.raycast import PixelTable, RayScene, depth_along_m
 from rpl_data.types import (
     Box,
