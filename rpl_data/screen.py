@@ -10,8 +10,8 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
 from rpl_data import build
+from rpl_data.evaluate.quality import format_table
 from rpl_data.pipeline.products import quality_rows, split_summary, timings
-from rpl_data.quality import format_table
 from rpl_data.steps import Ledger
 from rpl_data.types import Recording
 from rpl_data.workspace import Workspace

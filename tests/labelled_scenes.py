@@ -7,8 +7,8 @@ import numpy as np
 from pycocotools import mask as masks
 
 from rpl_data.export import ExportScene, export_coco
+from rpl_data.export.split import SplitRule
 from rpl_data.geometry import box_around, from_rotvec, project, square_box, transform
-from rpl_data.split import SplitRule
 from rpl_data.types import Frame, FrameLabel, InstanceLabel, Intrinsics, KeypointModel, Scene, Trajectory
 
 CAMERA = Intrinsics(150.0, 151.0, 79.5, 59.5, 160, 120, (0.01, -0.02, 0.0, 0.0))

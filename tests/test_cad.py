@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rpl_data.cad import Cad, align_scene, align_sparse, picked_in_order, scaled
+from rpl_data.evaluate.cad import Cad, align_scene, align_sparse, picked_in_order, scaled
+from rpl_data.evaluate.truth import box_mesh
 from rpl_data.geometry import from_rotvec, invert, rotation_angle_rad, transform
-from rpl_data.truth import box_mesh
 from rpl_data.types import DataError, KeypointModel, Mesh
 
 CORNERS = np.array([[x, y, z] for x in (-0.045, 0.045) for y in (-0.03, 0.03) for z in (-0.07, 0.07)])

@@ -12,14 +12,14 @@ import yaml
 from labelled_scenes import BOX, CAMERA, CAN, LAST_FRAME, labelled_scene
 from pycocotools import mask as masks
 
+from rpl_data.evaluate.truth import box_mesh
 from rpl_data.export import ExportScene, export_bop, export_coco, export_okt, export_yolo
+from rpl_data.export.split import SplitRule
 from rpl_data.formats.bop import read_bop
 from rpl_data.formats.coco import read_coco
 from rpl_data.formats.yolo import LINES, detect_line, pose_line, segment_line
 from rpl_data.meshes import load_mesh, save_mesh
 from rpl_data.pipeline.products import refuse_unknown_exports
-from rpl_data.split import SplitRule
-from rpl_data.truth import box_mesh
 from rpl_data.types import DataError
 
 PLAIN = CAMERA.__class__(150.0, 151.0, 79.5, 59.5, 160, 120)

@@ -9,10 +9,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rpl_data.geometry import invert, project, rays, rigid, rotation_angle_rad, transform
-from rpl_data.pose import PoseEstimate, PoseFailure, correspondences, estimate_pose
+from rpl_data.pose import correspondences
 from rpl_data.pose.algebra import cross, quartic_roots, small_rotations
 from rpl_data.pose.depth import depths_at
 from rpl_data.pose.errors import INFINITE, pose_errors
+from rpl_data.pose.estimate import PoseEstimate, PoseFailure, estimate_pose
 from rpl_data.pose.p3p import poses_from_triples
 from rpl_data.pose.refine import covariance_of, refined
 from rpl_data.types import Intrinsics

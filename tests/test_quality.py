@@ -9,8 +9,15 @@ import numpy as np
 import pytest
 from pycocotools import mask as coco_mask
 
+from rpl_data.evaluate.quality import (
+    compare_workspaces,
+    format_table,
+    label_errors,
+    mask_iou,
+    model_error,
+    summarise,
+)
 from rpl_data.geometry import fit_rigid, from_rotvec, invert, transform
-from rpl_data.quality import compare_workspaces, format_table, label_errors, mask_iou, model_error, summarise
 from rpl_data.types import DataError, FrameLabel, InstanceLabel, KeypointModel, Rle, Solution, SquareBox
 from rpl_data.workspace import Workspace
 

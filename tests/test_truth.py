@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from pycocotools import mask as coco_mask
 
+from rpl_data.evaluate.truth import box_mesh, true_labels, true_objects, truth_from_poses
 from rpl_data.geometry import from_rotvec
-from rpl_data.truth import box_mesh, true_labels, true_objects, truth_from_poses
 from rpl_data.types import DataError, Frame, Intrinsics, Recording, Scene
 from rpl_data.workspace import Workspace
 

@@ -6,7 +6,7 @@ import sys
 from dataclasses import asdict
 from pathlib import Path
 
-from rpl_data.pose import Method
+from rpl_data.pose.estimate import Method
 from training.options import Crops
 
 

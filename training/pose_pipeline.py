@@ -11,8 +11,9 @@ import numpy as np
 import torch
 
 from rpl_data.geometry import depth_sigma_m
-from rpl_data.pose import Method, PoseEstimate, PoseFailure, correspondences, estimate_pose
+from rpl_data.pose import correspondences
 from rpl_data.pose.depth import depths_at
+from rpl_data.pose.estimate import Method, PoseEstimate, PoseFailure, estimate_pose
 from rpl_data.torch.images import to_unit_range
 from rpl_data.torch.transforms import crop_from_square, warped
 from rpl_data.types import DataError, DepthImage, Intrinsics

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rpl_data.pose import Method, PoseEstimate, PoseFailure
+from rpl_data.pose.estimate import Method, PoseEstimate, PoseFailure
 from rpl_data.types import Click, DataError, Intrinsics
 
 if TYPE_CHECKING:

@@ -161,8 +161,8 @@ def quality_steps(context: Context) -> list[Step]:
         return []
 
     def run(advance: Advance) -> Outcome:
-        from rpl_data.quality import compare_workspaces
-        from rpl_data.truth import truth_from_poses
+        from rpl_data.evaluate.quality import compare_workspaces
+        from rpl_data.evaluate.truth import truth_from_poses
 
         if recipe.truth is not None and not recipe.truth.is_dir():
             truth_from_poses(workspace, truth, recipe.truth)

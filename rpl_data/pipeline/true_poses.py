@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rpl_data.cad import cads_in, mesh_of
+from rpl_data.evaluate.cad import cads_in, mesh_of
 from rpl_data.files import write_json
 from rpl_data.recipe import Recipe
 from rpl_data.steps import Json

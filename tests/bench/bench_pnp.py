@@ -18,7 +18,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from rpl_data.geometry import project, rigid, rotation_angle_rad, transform
-from rpl_data.pose import Method, PoseFailure, correspondences, estimate_pose
+from rpl_data.pose import correspondences
+from rpl_data.pose.estimate import Method, PoseFailure, estimate_pose
 from rpl_data.types import Intrinsics
 
 CAMERA = Intrinsics(585.0, 585.0, 319.5, 239.5, 640, 480)

@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rpl_data.cad import Cad, CadInScene, SparseOnCad, align_scene, align_sparse
+from rpl_data.evaluate.cad import Cad, CadInScene, SparseOnCad, align_scene, align_sparse
+from rpl_data.evaluate.quality import LabelErrors, ModelError, label_errors, merged, summarise
+from rpl_data.evaluate.truth import TrueObject, true_labels
 from rpl_data.geometry import Transform, invert
 from rpl_data.meshes import load_mesh
 from rpl_data.pipeline.sparse import observe
-from rpl_data.quality import LabelErrors, ModelError, label_errors, merged, summarise
 from rpl_data.solve.solve import register
-from rpl_data.truth import TrueObject, true_labels
 from rpl_data.types import DataError, KeypointModel, QualityRow, Solution
 from rpl_data.workspace import Workspace
 

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from rpl_data.clicks.lift import lift_clicks
+from rpl_data.evaluate.quality import model_error
 from rpl_data.images import read_depth_m
-from rpl_data.quality import model_error
 from rpl_data.solve.solve import solve
 from rpl_data.twin.annotator import click
 from rpl_data.types import DataError, FrameLabel, KeypointModel, Observation

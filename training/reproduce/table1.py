@@ -11,7 +11,7 @@ from rpl_data.types import DataError
 from training.reproduce.table1_rows import Row, Scores, Trajectories
 
 if TYPE_CHECKING:
-    from rpl_data.cad import Cad
+    from rpl_data.evaluate.cad import Cad
     from rpl_data.types import QualityRow
     from rpl_data.workspace import Workspace
     from training.reproduce.cad_protocol import CadResult
@@ -104,8 +104,8 @@ def measure(
         DataError: neither truth nor a CAD is known.
     """
     from rpl_data.build import context_of
+    from rpl_data.evaluate.quality import compare_workspaces
     from rpl_data.pipeline.products import truth_workspace
-    from rpl_data.quality import compare_workspaces
     from training.reproduce.cad_protocol import by_cad
     from training.reproduce.worst import worst_scenes
 
@@ -136,7 +136,7 @@ def _cads(
     metres_per_unit: float,
     seed: int,
 ) -> dict[str, Cad]:
-    from rpl_data.cad import cads_in
+    from rpl_data.evaluate.cad import cads_in
     from training.reproduce.cad_protocol import true_cads
 
     if folder is not None:

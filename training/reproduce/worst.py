@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rpl_data.quality import LabelErrors, label_errors, model_error
+from rpl_data.evaluate.quality import LabelErrors, label_errors, model_error
 from rpl_data.types import Solution
 from rpl_data.workspace import Workspace
 

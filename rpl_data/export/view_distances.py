@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
+from rpl_data.export.split import FrameKey, SplitName
 from rpl_data.geometry import invert
-from rpl_data.split import FrameKey, SplitName
 from rpl_data.types import InstanceLabel
 
 
