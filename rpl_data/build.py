@@ -18,7 +18,7 @@ from rpl_data.pool import Pool
 from rpl_data.recipe import Recipe, load_recipe, recipe_to_yaml
 from rpl_data.steps import Entry, Ledger, Outcome, Step
 from rpl_data.types import DataError
-from rpl_data.workspace import Workspace
+from rpl_data.workspace.workspace import Workspace
 
 STAGES: dict[str, Callable[[Context], list[Step]]] = {
     "twin": inputs.twin_steps,

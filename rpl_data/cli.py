@@ -182,7 +182,7 @@ def register(object: str, scene: str, workspace: Path = HERE) -> None:
     """
     from rpl_data.build import recipe_of, run_step
     from rpl_data.pipeline.sparse import register_step
-    from rpl_data.workspace import Workspace
+    from rpl_data.workspace.workspace import Workspace
 
     place = Workspace(workspace)
     entry = run_step(recipe_of(place), place, lambda context: register_step(context, object, scene))
@@ -232,7 +232,7 @@ def export(workspace: Path = HERE, labels: Literal["own", "truth"] = "own", agai
     if labels == "truth":
         from rpl_data.build import context_of
         from rpl_data.pipeline.products import export_truth
-        from rpl_data.workspace import Workspace
+        from rpl_data.workspace.workspace import Workspace
 
         summary = export_truth(context_of(Workspace(workspace)))
         print(f"{Workspace(workspace).export('coco_truth')}: {sum(summary.images.values())} images")
@@ -302,7 +302,7 @@ def status(workspace: Path = HERE) -> None:
         workspace: a folder made by `rpl build` or `rpl import`.
     """
     from rpl_data.build import STAGES, recipe_of, stale_steps
-    from rpl_data.workspace import Workspace
+    from rpl_data.workspace.workspace import Workspace
 
     place = Workspace(workspace)
     found = stale_steps(recipe_of(place), place)
@@ -356,7 +356,7 @@ def clicks_import(file: Path, workspace: Path = HERE, proposed: bool = False) ->
     """
     from rpl_data.build import context_of
     from rpl_data.pipeline.inputs import add_clicks
-    from rpl_data.workspace import Workspace
+    from rpl_data.workspace.workspace import Workspace
 
     for name, count in add_clicks(context_of(Workspace(workspace)), file, proposed=proposed).items():
         print(f"{name}: {count} clicks added or changed")
@@ -371,7 +371,7 @@ def clicks_export(file: Path, workspace: Path = HERE) -> None:
     """
     from rpl_data.files import write_text
     from rpl_data.pipeline.inputs import clicks_table
-    from rpl_data.workspace import Workspace
+    from rpl_data.workspace.workspace import Workspace
 
     write_text(file, clicks_table(Workspace(workspace)))
 
@@ -405,7 +405,7 @@ COMMANDS: dict[str, Any] = {
 def _stage(workspace: Path, stage: str, again: bool, workers: int | None = None) -> Ledger:
     """Run a stage of a workspace, and what is out of date before it."""
     from rpl_data.build import recipe_of
-    from rpl_data.workspace import Workspace
+    from rpl_data.workspace.workspace import Workspace
 
     return _run(recipe_of(Workspace(workspace)), workspace, stage, stage if again else None, workers)
 
@@ -416,7 +416,7 @@ def _run(
     """Build with progress on the terminal, and say what came out."""
     from rpl_data.build import STAGES, build
     from rpl_data.screen import Screen, print_results
-    from rpl_data.workspace import Workspace
+    from rpl_data.workspace.workspace import Workspace
 
     if again is not None and again not in (*STAGES, "all"):
         raise DataError(

@@ -14,7 +14,7 @@ from rpl_data.evaluate.quality import format_table
 from rpl_data.pipeline.products import quality_rows, split_summary, timings
 from rpl_data.steps import Ledger
 from rpl_data.types import Recording
-from rpl_data.workspace import Workspace
+from rpl_data.workspace.workspace import Workspace
 
 
 class Screen:

@@ -18,7 +18,7 @@ from rpl_data.pipeline.sparse import solve_annotation
 from rpl_data.recipe import ObjectRecipe
 from rpl_data.solve.solve import register
 from rpl_data.types import DataError
-from rpl_data.workspace import Workspace
+from rpl_data.workspace.workspace import Workspace
 
 
 def place_of(host: str, port: int) -> Place:

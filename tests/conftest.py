@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from rpl_data.workspace import Workspace
+from rpl_data.workspace.workspace import Workspace
 
 TINY = Path(__file__).parent / "tiny.yaml"
 

@@ -15,7 +15,7 @@ from test_annotate_solid import root  # noqa: F401
 from rpl_data.annotate.images import resized
 from rpl_data.images import read_color
 from rpl_data.overlay import draw_overlay
-from rpl_data.workspace import Workspace
+from rpl_data.workspace.workspace import Workspace
 
 
 @pytest.fixture

@@ -22,7 +22,7 @@ from rpl_data.files import locked
 from rpl_data.meshes import load_cloud, load_mesh
 from rpl_data.recipe import LabelRecipe, ObjectRecipe, Recipe, SceneSource
 from rpl_data.types import DataError
-from rpl_data.workspace import Workspace
+from rpl_data.workspace.workspace import Workspace
 
 
 @pytest.fixture(scope="module")

@@ -24,7 +24,7 @@ from rpl_data.geometry import from_rotvec, rotation_angle_rad, transform
 from rpl_data.meshes import load_mesh, save_mesh
 from rpl_data.pipeline.products import export_labels
 from rpl_data.types import Mesh, Solution
-from rpl_data.workspace import Workspace
+from rpl_data.workspace.workspace import Workspace
 
 MOVED = from_rotvec(np.array([0.4, -0.9, 0.3]), np.array([0.5, 0.2, -0.7]))
 """A known model is in any frame."""

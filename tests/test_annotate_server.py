@@ -19,7 +19,7 @@ from rpl_data.annotate.server import make_app
 from rpl_data.annotate.session import Session
 from rpl_data.serve import place_of, work_of
 from rpl_data.types import DataError
-from rpl_data.workspace import Workspace
+from rpl_data.workspace.workspace import Workspace
 
 HERE = "http://127.0.0.1:8017"
 OBJECT = "/api/objects/carton"

@@ -15,7 +15,7 @@ from test_annotate_server import OBJECT, client_of
 from rpl_data.geometry import inside_image, invert, project, transform
 from rpl_data.images import read_depth_m
 from rpl_data.meshes import load_mesh
-from rpl_data.workspace import Workspace
+from rpl_data.workspace.workspace import Workspace
 
 
 def unpacked(text: str, kind: str) -> np.ndarray:

@@ -18,7 +18,7 @@ from rpl_data.pool import Pool
 from rpl_data.recipe import LabelRecipe, ObjectRecipe, Recipe, SceneSource
 from rpl_data.steps import Ledger, Outcome, Step, stamps
 from rpl_data.types import DataError, Mesh
-from rpl_data.workspace import Workspace
+from rpl_data.workspace.workspace import Workspace
 
 
 class Watcher:

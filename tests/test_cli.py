@@ -13,7 +13,7 @@ import pytest
 
 from rpl_data.cli import COMMANDS, main
 from rpl_data.types import Click
-from rpl_data.workspace import Workspace
+from rpl_data.workspace.workspace import Workspace
 
 RECIPE = """
 name: tiny

@@ -21,7 +21,7 @@ from rpl_data.geometry import invert, project, transform
 from rpl_data.meshes import save_mesh
 from rpl_data.recipe import load_recipe
 from rpl_data.types import DataError, Mesh
-from rpl_data.workspace import Workspace
+from rpl_data.workspace.workspace import Workspace
 
 DATASETS = Path(__file__).parent.parent / "datasets"
 YCB = DATASETS / "ycb_video.yaml"

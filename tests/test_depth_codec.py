@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rpl_data.depth_codec import pack, unpack
+from rpl_data.workspace.depth_cache import pack, unpack
 
 IMAGES = {
     "noise": np.random.default_rng(0).integers(0, 65536, (48, 64)).astype(np.uint16),

@@ -15,12 +15,12 @@ from rpl_data.formats.pose_lines import read_pose_lines
 from rpl_data.formats.rpl import write_poses
 from rpl_data.geometry import from_rotvec, rays, rigid
 from rpl_data.images import read_depth_m
-from rpl_data.parts import Parts
 from rpl_data.pipeline.cuts import choose_cut
 from rpl_data.pipeline.products import quality_rows
 from rpl_data.recipe import SceneSource
 from rpl_data.types import Click, DataError, Frame, Intrinsics, Recording, Scene, Trajectory
-from rpl_data.workspace import Workspace
+from rpl_data.workspace.parts import Parts
+from rpl_data.workspace.workspace import Workspace
 
 CAMERA = Intrinsics(150.0, 150.0, 79.5, 59.5, 160, 120)
 FRAMES = 40

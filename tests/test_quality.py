@@ -19,7 +19,7 @@ from rpl_data.evaluate.quality import (
 )
 from rpl_data.geometry import fit_rigid, from_rotvec, invert, transform
 from rpl_data.types import DataError, FrameLabel, InstanceLabel, KeypointModel, Rle, Solution, SquareBox
-from rpl_data.workspace import Workspace
+from rpl_data.workspace.workspace import Workspace
 
 POINTS = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]], dtype=float)
 NAMES = ("a", "b", "c", "d")

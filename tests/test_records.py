@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from rpl_data import records
 from rpl_data.geometry import from_rotvec
 from rpl_data.types import (
     Click,
@@ -23,6 +22,7 @@ from rpl_data.types import (
     Solution,
     SquareBox,
 )
+from rpl_data.workspace import records
 
 
 def through_json(data: dict[str, Any]) -> dict[str, Any]:

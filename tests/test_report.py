@@ -32,7 +32,7 @@ from rpl_data.types import (
     Solution,
     SquareBox,
 )
-from rpl_data.workspace import Workspace
+from rpl_data.workspace.workspace import Workspace
 
 CAMERA = Intrinsics(100.0, 100.0, 39.5, 29.5, 80, 60)
 NAME = "cup <script>alert(1)</script>"

@@ -18,7 +18,7 @@ from rpl_data.formats.meshlab import write_picked_points
 from rpl_data.geometry import fit_rigid, transform
 from rpl_data.meshes import load_mesh, save_mesh
 from rpl_data.types import DataError
-from rpl_data.workspace import Workspace
+from rpl_data.workspace.workspace import Workspace
 from training.reproduce.__main__ import COMMANDS, main
 from training.reproduce.cad_protocol import by_cad, true_cads
 from training.reproduce.results import finite_or_none, write_results

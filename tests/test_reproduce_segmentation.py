@@ -10,7 +10,7 @@ import cv2
 import pytest
 
 from rpl_data.types import DataError
-from rpl_data.workspace import Workspace
+from rpl_data.workspace.workspace import Workspace
 from training.mask_scores import ClassScore, SplitScore
 from training.mask_settings import comparable, load_settings
 from training.reproduce.__main__ import main

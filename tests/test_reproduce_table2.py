@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from rpl_data.pose.errors import INFINITE, PoseErrors
-from rpl_data.workspace import Workspace
+from rpl_data.workspace.workspace import Workspace
 from training.options import DetectorNetwork, Learning, Machine, Network
 from training.pose_scores import Judged, PoseScore
 from training.reproduce.pose_comparison import Cell, Ratio, counts, ratios

@@ -22,7 +22,7 @@ from rpl_data.recipe import parse_recipe
 from rpl_data.reconstruct.path import collected, losses
 from rpl_data.reconstruct.tracking import track
 from rpl_data.types import DataError
-from rpl_data.workspace import Workspace
+from rpl_data.workspace.workspace import Workspace
 
 
 @pytest.mark.parametrize("boxes", [True, False], ids=["with things", "bare printed wall"])

@@ -13,7 +13,7 @@ from pycocotools import mask as coco_mask
 from rpl_data.evaluate.truth import box_mesh, true_labels, true_objects, truth_from_poses
 from rpl_data.geometry import from_rotvec
 from rpl_data.types import DataError, Frame, Intrinsics, Recording, Scene
-from rpl_data.workspace import Workspace
+from rpl_data.workspace.workspace import Workspace
 
 CAMERA = Intrinsics(300.0, 310.0, 79.5, 59.5, 160, 120)
 CORNERS = np.array([[x, y, z] for x in (-0.03, 0.03) for y in (-0.04, 0.04) for z in (-0.05, 0.05)])

@@ -24,7 +24,7 @@ from rpl_data.twin.resting import resting_rotations
 from rpl_data.twin.scene import compose
 from rpl_data.twin.trajectory import hand_held
 from rpl_data.types import DataError, FrameLabel
-from rpl_data.workspace import Workspace
+from rpl_data.workspace.workspace import Workspace
 
 TINY = TwinSpec(scenes=2, seconds=1.0, rate_hz=4.0, width=160, height=120, clutter=2)
 

@@ -13,7 +13,6 @@ import pytest
 
 from rpl_data import images as pixels
 from rpl_data import meshes as surface_files
-from rpl_data import workspace as ws
 from rpl_data.clicks.log import click_event, keypoints_event
 from rpl_data.geometry import from_rotvec
 from rpl_data.types import (
@@ -30,6 +29,7 @@ from rpl_data.types import (
     Solution,
     Trajectory,
 )
+from rpl_data.workspace import workspace as ws
 
 FullDisk = Callable[[int], AbstractContextManager[None]]
 RNG = np.random.default_rng(3)

@@ -9,9 +9,9 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from rpl_data.records import frame_label_from_json
 from rpl_data.types import FrameLabel
-from rpl_data.workspace import Workspace
+from rpl_data.workspace.records import frame_label_from_json
+from rpl_data.workspace.workspace import Workspace
 
 COLOR_BGRA = (208, 224, 53, 255)
 FRAME = re.compile(rb'"frame": (\d+)')

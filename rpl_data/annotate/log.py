@@ -11,7 +11,7 @@ from rpl_data.annotate.actions import LOCAL, checked
 from rpl_data.annotate.scenes import SceneStore
 from rpl_data.clicks.log import Annotation, Event, effective, replay
 from rpl_data.types import DataError
-from rpl_data.workspace import Workspace
+from rpl_data.workspace.workspace import Workspace
 
 
 class Conflict(DataError):

@@ -16,7 +16,7 @@ from rpl_data.geometry import Points
 from rpl_data.json_arrays import rows_to_json
 from rpl_data.meshes import load_mesh, save_mesh, simplified
 from rpl_data.types import DataError, Mesh
-from rpl_data.workspace import Workspace
+from rpl_data.workspace.workspace import Workspace
 
 Json = dict[str, Any]
 MESHES = (".ply", ".obj", ".off", ".stl")

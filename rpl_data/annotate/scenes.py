@@ -12,7 +12,7 @@ from jaxtyping import Float32
 from rpl_data.geometry import to_quaternion_xyzw
 from rpl_data.images import read_depth_m
 from rpl_data.types import Click, DataError, DepthImage, Frame, Scene, Trajectory
-from rpl_data.workspace import Workspace
+from rpl_data.workspace.workspace import Workspace
 
 SCENES_KEPT = 6
 """A scene of 9,000 frames takes some 20 MB."""

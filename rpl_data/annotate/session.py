@@ -21,7 +21,7 @@ from rpl_data.annotate.work import Work
 from rpl_data.clicks.log import Annotation
 from rpl_data.geometry import Transform
 from rpl_data.types import Click, DataError
-from rpl_data.workspace import Workspace
+from rpl_data.workspace.workspace import Workspace
 
 
 @dataclass(frozen=True)

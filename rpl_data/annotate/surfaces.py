@@ -22,7 +22,7 @@ from rpl_data.geometry import Points, back_project, transform
 from rpl_data.images import read_color
 from rpl_data.meshes import load_mesh, simplified
 from rpl_data.types import DataError, DepthImage
-from rpl_data.workspace import Workspace
+from rpl_data.workspace.workspace import Workspace
 
 Json = dict[str, Any]
 MOST_POINTS = 5000

@@ -17,7 +17,7 @@ from jaxtyping import Float64
 
 from rpl_data.geometry import Transform, fit_rigid, invert, rotation_angle_rad, transform
 from rpl_data.types import DataError, FrameLabel, InstanceLabel, KeypointModel, QualityRow, Rle
-from rpl_data.workspace import Workspace
+from rpl_data.workspace.workspace import Workspace
 
 
 @dataclass(frozen=True)

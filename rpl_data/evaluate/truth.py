@@ -40,7 +40,7 @@ from rpl_data.types import (
     Scene,
     Solution,
 )
-from rpl_data.workspace import Workspace
+from rpl_data.workspace.workspace import Workspace
 
 HIDDEN_BEHIND_M = 0.004
 """A keypoint this far behind the surface is hidden; less is the mesh's own inaccuracy."""

@@ -12,7 +12,7 @@ from rpl_data.pool import Pool
 from rpl_data.recipe import ObjectRecipe, Recipe, SceneSource
 from rpl_data.steps import Advance, Json, Outcome, Step
 from rpl_data.types import Frame, Scene, Solution, Trajectory
-from rpl_data.workspace import Workspace
+from rpl_data.workspace.workspace import Workspace
 
 VERSIONS = {
     "twin": 4,

@@ -15,7 +15,7 @@ from rpl_data.pipeline.sparse import known_points
 from rpl_data.recipe import ObjectRecipe
 from rpl_data.steps import Advance, Outcome, Step, stamps
 from rpl_data.types import Frame, Mesh, Solution
-from rpl_data.workspace import Workspace
+from rpl_data.workspace.workspace import Workspace
 
 Box3 = tuple[tuple[float, float, float], tuple[float, float, float]]
 """Lowest and highest corner, metres."""

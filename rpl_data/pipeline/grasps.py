@@ -7,7 +7,7 @@ from rpl_data.clicks.log import GraspClicks
 from rpl_data.geometry import Transform, invert
 from rpl_data.images import read_depth_m
 from rpl_data.types import DataError, Solution
-from rpl_data.workspace import Workspace
+from rpl_data.workspace.workspace import Workspace
 
 
 def object_from_grasp(workspace: Workspace, clicks: GraspClicks, solution: Solution) -> Transform:

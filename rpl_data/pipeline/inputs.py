@@ -15,7 +15,7 @@ from rpl_data.pipeline.context import Context, step
 from rpl_data.recipe import ObjectRecipe, SceneSource
 from rpl_data.steps import Advance, Json, Outcome, Step, stamps
 from rpl_data.types import DataError, Recording
-from rpl_data.workspace import Workspace
+from rpl_data.workspace.workspace import Workspace
 
 # Recordings ---------------------------------------------------------------------------------------
 

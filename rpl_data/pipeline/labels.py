@@ -14,7 +14,7 @@ from rpl_data.meshes import load_mesh
 from rpl_data.pipeline.context import Context, posed_frames, step
 from rpl_data.steps import Advance, Outcome, Step
 from rpl_data.types import FrameLabel
-from rpl_data.workspace import Workspace
+from rpl_data.workspace.workspace import Workspace
 
 
 def label_steps(context: Context) -> list[Step]:

@@ -13,7 +13,7 @@ from rpl_data.pipeline.context import VERSIONS, Context, step
 from rpl_data.pipeline.grasps import save_grasps
 from rpl_data.steps import Advance, Json, Ledger, Outcome, Step, stamps
 from rpl_data.types import DataError, FrameLabel, QualityRow
-from rpl_data.workspace import Workspace
+from rpl_data.workspace.workspace import Workspace
 
 EXPORTS: dict[str, Callable[[Context], Any]] = {}
 """By format name; filled below."""

@@ -27,7 +27,7 @@ from rpl_data.types import (
     Solution,
     Trajectory,
 )
-from rpl_data.workspace import Workspace
+from rpl_data.workspace.workspace import Workspace
 
 
 def solve_steps(context: Context) -> list[Step]:

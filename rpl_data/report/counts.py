@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from rpl_data.types import FrameLabel, Recording
-from rpl_data.workspace import Workspace
+from rpl_data.workspace.workspace import Workspace
 
 
 @dataclass(frozen=True)

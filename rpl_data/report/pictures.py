@@ -13,7 +13,7 @@ from rpl_data.overlay import draw_overlay, keypoint_color
 from rpl_data.report.counts import FrameSummary
 from rpl_data.report.html import chip, folded, number, text
 from rpl_data.types import Box, ColorImage, FrameLabel, Intrinsics, KeypointModel, Scene
-from rpl_data.workspace import Workspace
+from rpl_data.workspace.workspace import Workspace
 
 THUMBNAIL_WIDTH_PX = 420
 JPEG_QUALITY = 82

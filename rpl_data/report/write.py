@@ -17,7 +17,7 @@ from rpl_data.report.pictures import contact_sheet, frames_a_scene, legends
 from rpl_data.report.solid import solid
 from rpl_data.report.tables import labels_section, quality_section, timings_section
 from rpl_data.types import QualityRow, Solution
-from rpl_data.workspace import Workspace
+from rpl_data.workspace.workspace import Workspace
 
 
 def write_report(

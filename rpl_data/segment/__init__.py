@@ -1,1 +1,1 @@
-"""TODO."""
+"""Surfaces of the scenes -> the dense model of an object (paper III-D)."""

@@ -33,7 +33,7 @@ from rpl_data.twin.film import Film, film
 from rpl_data.twin.objects import build
 from rpl_data.twin.spec import TwinSpec
 from rpl_data.types import Click, DataError, FrameLabel, Solution
-from rpl_data.workspace import Workspace
+from rpl_data.workspace.workspace import Workspace
 
 Progress = Callable[[int, int], None]
 

@@ -32,7 +32,7 @@ from rpl_data.geometry import invert, project, transform
 from rpl_data.recipe import load_recipe
 from rpl_data.serve import work_of
 from rpl_data.types import Recording, Trajectory
-from rpl_data.workspace import Workspace
+from rpl_data.workspace.workspace import Workspace
 
 TWIN = """
 name: bench

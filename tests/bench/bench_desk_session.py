@@ -28,7 +28,7 @@ from rpl_data.build import build
 from rpl_data.geometry import invert, project, transform
 from rpl_data.recipe import load_recipe
 from rpl_data.types import Intrinsics
-from rpl_data.workspace import Workspace
+from rpl_data.workspace.workspace import Workspace
 
 RECIPE = """
 name: desk

@@ -28,7 +28,7 @@ from rpl_data.images import read_depth_m
 from rpl_data.label.label import SceneObject, label_frames
 from rpl_data.raycast import RayScene, render_depth_m
 from rpl_data.types import DepthImage, Frame, FrameLabel, Intrinsics, KeypointModel, Mesh, Scene, Trajectory
-from rpl_data.workspace import Workspace
+from rpl_data.workspace.workspace import Workspace
 
 CAMERA = Intrinsics(600.0, 600.0, 319.5, 239.5, 640, 480)
 FILES = 60

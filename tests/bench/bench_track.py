@@ -28,7 +28,7 @@ from rpl_data.reconstruct.surface import fuse_surface
 from rpl_data.reconstruct.tracking import Tracker, track
 from rpl_data.reconstruct.view import REDUCE, Viewer
 from rpl_data.types import DataError, DepthImage, Frame, GreyImage, Recording, Scene, Trajectory
-from rpl_data.workspace import Workspace
+from rpl_data.workspace.workspace import Workspace
 
 DESK_GAPS, KITCHEN_GAPS = (3, 9, 18), (9, 30, 75)
 

@@ -10,7 +10,7 @@ import pytest
 from driving import SHOWN, Server, ServerHere, is_ours
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
-from rpl_data.workspace import Workspace
+from rpl_data.workspace.workspace import Workspace
 
 expect.set_options(timeout=30_000)  # two cores may be busy with other tests
 FLAGS = [

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from playwright.sync_api import Page, expect
 
-from rpl_data.workspace import Workspace
+from rpl_data.workspace.workspace import Workspace
 
 SHOWN = '#picture[data-frame]:not([data-frame=""])'
 """The picture, once a frame is drawn on it."""

@@ -18,7 +18,7 @@ from rpl_data.build import build
 from rpl_data.clicks.log import click_event
 from rpl_data.recipe import LabelRecipe, ObjectRecipe, Recipe, SceneSource
 from rpl_data.types import Click
-from rpl_data.workspace import Workspace
+from rpl_data.workspace.workspace import Workspace
 
 OBJECT = "kettle"
 PATIENT_MS = 600_000  # a build

@@ -10,7 +10,7 @@ from driving import SHOWN, Server, clicks, on_page, place, saved, view, zoom_to
 from playwright.sync_api import Browser, Page, expect
 
 from rpl_data.geometry import invert, project, transform
-from rpl_data.workspace import Workspace
+from rpl_data.workspace.workspace import Workspace
 
 TOLERANCE_PX = {1: 0.25, 8: 0.05}
 

@@ -11,7 +11,7 @@ from playwright.sync_api import Page, expect
 from rpl_data.formats.sparse_model import write_sparse_model
 from rpl_data.meshes import save_mesh
 from rpl_data.types import Mesh
-from rpl_data.workspace import Workspace
+from rpl_data.workspace.workspace import Workspace
 
 PYRAMID = Mesh(
     np.array([[0.0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0], [0, 0.1, 0], [0.05, 0.05, -0.12]]),

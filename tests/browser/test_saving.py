@@ -11,7 +11,7 @@ from driving import SHOWN, Server, clicks, on_page, place, saved
 from playwright.sync_api import Page, expect
 
 from rpl_data.clicks.log import clicks_to_csv, keypoints_event
-from rpl_data.workspace import Workspace
+from rpl_data.workspace.workspace import Workspace
 
 
 def log_of(server: Server) -> Path:

@@ -10,7 +10,7 @@ from playwright.sync_api import Page, expect
 from pycocotools.coco import COCO
 
 from rpl_data.types import InstanceLabel
-from rpl_data.workspace import Workspace
+from rpl_data.workspace.workspace import Workspace
 
 MOST_ACTIONS = 60
 STATE = """async () => {

@@ -9,7 +9,7 @@ import pytest
 from driving import Server, place, saved
 from playwright.sync_api import Page, expect
 
-from rpl_data.workspace import Workspace
+from rpl_data.workspace.workspace import Workspace
 
 
 @pytest.fixture

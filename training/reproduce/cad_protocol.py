@@ -15,7 +15,7 @@ from rpl_data.meshes import load_mesh
 from rpl_data.pipeline.sparse import observe
 from rpl_data.solve.solve import register
 from rpl_data.types import DataError, KeypointModel, QualityRow, Solution
-from rpl_data.workspace import Workspace
+from rpl_data.workspace.workspace import Workspace
 
 PICKED_WITHIN_M = 0.002
 """Standard deviation on each axis of a hand that picks a landmark on a CAD."""

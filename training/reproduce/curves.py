@@ -9,7 +9,7 @@ from rpl_data.types import DataError
 
 if TYPE_CHECKING:
     from rpl_data.recipe import Recipe
-    from rpl_data.workspace import Workspace
+    from rpl_data.workspace.workspace import Workspace
 
 OBJECTS = ("drill", "bracket", "junction_box")
 """In the place of the paper's cut-out tool, electronic wrench and screw gun."""
@@ -53,7 +53,7 @@ def curves(
 
 
 def _existing(folder: Path) -> Workspace:
-    from rpl_data.workspace import Workspace
+    from rpl_data.workspace.workspace import Workspace
 
     place = Workspace(folder)
     if not place.truth.exists():
@@ -66,7 +66,7 @@ def _existing(folder: Path) -> Workspace:
 def _filmed(name: str, folder: Path, scenes: int, workers: int | None) -> Workspace:
     """The recording of one object, one frame in two seconds of a slow partial orbit: enough to click in."""
     from rpl_data.build import build
-    from rpl_data.workspace import Workspace
+    from rpl_data.workspace.workspace import Workspace
 
     place = Workspace(folder)
     build(_recipe(name, scenes), place, until="import", workers=workers)

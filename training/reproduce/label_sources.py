@@ -15,7 +15,7 @@ def exports_of(workspace: Path) -> dict[Source, Path]:
     """Folders of the two label sources; the true one is exported when it is not there yet."""
     from rpl_data.build import context_of
     from rpl_data.pipeline.products import export_truth
-    from rpl_data.workspace import Workspace
+    from rpl_data.workspace.workspace import Workspace
 
     place = Workspace(workspace)
     folders = {source: place.export(name) for source, name in EXPORTS.items()}

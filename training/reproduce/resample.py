@@ -12,7 +12,7 @@ from rpl_data.images import read_depth_m
 from rpl_data.solve.solve import solve
 from rpl_data.twin.annotator import click
 from rpl_data.types import DataError, FrameLabel, KeypointModel, Observation
-from rpl_data.workspace import Workspace
+from rpl_data.workspace.workspace import Workspace
 from training.reproduce.curve import Curve
 
 KEYPOINTS, SCENES = 9, 8

@@ -72,7 +72,7 @@ def sources_of(workspace: Path) -> dict[str, Path]:
     from rpl_data.build import context_of
     from rpl_data.formats.coco import read_coco
     from rpl_data.pipeline.products import export_truth
-    from rpl_data.workspace import Workspace
+    from rpl_data.workspace.workspace import Workspace
 
     place = Workspace(workspace)
     sources = {OURS: place.export("coco"), MANUAL: place.export("coco_truth")}

@@ -13,7 +13,7 @@ from training.reproduce.table1_rows import Row, Scores, Trajectories
 if TYPE_CHECKING:
     from rpl_data.evaluate.cad import Cad
     from rpl_data.types import QualityRow
-    from rpl_data.workspace import Workspace
+    from rpl_data.workspace.workspace import Workspace
     from training.reproduce.cad_protocol import CadResult
 
 
@@ -66,7 +66,7 @@ def built(source: Path, folder: Path, *, root: Path | None, workers: int | None)
     """The workspace itself, or what a recipe makes."""
     from rpl_data.build import build
     from rpl_data.recipe import load_recipe
-    from rpl_data.workspace import Workspace
+    from rpl_data.workspace.workspace import Workspace
 
     if not source.is_file():
         return Workspace(source)
@@ -80,7 +80,7 @@ def in_kind(
 ) -> Workspace:
     """The workspace, or one of the same pixels and other camera paths, built to its labels."""
     from rpl_data.build import build
-    from rpl_data.workspace import Workspace
+    from rpl_data.workspace.workspace import Workspace
     from training.reproduce.trajectories import with_trajectories
 
     if kind == "given":

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from rpl_data.formats.coco import instance_from_coco, intrinsics_from_coco, objects_from_coco, read_coco
 from rpl_data.torch.images import read_image
-from rpl_data.workspace import Workspace
+from rpl_data.workspace.workspace import Workspace
 from training.pose_pictures import close_up, drawn
 from training.pose_scores import Judged
 from training.reproduce.pose_comparison import Cell

@@ -14,7 +14,7 @@ from rpl_data.formats.rpl import write_poses
 from rpl_data.recipe import Recipe, SceneSource
 from rpl_data.twin.drift import Drift, drifted
 from rpl_data.types import DataError
-from rpl_data.workspace import Workspace
+from rpl_data.workspace.workspace import Workspace
 from training.reproduce.table1_rows import Trajectories
 
 POSES = "camera.poses"

@@ -9,7 +9,7 @@ import numpy as np
 
 from rpl_data.evaluate.quality import LabelErrors, label_errors, model_error
 from rpl_data.types import Solution
-from rpl_data.workspace import Workspace
+from rpl_data.workspace.workspace import Workspace
 
 
 @dataclass(frozen=True)

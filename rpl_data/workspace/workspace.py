@@ -9,9 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rpl_data import records
 from rpl_data.clicks.log import Annotation, Event, replay
-from rpl_data.depth_codec import pack, unpack
 from rpl_data.files import (
     append_bytes,
     read_json,
@@ -24,7 +22,7 @@ from rpl_data.files import (
 )
 from rpl_data.geometry import Transform, from_quaternion_xyzw, to_quaternion_xyzw
 from rpl_data.images import in_metres, read_depth_units
-from rpl_data.parts import Parts
+from rpl_data.json_arrays import numbers
 from rpl_data.types import (
     DataError,
     DepthImage,
@@ -37,6 +35,9 @@ from rpl_data.types import (
     Span,
     Trajectory,
 )
+from rpl_data.workspace import records
+from rpl_data.workspace.depth_cache import pack, unpack
+from rpl_data.workspace.parts import Parts
 
 
 @dataclass(frozen=True)
@@ -326,7 +327,7 @@ class Workspace:
         if object_from_grasp is None:
             remove(self.grasp_file(object_name))
         else:
-            content = {"object_from_grasp": records.numbers(object_from_grasp)}
+            content = {"object_from_grasp": numbers(object_from_grasp)}
             write_json(self.grasp_file(object_name), content)
 
     # Labels ---------------------------------------------------------------------------------------

@@ -1,0 +1,1 @@
+"""Our files on disk: what a workspace holds, and the records that stages hand one another."""
