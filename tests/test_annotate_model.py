@@ -13,8 +13,8 @@ from test_annotate_server import OBJECT, act, client_of
 from test_annotate_solid import root, unpacked  # noqa: F401
 
 from rpl_data.build import context_of
-from rpl_data.formats.meshlab import write_picked_points
-from rpl_data.formats.sparse_model import (
+from rpl_data.formats.models.meshlab import write_picked_points
+from rpl_data.formats.models.sparse_model import (
     points_in_first_scene,
     read_grasp,
     read_sparse_model,

@@ -10,7 +10,7 @@ from labelled_scenes import BOX, CAMERA, CAN, instance, rle
 from pycocotools.coco import COCO
 from pycocotools.cocoeval import COCOeval
 
-from rpl_data.formats.coco import (
+from rpl_data.formats.datasets.coco import (
     CocoObject,
     header,
     image_to_coco,

@@ -18,8 +18,8 @@ from rpl_data.doctor.edges import edges_of
 from rpl_data.doctor.examine import examine, stretches
 from rpl_data.doctor.findings import Diagnosis, Finding
 from rpl_data.doctor.text import describe
-from rpl_data.formats.camera_file import write_camera
-from rpl_data.formats.rpl import write_associations, write_poses
+from rpl_data.formats.recordings.camera_file import write_camera
+from rpl_data.formats.recordings.rpl import write_associations, write_poses
 from rpl_data.geometry import from_rotvec, invert, rays
 from rpl_data.mend import Mend, mended, mended_poses
 from rpl_data.types import Frame, Intrinsics, Recording, Trajectory

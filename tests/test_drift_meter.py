@@ -11,8 +11,8 @@ import pytest
 
 from rpl_data.build import build, context_of
 from rpl_data.drift import Drift, cut, drift_from_json, drift_to_json, measure_drift
-from rpl_data.formats.pose_lines import read_pose_lines
-from rpl_data.formats.rpl import write_poses
+from rpl_data.formats.recordings.pose_lines import read_pose_lines
+from rpl_data.formats.recordings.rpl import write_poses
 from rpl_data.geometry import from_rotvec, rays, rigid
 from rpl_data.images import read_depth_m
 from rpl_data.pipeline.cuts import choose_cut

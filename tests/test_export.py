@@ -10,7 +10,7 @@ from labelled_scenes import BOX, CAN, instance, labelled_scene
 from rpl_data.export import ExportScene, export_coco
 from rpl_data.export.split import SplitRule, choose_splits
 from rpl_data.export.view_distances import View, view_distances, view_of
-from rpl_data.formats.coco import read_coco
+from rpl_data.formats.datasets.coco import read_coco
 from rpl_data.geometry import from_rotvec, invert
 from rpl_data.types import DataError, FrameLabel
 

@@ -15,9 +15,9 @@ from pycocotools import mask as masks
 from rpl_data.evaluate.truth import box_mesh
 from rpl_data.export import ExportScene, export_bop, export_coco, export_okt, export_yolo
 from rpl_data.export.split import SplitRule
-from rpl_data.formats.bop import read_bop
-from rpl_data.formats.coco import read_coco
-from rpl_data.formats.yolo import LINES, detect_line, pose_line, segment_line
+from rpl_data.formats.datasets.coco import read_coco
+from rpl_data.formats.datasets.yolo import LINES, detect_line, pose_line, segment_line
+from rpl_data.formats.recordings.bop import read_bop
 from rpl_data.meshes import load_mesh, save_mesh
 from rpl_data.pipeline.products import refuse_unknown_exports
 from rpl_data.types import DataError

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rpl_data.clicks.grasp import grasp_frame
-from rpl_data.formats.sparse_model import read_grasp, read_sparse_model, write_sparse_model
+from rpl_data.formats.models.sparse_model import read_grasp, read_sparse_model, write_sparse_model
 from rpl_data.geometry import from_rotvec, invert, project, rays, transform
 from rpl_data.types import DataError, Intrinsics
 

@@ -11,8 +11,8 @@ import yaml
 from recordings import LENS, cut, poses, write_color, write_depth
 
 from rpl_data.capture import open_scenes
-from rpl_data.formats.labelfusion import read_labelfusion
-from rpl_data.formats.pose_lines import write_pose_lines
+from rpl_data.formats.recordings.labelfusion import read_labelfusion
+from rpl_data.formats.recordings.pose_lines import write_pose_lines
 from rpl_data.geometry import from_rotvec, invert, to_quaternion_xyzw
 from rpl_data.types import DataError
 

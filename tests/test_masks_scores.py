@@ -16,7 +16,7 @@ from labelled_scenes import CAMERA, exported, rle
 from pycocotools.coco import COCO
 from pycocotools.cocoeval import COCOeval
 
-from rpl_data.formats.coco import read_coco
+from rpl_data.formats.datasets.coco import read_coco
 from rpl_data.types import DataError
 from training.evaluate_masks import evaluate, table
 from training.mask_scores import average_precision, score_split

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rpl_data.formats.meshlab import read_picked_points, write_picked_points
+from rpl_data.formats.models.meshlab import read_picked_points, write_picked_points
 from rpl_data.types import DataError
 
 NAN = [np.nan] * 3

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 import pytest
 
-from rpl_data.formats.meshlab import write_picked_points
+from rpl_data.formats.models.meshlab import write_picked_points
 from rpl_data.geometry import fit_rigid, transform
 from rpl_data.meshes import load_mesh, save_mesh
 from rpl_data.types import DataError

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from rpl_data.capture import open_scenes
-from rpl_data.formats.camera_file import write_camera
-from rpl_data.formats.image_files import probe
-from rpl_data.formats.rpl import read_rpl, write_associations, write_poses
+from rpl_data.formats.recordings.camera_file import write_camera
+from rpl_data.formats.recordings.image_files import probe
+from rpl_data.formats.recordings.rpl import read_rpl, write_associations, write_poses
 from rpl_data.geometry import from_rotvec
 from rpl_data.types import DataError, Intrinsics
 

@@ -7,8 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rpl_data.formats.meta_data import clicked_points, read_meta_data, write_meta_data
-from rpl_data.formats.sparse_model import points_in_first_scene, read_sparse_model, write_sparse_model
+from rpl_data.formats.models.meta_data import clicked_points, read_meta_data, write_meta_data
+from rpl_data.formats.models.sparse_model import (
+    points_in_first_scene,
+    read_sparse_model,
+    write_sparse_model,
+)
 from rpl_data.geometry import from_rotvec, transform
 from rpl_data.types import Click, ClickResidual, DataError, KeypointModel, Observation, Solution
 

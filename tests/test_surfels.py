@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rpl_data.formats.surfels import Surfels, read_surfels, write_surfels
+from rpl_data.formats.models.surfels import Surfels, read_surfels, write_surfels
 from rpl_data.meshes import load_cloud
 from rpl_data.types import DataError, PointCloud
 

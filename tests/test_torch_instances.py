@@ -9,7 +9,7 @@ from torch.utils.data import DataLoader
 from torchvision import tv_tensors
 from torchvision.transforms import v2
 
-from rpl_data.formats.coco import read_coco
+from rpl_data.formats.datasets.coco import read_coco
 from rpl_data.torch.instances import InstanceDataset, InstanceTarget, collate
 from rpl_data.torch.transforms import Augmentation, crop_from_square, moved
 from rpl_data.torch.warps import RandomAffine, warp_instances, warp_pixels

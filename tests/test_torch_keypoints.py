@@ -7,7 +7,7 @@ import torch
 from labelled_scenes import BOX, CAMERA, CAN, exported, smooth_image
 from torch.utils.data import DataLoader
 
-from rpl_data.formats.coco import read_coco
+from rpl_data.formats.datasets.coco import read_coco
 from rpl_data.geometry import project, transform
 from rpl_data.torch.heatmaps import decode_heatmaps, positions_in_image
 from rpl_data.torch.keypoints import KeypointDataset, KeypointSample

@@ -13,8 +13,8 @@ from made_scenes import CAMERA, FRAMES, errors, orbit, scene_of, shot, tracked
 from rpl_data.build import build
 from rpl_data.capture import open_scenes
 from rpl_data.drift import reprojection_over_gap
-from rpl_data.formats.camera_file import write_camera
-from rpl_data.formats.rpl import write_associations
+from rpl_data.formats.recordings.camera_file import write_camera
+from rpl_data.formats.recordings.rpl import write_associations
 from rpl_data.geometry import from_rotvec
 from rpl_data.images import read_depth_m
 from rpl_data.pipeline.poses import decoded

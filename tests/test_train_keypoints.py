@@ -14,7 +14,7 @@ import pytest
 import torch
 from labelled_scenes import BOX, CAMERA, exported
 
-from rpl_data.formats.coco import read_coco, write_coco
+from rpl_data.formats.datasets.coco import read_coco, write_coco
 from rpl_data.geometry import project
 from rpl_data.types import DataError, KeypointModel
 from training.evaluate_pose import evaluate_pose

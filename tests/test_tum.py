@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from recordings import LENS, cut, poses, write_color, write_depth
 
-from rpl_data.formats.tum import read_tum, write_tum
+from rpl_data.formats.recordings.tum import read_tum, write_tum
 from rpl_data.geometry import from_rotvec, project, rotation_angle_rad, transform
 from rpl_data.images import read_depth_m
 from rpl_data.types import DataError

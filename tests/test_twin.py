@@ -12,7 +12,7 @@ import pytest
 from pycocotools import mask as coco_mask
 from scipy.spatial import cKDTree
 
-from rpl_data.formats.rpl import read_rpl
+from rpl_data.formats.recordings.rpl import read_rpl
 from rpl_data.geometry import back_project, invert, project, transform
 from rpl_data.images import read_color, read_depth_m
 from rpl_data.meshes import load_mesh

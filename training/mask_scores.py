@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from pycocotools import mask as masks
 
-from rpl_data.formats.coco import read_coco
+from rpl_data.formats.datasets.coco import read_coco
 from training.mask_results import Json
 
 

@@ -10,7 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from rpl_data.formats.coco import instance_from_coco, intrinsics_from_coco, objects_from_coco, read_coco
+from rpl_data.formats.datasets.coco import (
+    instance_from_coco,
+    intrinsics_from_coco,
+    objects_from_coco,
+    read_coco,
+)
 from rpl_data.geometry import fit_rigid
 from rpl_data.pose.errors import INFINITE, pose_errors
 from rpl_data.pose.estimate import Method, PoseEstimate, PoseFailure

@@ -85,7 +85,7 @@ def train_detector(
 
 def _loaders(coco_json: Path, network: DetectorNetwork, learning: Learning, machine: Machine) -> list[Any]:
     """The validation set's loader; none where there is nothing to validate on."""
-    from rpl_data.formats.coco import read_coco
+    from rpl_data.formats.datasets.coco import read_coco
     from rpl_data.torch.detection import DetectionDataset
 
     if not coco_json.exists() or not read_coco(coco_json)["images"]:

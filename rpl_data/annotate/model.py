@@ -10,8 +10,8 @@ import numpy as np
 
 from rpl_data.annotate.surfaces import packed
 from rpl_data.clicks.log import Annotation, Event
-from rpl_data.formats.meshlab import read_picked_points
-from rpl_data.formats.sparse_model import read_sparse_model
+from rpl_data.formats.models.meshlab import read_picked_points
+from rpl_data.formats.models.sparse_model import read_sparse_model
 from rpl_data.geometry import Points
 from rpl_data.json_arrays import rows_to_json
 from rpl_data.meshes import load_mesh, save_mesh, simplified

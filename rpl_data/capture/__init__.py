@@ -8,14 +8,14 @@ from functools import partial
 from pathlib import Path
 
 from rpl_data.capture.playback import is_recording, read_realsense
-from rpl_data.formats.bop import is_bop_scene, read_bop
-from rpl_data.formats.elasticfusion import read_klg
-from rpl_data.formats.frame_files import Camera
-from rpl_data.formats.frames import has_frames, read_frames
-from rpl_data.formats.labelfusion import is_log, read_labelfusion
-from rpl_data.formats.rpl import read_rpl
-from rpl_data.formats.tum import is_sequence, read_tum
-from rpl_data.formats.ycb_video import is_ycb_sequence, read_ycb_video
+from rpl_data.formats.recordings.bop import is_bop_scene, read_bop
+from rpl_data.formats.recordings.elasticfusion import read_klg
+from rpl_data.formats.recordings.frame_files import Camera
+from rpl_data.formats.recordings.frames import has_frames, read_frames
+from rpl_data.formats.recordings.labelfusion import is_log, read_labelfusion
+from rpl_data.formats.recordings.rpl import read_rpl
+from rpl_data.formats.recordings.tum import is_sequence, read_tum
+from rpl_data.formats.recordings.ycb_video import is_ycb_sequence, read_ycb_video
 from rpl_data.mend import Mend, mended
 from rpl_data.types import DataError, Recording
 

@@ -21,7 +21,7 @@ from rpl_data.capture.exposure import lock, steady_rate
 from rpl_data.capture.streams import Shot, StreamCamera, StreamCounts, Streams
 from rpl_data.capture.tally import Tally
 from rpl_data.files import read_text, write_text
-from rpl_data.formats.camera_file import camera_text
+from rpl_data.formats.recordings.camera_file import camera_text
 from rpl_data.types import DataError
 
 PATIENCE_S = 3.0

@@ -10,10 +10,10 @@ from typing import Any
 
 from rpl_data.capture.device import COLOR_FORMATS, choose, opened
 from rpl_data.capture.streams import Shot, Streams
-from rpl_data.formats.db3 import repair_db3
-from rpl_data.formats.frame_files import Camera, Listing, Pair, chosen, examine, without_poses
-from rpl_data.formats.rosbag import repair_bag
-from rpl_data.formats.scene_images import write_images
+from rpl_data.formats.containers.db3 import repair_db3
+from rpl_data.formats.containers.rosbag import repair_bag
+from rpl_data.formats.recordings.frame_files import Camera, Listing, Pair, chosen, examine, without_poses
+from rpl_data.formats.recordings.scene_images import write_images
 from rpl_data.types import DataError, Recording
 
 SUFFIXES = (".db3", ".bag")

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float64
 from scipy.spatial.transform import Rotation
 
-from rpl_data.formats.meshlab import read_picked_points
+from rpl_data.formats.models.meshlab import read_picked_points
 from rpl_data.geometry import Points, Transform, fit_rigid, invert, rigid, transform
 from rpl_data.meshes import load_mesh, oriented_points, select, thinned
 from rpl_data.raycast import RayScene

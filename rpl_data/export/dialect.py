@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from rpl_data.formats.coco import read_coco
+from rpl_data.formats.datasets.coco import read_coco
 from rpl_data.types import DataError
 
 Json = dict[str, Any]

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 from torch.utils.data import Dataset
 
-from rpl_data.formats.coco import read_coco
+from rpl_data.formats.datasets.coco import read_coco
 from rpl_data.torch.images import read_image, to_unit_range
 from rpl_data.torch.transforms import Augmentation, jittered, moved, random_crop_from_square, warped
 from rpl_data.types import DataError

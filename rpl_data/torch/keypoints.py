@@ -13,7 +13,7 @@ from jaxtyping import Float64, Int64
 from torch import Tensor
 from torch.utils.data import Dataset, get_worker_info
 
-from rpl_data.formats.coco import objects_from_coco, read_coco
+from rpl_data.formats.datasets.coco import objects_from_coco, read_coco
 from rpl_data.torch.heatmaps import draw_heatmaps
 from rpl_data.torch.images import read_image, to_unit_range
 from rpl_data.torch.regions import Region, RegionCache, region_around

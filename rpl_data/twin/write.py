@@ -24,8 +24,8 @@ import numpy as np
 
 from rpl_data.clicks.log import clicks_to_csv
 from rpl_data.files import write_bytes, write_text
-from rpl_data.formats.camera_file import write_camera
-from rpl_data.formats.rpl import write_associations, write_poses
+from rpl_data.formats.recordings.camera_file import write_camera
+from rpl_data.formats.recordings.rpl import write_associations, write_poses
 from rpl_data.geometry import Transform
 from rpl_data.meshes import save_mesh
 from rpl_data.twin import annotator

@@ -16,7 +16,7 @@ import torch
 from PIL import Image
 from pycocotools import mask as masks
 
-from rpl_data.formats.coco import (
+from rpl_data.formats.datasets.coco import (
     CocoObject,
     image_to_coco,
     instance_from_coco,

@@ -8,7 +8,7 @@ import numpy as np
 from driving import Server, in_plot, on_page, place, saved
 from playwright.sync_api import Page, expect
 
-from rpl_data.formats.sparse_model import write_sparse_model
+from rpl_data.formats.models.sparse_model import write_sparse_model
 from rpl_data.meshes import save_mesh
 from rpl_data.types import Mesh
 from rpl_data.workspace.workspace import Workspace

@@ -46,7 +46,7 @@ def segmentation(
     """
     import torch
 
-    from rpl_data.formats.coco import read_coco
+    from rpl_data.formats.datasets.coco import read_coco
     from training.mask_settings import load_settings
 
     if threads is not None:
@@ -70,7 +70,7 @@ def sources_of(workspace: Path) -> dict[str, Path]:
         DataError: the truth is not known, or the two do not have the same training images.
     """
     from rpl_data.build import context_of
-    from rpl_data.formats.coco import read_coco
+    from rpl_data.formats.datasets.coco import read_coco
     from rpl_data.pipeline.products import export_truth
     from rpl_data.workspace.workspace import Workspace
 
@@ -156,7 +156,7 @@ def write_figure(
     out: Path,
 ) -> Path:
     """segmentation.json, segmentation.html and segmentation.png; the path of the page comes back."""
-    from rpl_data.formats.coco import read_coco
+    from rpl_data.formats.datasets.coco import read_coco
     from training.reproduce.results import write_results
     from training.reproduce.segmentation_page import bars, sections, verdict
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rpl_data.files import read_json
-from rpl_data.formats.coco import read_coco
+from rpl_data.formats.datasets.coco import read_coco
 from rpl_data.report.html import Cell, number, section, table
 from training.reproduce.results import picture, png_of
 

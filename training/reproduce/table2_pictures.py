@@ -11,7 +11,12 @@ import cv2
 import numpy as np
 from matplotlib.figure import Figure
 
-from rpl_data.formats.coco import instance_from_coco, intrinsics_from_coco, objects_from_coco, read_coco
+from rpl_data.formats.datasets.coco import (
+    instance_from_coco,
+    intrinsics_from_coco,
+    objects_from_coco,
+    read_coco,
+)
 from rpl_data.torch.images import read_image
 from rpl_data.workspace.workspace import Workspace
 from training.pose_pictures import close_up, drawn

@@ -21,8 +21,16 @@ from typing import BinaryIO
 import numpy as np
 from jaxtyping import Float64
 
-from rpl_data.formats.camera_file import read_camera
-from rpl_data.formats.frame_files import (
+from rpl_data.formats.containers.klg import (
+    METRES_PER_UNIT,
+    KlgIndex,
+    index_klg,
+    klg_color,
+    klg_depth_mm,
+    klg_image_size,
+)
+from rpl_data.formats.recordings.camera_file import read_camera
+from rpl_data.formats.recordings.frame_files import (
     Camera,
     Listing,
     Pair,
@@ -33,9 +41,8 @@ from rpl_data.formats.frame_files import (
     with_poses,
     without_poses,
 )
-from rpl_data.formats.klg import METRES_PER_UNIT, KlgIndex, index_klg, klg_color, klg_depth_mm, klg_image_size
-from rpl_data.formats.pose_lines import nearest, read_pose_lines
-from rpl_data.formats.scene_images import write_images
+from rpl_data.formats.recordings.pose_lines import nearest, read_pose_lines
+from rpl_data.formats.recordings.scene_images import write_images
 from rpl_data.geometry import Transform
 from rpl_data.types import DataError, Frame, Recording
 

@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from rpl_data.files import read_text, write_text
-from rpl_data.formats.frame_files import (
+from rpl_data.formats.recordings.frame_files import (
     Camera,
     Listing,
     Pair,
@@ -30,7 +30,7 @@ from rpl_data.formats.frame_files import (
     with_poses,
     without_poses,
 )
-from rpl_data.formats.pose_lines import finite_numbers
+from rpl_data.formats.recordings.pose_lines import finite_numbers
 from rpl_data.geometry import Transform
 from rpl_data.types import DataError, Intrinsics, Recording
 

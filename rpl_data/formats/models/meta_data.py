@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from rpl_data.files import writing
-from rpl_data.formats.sparse_model import points_in_first_scene
+from rpl_data.formats.models.sparse_model import points_in_first_scene
 from rpl_data.geometry import Points, from_quaternion_xyzw, invert, to_quaternion_xyzw, transform
 from rpl_data.types import DataError, Observation, Solution
 

@@ -26,7 +26,7 @@ import numpy as np
 import yaml
 
 from rpl_data.files import read_text
-from rpl_data.formats.frame_files import (
+from rpl_data.formats.recordings.frame_files import (
     Camera,
     Listing,
     Pair,
@@ -37,9 +37,9 @@ from rpl_data.formats.frame_files import (
     with_poses,
     without_poses,
 )
-from rpl_data.formats.image_files import probe
-from rpl_data.formats.pose_lines import read_pose_lines
-from rpl_data.formats.true_poses import with_true_poses
+from rpl_data.formats.recordings.image_files import probe
+from rpl_data.formats.recordings.pose_lines import read_pose_lines
+from rpl_data.formats.recordings.true_poses import with_true_poses
 from rpl_data.geometry import Transform, from_quaternion_xyzw
 from rpl_data.types import DataError, Recording
 

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from rpl_data.files import read_text
-from rpl_data.formats.frame_files import (
+from rpl_data.formats.recordings.frame_files import (
     Camera,
     Listing,
     Pair,
@@ -34,7 +34,7 @@ from rpl_data.formats.frame_files import (
     with_poses,
     without_poses,
 )
-from rpl_data.formats.true_poses import with_true_poses
+from rpl_data.formats.recordings.true_poses import with_true_poses
 from rpl_data.geometry import Transform, invert, rigid
 from rpl_data.types import DataError, Recording
 

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rpl_data.files import read_text, write_text
-from rpl_data.formats.frame_files import Camera
+from rpl_data.formats.recordings.frame_files import Camera
 from rpl_data.types import DataError, Intrinsics
 
 WHAT = "one line: fx fy cx cy, in pixels of the colour images"

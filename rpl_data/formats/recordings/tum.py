@@ -23,8 +23,8 @@ import numpy as np
 from jaxtyping import Float64
 
 from rpl_data.files import write_text
-from rpl_data.formats.camera_file import read_camera
-from rpl_data.formats.frame_files import (
+from rpl_data.formats.recordings.camera_file import read_camera
+from rpl_data.formats.recordings.frame_files import (
     Camera,
     Listing,
     Pair,
@@ -34,8 +34,8 @@ from rpl_data.formats.frame_files import (
     with_poses,
     without_poses,
 )
-from rpl_data.formats.image_files import probe
-from rpl_data.formats.pose_lines import (
+from rpl_data.formats.recordings.image_files import probe
+from rpl_data.formats.recordings.pose_lines import (
     finite_numbers,
     interpolated,
     nearest,

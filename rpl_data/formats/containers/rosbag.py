@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import IO, BinaryIO
 
 from rpl_data.files import writing
-from rpl_data.formats.lz4 import unpack_lz4
+from rpl_data.formats.containers.lz4 import unpack_lz4
 from rpl_data.types import DataError
 
 _START = b"#ROSBAG V2.0\n"

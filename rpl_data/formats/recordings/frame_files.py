@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from rpl_data.formats.image_files import ImageHeader, probe
-from rpl_data.formats.plausibility import SATURATED, median_depth_m, principal_point_notes
-from rpl_data.formats.pose_lines import nearest
+from rpl_data.formats.recordings.image_files import ImageHeader, probe
+from rpl_data.formats.recordings.plausibility import SATURATED, median_depth_m, principal_point_notes
+from rpl_data.formats.recordings.pose_lines import nearest
 from rpl_data.geometry import Transform
 from rpl_data.types import DataError, Frame, Intrinsics, Recording, Scene, Trajectory
 

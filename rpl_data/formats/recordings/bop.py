@@ -27,7 +27,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from rpl_data.files import read_json, read_text, write_json
-from rpl_data.formats.frame_files import (
+from rpl_data.formats.recordings.frame_files import (
     Camera,
     Listing,
     Pair,
@@ -37,7 +37,7 @@ from rpl_data.formats.frame_files import (
     with_poses,
     without_poses,
 )
-from rpl_data.formats.true_poses import with_true_poses
+from rpl_data.formats.recordings.true_poses import with_true_poses
 from rpl_data.geometry import Transform, invert, rigid
 from rpl_data.types import DataError, Intrinsics, Recording
 

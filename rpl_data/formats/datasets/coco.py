@@ -24,7 +24,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from rpl_data.files import read_json, writing
-from rpl_data.formats.coco_check import validate_coco
+from rpl_data.formats.datasets.coco_check import validate_coco
 from rpl_data.geometry import Transform
 from rpl_data.json_arrays import asdict_values, matrix_from_json, numbers, rows_from_json, rows_to_json
 from rpl_data.types import (

@@ -1,0 +1,1 @@
+"""Files that hold a whole recording: their bytes, not yet scenes."""

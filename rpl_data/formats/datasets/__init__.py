@@ -1,0 +1,1 @@
+"""Labelled datasets that trainers read: COCO and YOLO."""

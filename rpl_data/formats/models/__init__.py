@@ -1,0 +1,1 @@
+"""Models of objects that other tools write: keypoints, picked points, surfels."""

@@ -1,0 +1,1 @@
+"""Recordings as other tools and datasets lay them out, one reader per layout."""
