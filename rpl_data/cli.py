@@ -269,9 +269,9 @@ def truth(
     """
     from tempfile import TemporaryDirectory
 
-    from rpl_data.capture import open_scenes
     from rpl_data.pipeline.true_poses import write_true_poses
     from rpl_data.recipe import load_recipe
+    from rpl_data.recordings.open import open_scenes
 
     loaded = load_recipe(recipe, root=root)
     with TemporaryDirectory() as scratch:

@@ -20,7 +20,7 @@ import yaml
 from rpl_data.drift import MAX_DRIFT_MM
 from rpl_data.export.split import SplitRule
 from rpl_data.files import read_text
-from rpl_data.mend import Mend
+from rpl_data.recordings.mend import Mend
 from rpl_data.twin.spec import TwinSpec
 from rpl_data.types import DataError
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from recordings import CAMERA, LENS, cut, poses, write_color, write_depth
 
-from rpl_data.capture import open_scenes
 from rpl_data.formats.recordings.bop import read_bop, write_scene_camera, write_scene_gt
 from rpl_data.geometry import from_rotvec, invert
 from rpl_data.images import read_depth_m
+from rpl_data.recordings.open import open_scenes
 from rpl_data.types import DataError
 
 IDS = [2, 9, 10, 100]

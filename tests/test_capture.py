@@ -17,7 +17,7 @@ import pyrealsense2 as rs
 import pytest
 from software_camera import HEIGHT, WIDTH, SoftwareCamera, color_pixels, depth_pixels
 
-from rpl_data.capture import live, open_scenes
+from rpl_data.capture import live
 from rpl_data.capture.camera import choices_of, connected_camera
 from rpl_data.capture.disk import SceneWriter, write_shot
 from rpl_data.capture.exposure import lock
@@ -27,6 +27,7 @@ from rpl_data.capture.streams import Shot
 from rpl_data.cli import main
 from rpl_data.images import read_color, read_depth_m
 from rpl_data.record import next_scene, record_scene, stopped_by_ctrl_c
+from rpl_data.recordings.open import open_scenes
 from rpl_data.types import DataError
 
 QUICK = CaptureOptions(WIDTH, HEIGHT, 30, seconds=1.0, countdown_s=0, exposure="auto")

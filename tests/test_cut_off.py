@@ -19,8 +19,8 @@ import test_ycb_video
 from recordings import LENS, poses
 from software_camera import record
 
-from rpl_data.capture import READERS, UNPACKERS, open_scenes
 from rpl_data.formats.recordings.pose_lines import write_pose_lines
+from rpl_data.recordings.open import READERS, UNPACKERS, open_scenes
 from rpl_data.types import Recording
 
 TIMES_S = [t * 1e-6 for t in test_klg.TIMES_US]

@@ -21,7 +21,7 @@ from rpl_data.doctor.text import describe
 from rpl_data.formats.recordings.camera_file import write_camera
 from rpl_data.formats.recordings.rpl import write_associations, write_poses
 from rpl_data.geometry import from_rotvec, invert, rays
-from rpl_data.mend import Mend, mended, mended_poses
+from rpl_data.recordings.mend import Mend, mended, mended_poses
 from rpl_data.types import Frame, Intrinsics, Recording, Trajectory
 
 CAMERA = Intrinsics(300.0, 300.0, 158.0, 121.0, 320, 240)
@@ -79,7 +79,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def sound(folder: Path) -> Recording:
-    from rpl_data.capture import open_scenes
+    from rpl_data.recordings.open import open_scenes
 
     return open_scenes(folder, "rpl", metres_per_unit=0.001)[0]
 
@@ -308,7 +308,7 @@ def test_check_of_nothing_known_says_so(tmp_path: Path, capsys: pytest.CaptureFi
 
 
 def test_the_desk_has_its_repeated_depth_and_its_lag(real_data: Path) -> None:
-    from rpl_data.capture import open_scenes
+    from rpl_data.recordings.open import open_scenes
 
     for recording in open_scenes(real_data / "desk", "rpl"):
         found = kinds(examine(recording))

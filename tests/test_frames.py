@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from recordings import CAMERA, LENS, cut, poses, write_color, write_depth
 
-from rpl_data.capture import open_scenes
 from rpl_data.formats.recordings.frames import read_frames, write_frame_camera, write_frame_pose
 from rpl_data.images import read_depth_m
+from rpl_data.recordings.open import open_scenes
 from rpl_data.types import DataError
 
 FIRST = 540

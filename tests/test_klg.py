@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from recordings import LENS, color_image, cut, depth_image, poses
 
-from rpl_data.capture import open_scenes
 from rpl_data.formats.containers.klg import index_klg, klg_color, klg_depth_mm, klg_image_size, write_klg
 from rpl_data.formats.recordings.elasticfusion import read_klg
 from rpl_data.formats.recordings.pose_lines import write_pose_lines
 from rpl_data.images import read_color, read_depth_m
+from rpl_data.recordings.open import open_scenes
 from rpl_data.types import DataError, Recording
 
 TIMES_US = [1_500_000_000 + 33_333 * i for i in range(6)]

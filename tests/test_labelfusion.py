@@ -10,10 +10,10 @@ import pytest
 import yaml
 from recordings import LENS, cut, poses, write_color, write_depth
 
-from rpl_data.capture import open_scenes
 from rpl_data.formats.recordings.labelfusion import read_labelfusion
 from rpl_data.formats.recordings.pose_lines import write_pose_lines
 from rpl_data.geometry import from_rotvec, invert, to_quaternion_xyzw
+from rpl_data.recordings.open import open_scenes
 from rpl_data.types import DataError
 
 SCENE_FROM_DRILL = from_rotvec(np.array([0.3, -0.2, 0.5]), np.array([0.1, -0.05, 0.8]))

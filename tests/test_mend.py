@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from rpl_data.geometry import from_rotvec, invert
 from rpl_data.images import read_depth_m
-from rpl_data.mend import Mend, mended, mended_poses
+from rpl_data.recordings.mend import Mend, mended, mended_poses
 from rpl_data.types import DataError, Frame, Intrinsics, Recording, Scene, Trajectory
 
 POSES = np.array(

@@ -10,12 +10,12 @@ import pyrealsense2 as rs
 import pytest
 from software_camera import FOCAL_PX, HEIGHT, WIDTH, color_pixels, depth_pixels, record
 
-from rpl_data.capture import open_scenes
 from rpl_data.capture.lens import intrinsics_of
 from rpl_data.capture.playback import read_realsense
 from rpl_data.formats.containers.rosbag import repair_bag
 from rpl_data.geometry import project
 from rpl_data.images import read_color, read_depth_m
+from rpl_data.recordings.open import open_scenes
 from rpl_data.types import DataError, Recording
 
 BAG = Path(__file__).parent / "data" / "realsense.bag"

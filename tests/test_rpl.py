@@ -11,11 +11,11 @@ import cv2
 import numpy as np
 import pytest
 
-from rpl_data.capture import open_scenes
 from rpl_data.formats.recordings.camera_file import write_camera
 from rpl_data.formats.recordings.image_files import probe
 from rpl_data.formats.recordings.rpl import read_rpl, write_associations, write_poses
 from rpl_data.geometry import from_rotvec
+from rpl_data.recordings.open import open_scenes
 from rpl_data.types import DataError, Intrinsics
 
 CAMERA = Intrinsics(50.0, 51.0, 31.5, 23.5, 64, 48)

@@ -11,7 +11,6 @@ import pytest
 from made_scenes import CAMERA, FRAMES, errors, orbit, scene_of, shot, tracked
 
 from rpl_data.build import build
-from rpl_data.capture import open_scenes
 from rpl_data.drift import reprojection_over_gap
 from rpl_data.formats.recordings.camera_file import write_camera
 from rpl_data.formats.recordings.rpl import write_associations
@@ -21,6 +20,7 @@ from rpl_data.pipeline.poses import decoded
 from rpl_data.recipe import parse_recipe
 from rpl_data.reconstruct.path import collected, losses
 from rpl_data.reconstruct.tracking import track
+from rpl_data.recordings.open import open_scenes
 from rpl_data.types import DataError
 from rpl_data.workspace.workspace import Workspace
 

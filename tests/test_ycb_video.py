@@ -10,10 +10,10 @@ import pytest
 from recordings import CAMERA, LENS, cut, poses, write_color, write_depth
 from scipy.io import savemat
 
-from rpl_data.capture import open_scenes
 from rpl_data.formats.recordings.ycb_video import CLASSES, read_ycb_video
 from rpl_data.geometry import from_rotvec, invert
 from rpl_data.images import read_depth_m
+from rpl_data.recordings.open import open_scenes
 from rpl_data.types import DataError
 
 SCENE_FROM = {

@@ -16,7 +16,7 @@ from jaxtyping import Float64
 
 from rpl_data.doctor.consistency import Geometry, Views, differences
 from rpl_data.doctor.findings import Finding, Kind, option
-from rpl_data.mend import Mend, mended_poses
+from rpl_data.recordings.mend import Mend, mended_poses
 
 MUCH_BETTER = 0.7
 """A correction must bring the differences of depth down to this share."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from rpl_data.mend import Mend, in_recipe
+from rpl_data.recordings.mend import Mend, in_recipe
 
 Kind = Literal[
     "unreadable", "left out", "dropped frames", "repeated frames", "depth lag", "registration",

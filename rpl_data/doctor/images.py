@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from rpl_data.doctor.findings import Finding, option
-from rpl_data.mend import Mend
+from rpl_data.recordings.mend import Mend
 from rpl_data.types import ColorImage, DepthImage
 
 BLURRED = 0.3

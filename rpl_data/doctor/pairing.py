@@ -8,7 +8,7 @@ import numpy as np
 
 from rpl_data.doctor.alignment import Alignment
 from rpl_data.doctor.findings import Finding, option
-from rpl_data.mend import Mend
+from rpl_data.recordings.mend import Mend
 from rpl_data.types import Intrinsics, Scene
 
 LEAST_LAG_FRAMES = 0.25

@@ -20,10 +20,10 @@ import pytest
 from scipy.ndimage import shift as moved_px
 from scipy.spatial.transform import Rotation
 
-from rpl_data.capture import open_scenes
 from rpl_data.doctor import examine as doctor
 from rpl_data.geometry import invert
 from rpl_data.images import read_depth_m
+from rpl_data.recordings.open import open_scenes
 from rpl_data.twin.drift import Drift, drifted
 from rpl_data.twin.objects import OBJECTS
 from rpl_data.twin.sensor import ColorSensor, DepthSensor, Sensor

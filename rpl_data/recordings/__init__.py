@@ -1,0 +1,1 @@
+"""Recordings of any format, opened and put right."""
