@@ -15,7 +15,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from rpl_data.types import DataError  # noqa: E402
 
 if TYPE_CHECKING:
-    from rpl_data.steps import Ledger
+    from rpl_data.pipeline.ledger import Ledger
 
 HERE = Path(".")
 
@@ -54,7 +54,7 @@ def build(
         workers: processes for labelling and rendering; as many as cores when left out, 1 = no other process.
         again: a stage to run again although nothing it depends on has changed, or `all`.
     """
-    from rpl_data.recipe import load_recipe
+    from rpl_data.pipeline.recipe import load_recipe
 
     _run(load_recipe(recipe, root=root), workspace or Path("workspaces") / recipe.stem, None, again, workers)
 
@@ -68,7 +68,7 @@ def import_(recipe: Path, workspace: Path = HERE, root: Path | None = None, agai
         root: where the relative paths of the recipe start; the recipe's own folder when left out.
         again: even if nothing has changed.
     """
-    from rpl_data.recipe import load_recipe
+    from rpl_data.pipeline.recipe import load_recipe
 
     _run(load_recipe(recipe, root=root), workspace, "import", "import" if again else None)
 
@@ -180,7 +180,7 @@ def register(object: str, scene: str, workspace: Path = HERE) -> None:
         scene: its name; the scene must be in the recordings of the recipe, its clicks in the workspace.
         workspace: a folder made by `rpl build` or `rpl import`.
     """
-    from rpl_data.build import recipe_of, run_step
+    from rpl_data.pipeline.build import recipe_of, run_step
     from rpl_data.pipeline.sparse import register_step
     from rpl_data.workspace.workspace import Workspace
 
@@ -230,7 +230,7 @@ def export(workspace: Path = HERE, labels: Literal["own", "truth"] = "own", agai
     """
     _stage(workspace, "export", again)
     if labels == "truth":
-        from rpl_data.build import context_of
+        from rpl_data.pipeline.build import context_of
         from rpl_data.pipeline.products import export_truth
         from rpl_data.workspace.workspace import Workspace
 
@@ -269,8 +269,8 @@ def truth(
     """
     from tempfile import TemporaryDirectory
 
+    from rpl_data.pipeline.recipe import load_recipe
     from rpl_data.pipeline.true_poses import write_true_poses
-    from rpl_data.recipe import load_recipe
     from rpl_data.recordings.open import open_scenes
 
     loaded = load_recipe(recipe, root=root)
@@ -301,7 +301,7 @@ def status(workspace: Path = HERE) -> None:
     Args:
         workspace: a folder made by `rpl build` or `rpl import`.
     """
-    from rpl_data.build import STAGES, recipe_of, stale_steps
+    from rpl_data.pipeline.build import STAGES, recipe_of, stale_steps
     from rpl_data.workspace.workspace import Workspace
 
     place = Workspace(workspace)
@@ -335,7 +335,7 @@ def annotate(
         host: the address to listen on; any but this machine's own asks for the token in the printed URL.
         port: where the page is served.
     """
-    from rpl_data.recipe import load_recipe
+    from rpl_data.pipeline.recipe import load_recipe
     from rpl_data.serve import place_of, serve
 
     place = place_of(host, port)
@@ -354,7 +354,7 @@ def clicks_import(file: Path, workspace: Path = HERE, proposed: bool = False) ->
         proposed: the clicks are a program's (`python -m training.predict --clicks`): what a person decided
             stays, they only fill in keypoints that were not clicked in that scene nor declared not visible.
     """
-    from rpl_data.build import context_of
+    from rpl_data.pipeline.build import context_of
     from rpl_data.pipeline.inputs import add_clicks
     from rpl_data.workspace.workspace import Workspace
 
@@ -404,7 +404,7 @@ COMMANDS: dict[str, Any] = {
 
 def _stage(workspace: Path, stage: str, again: bool, workers: int | None = None) -> Ledger:
     """Run a stage of a workspace, and what is out of date before it."""
-    from rpl_data.build import recipe_of
+    from rpl_data.pipeline.build import recipe_of
     from rpl_data.workspace.workspace import Workspace
 
     return _run(recipe_of(Workspace(workspace)), workspace, stage, stage if again else None, workers)
@@ -414,7 +414,7 @@ def _run(
     recipe: Any, workspace: Path, until: str | None, again: str | None, workers: int | None = None
 ) -> Ledger:
     """Build with progress on the terminal, and say what came out."""
-    from rpl_data.build import STAGES, build
+    from rpl_data.pipeline.build import STAGES, build
     from rpl_data.screen import Screen, print_results
     from rpl_data.workspace.workspace import Workspace
 

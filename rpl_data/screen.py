@@ -9,10 +9,10 @@ from types import TracebackType
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
-from rpl_data import build
 from rpl_data.evaluate.quality import format_table
+from rpl_data.pipeline import build
+from rpl_data.pipeline.ledger import Ledger
 from rpl_data.pipeline.products import quality_rows, split_summary, timings
-from rpl_data.steps import Ledger
 from rpl_data.types import Recording
 from rpl_data.workspace.workspace import Workspace
 

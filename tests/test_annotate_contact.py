@@ -50,7 +50,7 @@ def test_a_picture_is_the_frame_with_its_labels(client: TestClient, root: Path) 
 
 
 def test_frames_left_out_stay_out_of_the_export(client: TestClient, root: Path) -> None:  # noqa: F811
-    from rpl_data.build import context_of
+    from rpl_data.pipeline.build import context_of
     from rpl_data.pipeline.products import export_labels, export_steps
 
     workspace = Workspace(root)

@@ -17,10 +17,10 @@ from test_annotate_server import act, client_of
 from rpl_data.annotate.jobs import Jobs
 from rpl_data.annotate.news import News
 from rpl_data.annotate.work import Tell
-from rpl_data.build import build
 from rpl_data.files import locked
 from rpl_data.meshes import load_cloud, load_mesh
-from rpl_data.recipe import LabelRecipe, ObjectRecipe, Recipe, SceneSource
+from rpl_data.pipeline.build import build
+from rpl_data.pipeline.recipe import LabelRecipe, ObjectRecipe, Recipe, SceneSource
 from rpl_data.types import DataError
 from rpl_data.workspace.workspace import Workspace
 

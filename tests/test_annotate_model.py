@@ -12,7 +12,6 @@ from fastapi.testclient import TestClient
 from test_annotate_server import OBJECT, act, client_of
 from test_annotate_solid import root, unpacked  # noqa: F401
 
-from rpl_data.build import context_of
 from rpl_data.formats.models.meshlab import write_picked_points
 from rpl_data.formats.models.sparse_model import (
     points_in_first_scene,
@@ -22,6 +21,7 @@ from rpl_data.formats.models.sparse_model import (
 )
 from rpl_data.geometry import from_rotvec, rotation_angle_rad, transform
 from rpl_data.meshes import load_mesh, save_mesh
+from rpl_data.pipeline.build import context_of
 from rpl_data.pipeline.products import export_labels
 from rpl_data.types import Mesh, Solution
 from rpl_data.workspace.workspace import Workspace

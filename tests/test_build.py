@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rpl_data import build as module
-from rpl_data.build import Progress, build, recipe_of, stale_steps
 from rpl_data.clicks.log import clicks_from_csv
+from rpl_data.pipeline import build as module
+from rpl_data.pipeline.build import Progress, build, recipe_of, stale_steps
 from rpl_data.pipeline.dense import Sphere, joined_meshes, joined_spheres
+from rpl_data.pipeline.ledger import Ledger, Outcome, Step, stamps
+from rpl_data.pipeline.pool import Pool
 from rpl_data.pipeline.products import quality_rows, timings
-from rpl_data.pool import Pool
-from rpl_data.recipe import LabelRecipe, ObjectRecipe, Recipe, SceneSource
-from rpl_data.steps import Ledger, Outcome, Step, stamps
+from rpl_data.pipeline.recipe import LabelRecipe, ObjectRecipe, Recipe, SceneSource
 from rpl_data.types import DataError, Mesh
 from rpl_data.workspace.workspace import Workspace
 

@@ -13,8 +13,8 @@ from typing import Any
 
 import pytest
 
-from rpl_data.build import STAGES
 from rpl_data.cli import COMMANDS
+from rpl_data.pipeline.build import STAGES
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text()

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from made_scenes import CAMERA, FRAMES, errors, orbit, scene_of, shot, tracked
 
-from rpl_data.build import build
 from rpl_data.drift import reprojection_over_gap
 from rpl_data.formats.recordings.camera_file import write_camera
 from rpl_data.formats.recordings.rpl import write_associations
 from rpl_data.geometry import from_rotvec
 from rpl_data.images import read_depth_m
+from rpl_data.pipeline.build import build
 from rpl_data.pipeline.poses import decoded
-from rpl_data.recipe import parse_recipe
+from rpl_data.pipeline.recipe import parse_recipe
 from rpl_data.reconstruct.path import collected, losses
 from rpl_data.reconstruct.tracking import track
 from rpl_data.recordings.open import open_scenes

@@ -8,9 +8,9 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import astuple, dataclass
 from pathlib import Path
 
-from rpl_data.pool import Pool
-from rpl_data.recipe import ObjectRecipe, Recipe, SceneSource
-from rpl_data.steps import Advance, Json, Outcome, Step
+from rpl_data.pipeline.ledger import Advance, Json, Outcome, Step
+from rpl_data.pipeline.pool import Pool
+from rpl_data.pipeline.recipe import ObjectRecipe, Recipe, SceneSource
 from rpl_data.types import Frame, Scene, Solution, Trajectory
 from rpl_data.workspace.workspace import Workspace
 

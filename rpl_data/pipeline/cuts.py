@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from rpl_data.drift import Drift, cut, drift_from_json, drift_to_json, measure_drift
 from rpl_data.files import read_json, write_json
 from rpl_data.pipeline.context import Context, step
-from rpl_data.steps import Advance, Outcome, Step
+from rpl_data.pipeline.ledger import Advance, Outcome, Step
 from rpl_data.types import Click, DataError, Span
 
 FEWEST_KEYPOINTS = 4

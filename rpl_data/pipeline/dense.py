@@ -11,9 +11,9 @@ from rpl_data.geometry import transform
 from rpl_data.images import read_color
 from rpl_data.meshes import load_mesh, oriented_points, save_cloud, save_mesh
 from rpl_data.pipeline.context import Context, posed_frames, step
+from rpl_data.pipeline.ledger import Advance, Outcome, Step, stamps
+from rpl_data.pipeline.recipe import ObjectRecipe
 from rpl_data.pipeline.sparse import known_points
-from rpl_data.recipe import ObjectRecipe
-from rpl_data.steps import Advance, Outcome, Step, stamps
 from rpl_data.types import Frame, Mesh, Solution
 from rpl_data.workspace.workspace import Workspace
 

@@ -12,8 +12,8 @@ from rpl_data import capture
 from rpl_data.clicks.log import clicks_from_csv, clicks_to_csv, events_to, keypoints_event, objects_in_csv
 from rpl_data.files import read_text, remove
 from rpl_data.pipeline.context import Context, step
-from rpl_data.recipe import ObjectRecipe, SceneSource
-from rpl_data.steps import Advance, Json, Outcome, Step, stamps
+from rpl_data.pipeline.ledger import Advance, Json, Outcome, Step, stamps
+from rpl_data.pipeline.recipe import ObjectRecipe, SceneSource
 from rpl_data.types import DataError, Recording
 from rpl_data.workspace.workspace import Workspace
 

@@ -12,7 +12,7 @@ from rpl_data.geometry import Transform
 from rpl_data.label.label import SceneObject, label_frames, sample_frames
 from rpl_data.meshes import load_mesh
 from rpl_data.pipeline.context import Context, posed_frames, step
-from rpl_data.steps import Advance, Outcome, Step
+from rpl_data.pipeline.ledger import Advance, Outcome, Step
 from rpl_data.types import FrameLabel
 from rpl_data.workspace.workspace import Workspace
 

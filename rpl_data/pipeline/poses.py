@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 from rpl_data.images import read_grey
 from rpl_data.pipeline.context import Context, step
-from rpl_data.steps import Advance, Outcome, Step
+from rpl_data.pipeline.ledger import Advance, Outcome, Step
 from rpl_data.types import DepthImage, Frame, GreyImage
 
 AHEAD = 8

@@ -11,7 +11,7 @@ from typing import Any
 from rpl_data.export import ExportScene, export_bop, export_coco, export_okt, export_yolo
 from rpl_data.pipeline.context import VERSIONS, Context, step
 from rpl_data.pipeline.grasps import save_grasps
-from rpl_data.steps import Advance, Json, Ledger, Outcome, Step, stamps
+from rpl_data.pipeline.ledger import Advance, Json, Ledger, Outcome, Step, stamps
 from rpl_data.types import DataError, FrameLabel, QualityRow
 from rpl_data.workspace.workspace import Workspace
 

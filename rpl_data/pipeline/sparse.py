@@ -13,10 +13,10 @@ from rpl_data.clicks.log import Annotation
 from rpl_data.geometry import Transform, transform
 from rpl_data.images import read_depth_m
 from rpl_data.pipeline.context import Context, step
-from rpl_data.recipe import ObjectRecipe
+from rpl_data.pipeline.ledger import Advance, Outcome, Step
+from rpl_data.pipeline.recipe import ObjectRecipe
 from rpl_data.solve.residuals import click_spreads_m
 from rpl_data.solve.solve import register, solve
-from rpl_data.steps import Advance, Outcome, Step
 from rpl_data.types import (
     Click,
     ClickResidual,

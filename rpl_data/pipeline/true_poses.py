@@ -9,8 +9,8 @@ import numpy as np
 
 from rpl_data.evaluate.cad import cads_in, mesh_of
 from rpl_data.files import write_json
-from rpl_data.recipe import Recipe
-from rpl_data.steps import Json
+from rpl_data.pipeline.ledger import Json
+from rpl_data.pipeline.recipe import Recipe
 from rpl_data.types import DataError, Recording
 
 

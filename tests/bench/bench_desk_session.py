@@ -24,9 +24,9 @@ sys.path.insert(0, str(Path(__file__).parent.parent / "browser"))
 from conftest import FLAGS, chromium
 from driving import SHOWN, Server, on_page
 
-from rpl_data.build import build
 from rpl_data.geometry import invert, project, transform
-from rpl_data.recipe import load_recipe
+from rpl_data.pipeline.build import build
+from rpl_data.pipeline.recipe import load_recipe
 from rpl_data.types import Intrinsics
 from rpl_data.workspace.workspace import Workspace
 

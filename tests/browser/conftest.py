@@ -42,8 +42,8 @@ def browser() -> Iterator[Browser]:
 @pytest.fixture(scope="session")
 def unmarked(tiny_workspace: Workspace, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The tiny recording, imported but without any click."""
-    from rpl_data.build import build
-    from rpl_data.recipe import load_recipe
+    from rpl_data.pipeline.build import build
+    from rpl_data.pipeline.recipe import load_recipe
 
     folder = tmp_path_factory.mktemp("unmarked")
     shutil.copytree(tiny_workspace.recording, folder / "recording")

@@ -14,9 +14,9 @@ from conftest import FLAGS, chromium
 from driving import SHOWN, Server, on_page, saved
 from playwright.sync_api import Page, expect, sync_playwright
 
-from rpl_data.build import build
 from rpl_data.clicks.log import click_event
-from rpl_data.recipe import LabelRecipe, ObjectRecipe, Recipe, SceneSource
+from rpl_data.pipeline.build import build
+from rpl_data.pipeline.recipe import LabelRecipe, ObjectRecipe, Recipe, SceneSource
 from rpl_data.types import Click
 from rpl_data.workspace.workspace import Workspace
 

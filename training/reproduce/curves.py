@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from rpl_data.types import DataError
 
 if TYPE_CHECKING:
-    from rpl_data.recipe import Recipe
+    from rpl_data.pipeline.recipe import Recipe
     from rpl_data.workspace.workspace import Workspace
 
 OBJECTS = ("drill", "bracket", "junction_box")
@@ -65,7 +65,7 @@ def _existing(folder: Path) -> Workspace:
 
 def _filmed(name: str, folder: Path, scenes: int, workers: int | None) -> Workspace:
     """The recording of one object, one frame in two seconds of a slow partial orbit: enough to click in."""
-    from rpl_data.build import build
+    from rpl_data.pipeline.build import build
     from rpl_data.workspace.workspace import Workspace
 
     place = Workspace(folder)
@@ -74,7 +74,7 @@ def _filmed(name: str, folder: Path, scenes: int, workers: int | None) -> Worksp
 
 
 def _recipe(name: str, scenes: int) -> Recipe:
-    from rpl_data.recipe import Recipe
+    from rpl_data.pipeline.recipe import Recipe
     from rpl_data.twin.spec import TwinSpec
 
     spec = TwinSpec(objects=(name,), scenes=scenes, seconds=16.0, keep_hz=0.5, clicks_per_keypoint=1)

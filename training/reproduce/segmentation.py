@@ -69,8 +69,8 @@ def sources_of(workspace: Path) -> dict[str, Path]:
     Raises:
         DataError: the truth is not known, or the two do not have the same training images.
     """
-    from rpl_data.build import context_of
     from rpl_data.formats.datasets.coco import read_coco
+    from rpl_data.pipeline.build import context_of
     from rpl_data.pipeline.products import export_truth
     from rpl_data.workspace.workspace import Workspace
 

@@ -64,8 +64,8 @@ def table1(
 
 def built(source: Path, folder: Path, *, root: Path | None, workers: int | None) -> Workspace:
     """The workspace itself, or what a recipe makes."""
-    from rpl_data.build import build
-    from rpl_data.recipe import load_recipe
+    from rpl_data.pipeline.build import build
+    from rpl_data.pipeline.recipe import load_recipe
     from rpl_data.workspace.workspace import Workspace
 
     if not source.is_file():
@@ -79,7 +79,7 @@ def in_kind(
     workspace: Workspace, kind: Trajectories, out: Path, *, seed: int, workers: int | None
 ) -> Workspace:
     """The workspace, or one of the same pixels and other camera paths, built to its labels."""
-    from rpl_data.build import build
+    from rpl_data.pipeline.build import build
     from rpl_data.workspace.workspace import Workspace
     from training.reproduce.trajectories import with_trajectories
 
@@ -103,8 +103,8 @@ def measure(
     Raises:
         DataError: neither truth nor a CAD is known.
     """
-    from rpl_data.build import context_of
     from rpl_data.evaluate.quality import compare_workspaces
+    from rpl_data.pipeline.build import context_of
     from rpl_data.pipeline.products import truth_workspace
     from training.reproduce.cad_protocol import by_cad
     from training.reproduce.worst import worst_scenes

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 
-from rpl_data.build import context_of
 from rpl_data.formats.recordings.pose_lines import read_pose_lines
 from rpl_data.formats.recordings.rpl import write_poses
-from rpl_data.recipe import Recipe, SceneSource
+from rpl_data.pipeline.build import context_of
+from rpl_data.pipeline.recipe import Recipe, SceneSource
 from rpl_data.twin.drift import Drift, drifted
 from rpl_data.types import DataError
 from rpl_data.workspace.workspace import Workspace

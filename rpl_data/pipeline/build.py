@@ -14,9 +14,9 @@ from typing import Literal
 from rpl_data.files import locked, write_text
 from rpl_data.pipeline import cuts, dense, inputs, labels, poses, products, sparse
 from rpl_data.pipeline.context import Context
-from rpl_data.pool import Pool
-from rpl_data.recipe import Recipe, load_recipe, recipe_to_yaml
-from rpl_data.steps import Entry, Ledger, Outcome, Step
+from rpl_data.pipeline.ledger import Entry, Ledger, Outcome, Step
+from rpl_data.pipeline.pool import Pool
+from rpl_data.pipeline.recipe import Recipe, load_recipe, recipe_to_yaml
 from rpl_data.types import DataError
 from rpl_data.workspace.workspace import Workspace
 
