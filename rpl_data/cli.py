@@ -181,7 +181,7 @@ def register(object: str, scene: str, workspace: Path = HERE) -> None:
         workspace: a folder made by `rpl build` or `rpl import`.
     """
     from rpl_data.pipeline.build import recipe_of, run_step
-    from rpl_data.pipeline.sparse import register_step
+    from rpl_data.pipeline.stages.solve import register_step
     from rpl_data.workspace.workspace import Workspace
 
     place = Workspace(workspace)
@@ -231,7 +231,7 @@ def export(workspace: Path = HERE, labels: Literal["own", "truth"] = "own", agai
     _stage(workspace, "export", again)
     if labels == "truth":
         from rpl_data.pipeline.build import context_of
-        from rpl_data.pipeline.products import export_truth
+        from rpl_data.pipeline.stages.export import export_truth
         from rpl_data.workspace.workspace import Workspace
 
         summary = export_truth(context_of(Workspace(workspace)))
@@ -355,7 +355,7 @@ def clicks_import(file: Path, workspace: Path = HERE, proposed: bool = False) ->
             stays, they only fill in keypoints that were not clicked in that scene nor declared not visible.
     """
     from rpl_data.pipeline.build import context_of
-    from rpl_data.pipeline.inputs import add_clicks
+    from rpl_data.pipeline.stages.clicks import add_clicks
     from rpl_data.workspace.workspace import Workspace
 
     for name, count in add_clicks(context_of(Workspace(workspace)), file, proposed=proposed).items():
@@ -370,7 +370,7 @@ def clicks_export(file: Path, workspace: Path = HERE) -> None:
         workspace: a folder made by `rpl build` or `rpl import`.
     """
     from rpl_data.files import write_text
-    from rpl_data.pipeline.inputs import clicks_table
+    from rpl_data.pipeline.stages.clicks import clicks_table
     from rpl_data.workspace.workspace import Workspace
 
     write_text(file, clicks_table(Workspace(workspace)))

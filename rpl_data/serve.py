@@ -13,9 +13,9 @@ from rpl_data.annotate import Place, Work
 from rpl_data.annotate.work import Tell
 from rpl_data.pipeline.build import Progress, build, context_of, recipe_of, save_recipe, stale_steps
 from rpl_data.pipeline.context import Context
-from rpl_data.pipeline.grasps import object_from_grasp
 from rpl_data.pipeline.recipe import ObjectRecipe
-from rpl_data.pipeline.sparse import solve_annotation
+from rpl_data.pipeline.stages.grasp import object_from_grasp
+from rpl_data.pipeline.stages.solve import solve_annotation
 from rpl_data.solve.solve import register
 from rpl_data.types import DataError
 from rpl_data.workspace.workspace import Workspace

@@ -22,7 +22,7 @@ from rpl_data.formats.models.sparse_model import (
 from rpl_data.geometry import from_rotvec, rotation_angle_rad, transform
 from rpl_data.meshes import load_mesh, save_mesh
 from rpl_data.pipeline.build import context_of
-from rpl_data.pipeline.products import export_labels
+from rpl_data.pipeline.stages.export import export_labels
 from rpl_data.types import Mesh, Solution
 from rpl_data.workspace.workspace import Workspace
 
@@ -104,7 +104,7 @@ def test_a_mesh_with_picked_keypoints_becomes_the_dense_model(
     tmp_path: Path,
     tiny_workspace: Workspace,
 ) -> None:
-    from rpl_data.pipeline.dense import segment_steps
+    from rpl_data.pipeline.stages.segment import segment_steps
 
     mesh = load_mesh(Workspace(tiny_workspace.truth).mesh_file("carton"))
     save_mesh(tmp_path / "cad.ply", Mesh(1e3 * transform(MOVED, mesh.vertices), mesh.triangles))

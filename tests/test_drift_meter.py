@@ -15,9 +15,9 @@ from rpl_data.formats.recordings.rpl import write_poses
 from rpl_data.geometry import from_rotvec, rays, rigid
 from rpl_data.images import read_depth_m
 from rpl_data.pipeline.build import build, context_of
-from rpl_data.pipeline.cuts import choose_cut
-from rpl_data.pipeline.products import quality_rows
 from rpl_data.pipeline.recipe import SceneSource
+from rpl_data.pipeline.stages.drift import choose_cut
+from rpl_data.pipeline.stages.quality import quality_rows
 from rpl_data.types import Click, DataError, Frame, Intrinsics, Recording, Scene, Trajectory
 from rpl_data.workspace.parts import Parts
 from rpl_data.workspace.workspace import Workspace

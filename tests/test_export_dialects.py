@@ -19,7 +19,7 @@ from rpl_data.formats.datasets.coco import read_coco
 from rpl_data.formats.datasets.yolo import LINES, detect_line, pose_line, segment_line
 from rpl_data.formats.recordings.bop import read_bop
 from rpl_data.meshes import load_mesh, save_mesh
-from rpl_data.pipeline.products import refuse_unknown_exports
+from rpl_data.pipeline.stages.export import refuse_unknown_exports
 from rpl_data.types import DataError
 
 PLAIN = CAMERA.__class__(150.0, 151.0, 79.5, 59.5, 160, 120)

@@ -203,8 +203,8 @@ def test_nine_thousand_frames_are_indexed_not_loaded(tmp_path: Path) -> None:
 
 
 def test_a_recipe_unpacks_into_the_workspace(tmp_path: Path) -> None:
-    from rpl_data.pipeline.inputs import read_recordings
     from rpl_data.pipeline.recipe import parse_recipe
+    from rpl_data.pipeline.stages.import_ import read_recordings
     from rpl_data.workspace.workspace import Workspace
 
     log = make_log(tmp_path / "cup.klg")

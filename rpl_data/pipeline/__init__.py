@@ -1,1 +1,1 @@
-"""Every stage with its files: what it reads from a workspace and writes back to it."""
+"""Recipe -> workspace: which steps there are, which of them still hold, and running the others."""

@@ -12,11 +12,31 @@ from pathlib import Path
 from typing import Literal
 
 from rpl_data.files import locked, write_text
-from rpl_data.pipeline import cuts, dense, inputs, labels, poses, products, sparse
 from rpl_data.pipeline.context import Context
 from rpl_data.pipeline.ledger import Entry, Ledger, Outcome, Step
 from rpl_data.pipeline.pool import Pool
 from rpl_data.pipeline.recipe import Recipe, load_recipe, recipe_to_yaml
+from rpl_data.pipeline.stages import (
+    clicks as inputs,
+)
+from rpl_data.pipeline.stages import (
+    drift as cuts,
+)
+from rpl_data.pipeline.stages import (
+    export as products,
+)
+from rpl_data.pipeline.stages import (
+    label as labels,
+)
+from rpl_data.pipeline.stages import (
+    segment as dense,
+)
+from rpl_data.pipeline.stages import (
+    solve as sparse,
+)
+from rpl_data.pipeline.stages import (
+    track as poses,
+)
 from rpl_data.types import DataError
 from rpl_data.workspace.workspace import Workspace
 

@@ -21,7 +21,7 @@ from made_scenes import errors, orbit, tracked
 from rpl_data.drift import reprojection_over_gap
 from rpl_data.geometry import fit_rigid, invert, resized, transform
 from rpl_data.images import read_color, read_depth_m, read_grey
-from rpl_data.pipeline.poses import decoded
+from rpl_data.pipeline.stages.track import decoded
 from rpl_data.reconstruct.path import Track, collected
 from rpl_data.reconstruct.surface import fuse_surface
 from rpl_data.reconstruct.tracking import Tracker, track

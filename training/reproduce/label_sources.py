@@ -14,7 +14,7 @@ EXPORTS: dict[Source, str] = {"OURS": "coco", "MANUAL": "coco_truth"}
 def exports_of(workspace: Path) -> dict[Source, Path]:
     """Folders of the two label sources; the true one is exported when it is not there yet."""
     from rpl_data.pipeline.build import context_of
-    from rpl_data.pipeline.products import export_truth
+    from rpl_data.pipeline.stages.export import export_truth
     from rpl_data.workspace.workspace import Workspace
 
     place = Workspace(workspace)

@@ -1,0 +1,148 @@
+"""What a build hands over: exported folders, the comparison with truth, and the report, with their files."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict
+from typing import Any
+
+from rpl_data.export import ExportScene, export_bop, export_coco, export_okt, export_yolo
+from rpl_data.pipeline.context import Context, step
+from rpl_data.pipeline.ledger import Advance, Json, Ledger, Outcome, Step
+from rpl_data.pipeline.stages.grasp import save_grasps
+from rpl_data.pipeline.stages.quality import finite_or_none, truth_workspace
+from rpl_data.types import DataError, FrameLabel
+from rpl_data.workspace.workspace import Workspace
+
+EXPORTS: dict[str, Callable[[Context], Any]] = {}
+"""By format name; filled below."""
+
+
+# Export -------------------------------------------------------------------------------------------
+
+
+def export_steps(context: Context) -> list[Step]:
+    """Labels -> folders that trainers read, one a format; `coco` first, since the others are made of it."""
+    return [_export_step(context, name) for name in sorted(context.recipe.export, key=lambda n: n != "coco")]
+
+
+def refuse_unknown_exports(names: Sequence[str]) -> None:
+    """DataError at a name without a writer; asked before a long build, not after."""
+    for name in names:
+        if name not in EXPORTS:
+            raise DataError(f"unknown export {name!r} in the recipe; expected one of {', '.join(EXPORTS)}")
+    if names and "coco" not in names:
+        raise DataError(f"export {', '.join(names)} is made of `coco`; write `export: [coco, {names[0]}]`")
+
+
+def _export_step(context: Context, name: str) -> Step:
+    def run(advance: Advance) -> Outcome:
+        refuse_unseen(context)
+        summary = asdict(EXPORTS[name](context))
+        messages = tuple(summary.pop("messages"))
+        return Outcome(sum(summary["images"].values()), messages, finite_or_none(summary))
+
+    left_out = {scene: sorted(context.workspace.load_left_out(scene)) for scene in context.placed_videos()}
+    annotations = [context.workspace.load_annotation(item) for item in context.object_names]
+    chosen = {
+        "left_out": {scene: frames for scene, frames in left_out.items() if frames},
+        "grasps": {item.object: asdict(item.grasp) for item in annotations if item.grasp is not None},
+    }
+    options = {"split": asdict(context.recipe.split), "objects": context.object_names}
+    return step(
+        "export",
+        name,
+        run,
+        options=options | {key: value for key, value in chosen.items() if value},
+        after=[f"label/{v}" for v in context.placed_videos()] if name == "coco" else ["export/coco"],
+        outputs=[context.workspace.export(name)],
+    )
+
+
+def refuse_unseen(context: Context) -> None:
+    """DataError when an object is in none of the labelled frames."""
+    counts: Counter[str] = Counter()
+    frames = 0
+    for entry in Ledger(context.workspace.stages_file).of_stage("label").values():
+        counts.update(entry.outcome.details["instances"])
+        frames += entry.outcome.frames
+    unseen = [name for name in context.object_names if not counts[name]]
+    if unseen:
+        raise DataError(
+            f"object {', '.join(unseen)} is in none of the {frames} labelled frames; expected it in at least "
+            "one. Check its clicks and the poses of its scenes, or raise `label.rate`"
+        )
+
+
+def export_labels(context: Context) -> Any:
+    """`export/coco` from the labels of the workspace."""
+    return _export_coco(context, context.workspace, "coco", {})
+
+
+def export_truth(context: Context) -> Any:
+    """`export/coco_truth`: the same images, ids and schema, with the labels of the truth."""
+    truth = truth_workspace(context)
+    if truth is None:
+        raise DataError(
+            "the truth of these scenes is not known; only a recipe with `twin:` or `truth:` can export it"
+        )
+    coco = context.workspace.export("coco")
+    if not coco.exists():
+        raise DataError(
+            f"there is no {coco} yet; run `rpl export --workspace {context.workspace.root}` first"
+        )
+    return _export_coco(context, truth, "coco_truth", {"as_in": coco})
+
+
+def _export_coco(context: Context, labels: Workspace, name: str, options: Json) -> Any:
+    workspace = context.workspace
+    scenes = []
+    for scene_name in labels.labelled_scene_names():
+        if not workspace.scene_file(scene_name).exists():
+            continue
+        scene = workspace.load_scene(scene_name)
+        lines = _kept(labels.load_labels(scene_name), workspace.load_left_out(scene_name))
+        scenes.append(ExportScene(scene, workspace.load_trajectory(scene), lines))
+    models = [labels.load_solution(item).model for item in context.object_names]
+    meshes = {
+        item: labels.mesh_file(item) for item in context.object_names if labels.mesh_file(item).exists()
+    }
+    grasps = save_grasps(workspace, context.object_names) if labels == workspace else {}
+    return export_coco(
+        workspace.export(name),
+        scenes,
+        models,
+        split=context.recipe.split,
+        meshes=meshes,
+        grasps=grasps,
+        **options,
+    )
+
+
+def _kept(labels: Iterator[FrameLabel], left_out: frozenset[int]) -> Iterator[FrameLabel]:
+    """Without the frames that a person keeps out."""
+    return (label for label in labels if label.frame not in left_out)
+
+
+def _yolo(context: Context) -> Any:
+    return export_yolo(context.workspace.export("yolo"), context.workspace.export("coco"))
+
+
+def _bop(context: Context) -> Any:
+    workspace = context.workspace
+    units = {name: workspace.load_scene(name).metres_per_unit for name in workspace.labelled_scene_names()}
+    return export_bop(workspace.export("bop"), workspace.export("coco"), units)
+
+
+def _okt(context: Context) -> Any:
+    return export_okt(context.workspace.export("okt"), context.workspace.export("coco"))
+
+
+EXPORTS |= {"coco": export_labels, "yolo": _yolo, "bop": _bop, "okt": _okt}
+
+
+# Quality ------------------------------------------------------------------------------------------
+
+
+# Report -------------------------------------------------------------------------------------------

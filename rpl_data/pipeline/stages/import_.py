@@ -1,0 +1,82 @@
+"""Recordings -> scenes of the workspace."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, replace
+from functools import partial
+from pathlib import Path
+
+from rpl_data import capture
+from rpl_data.files import remove
+from rpl_data.pipeline.context import Context, step
+from rpl_data.pipeline.ledger import Advance, Json, Outcome, Step, stamps
+from rpl_data.pipeline.recipe import SceneSource
+from rpl_data.types import DataError, Recording
+from rpl_data.workspace.workspace import Workspace
+
+
+def import_steps(context: Context) -> list[Step]:
+    """Recordings -> scenes of the workspace."""
+    workspace, sources = context.workspace, context.scene_sources
+
+    def run(advance: Advance) -> Outcome:
+        unpack = partial(_emptied, workspace)
+        recordings = read_recordings(sources, unpack=unpack, poses=not context.tracks)
+        for gone in set(workspace.video_names()) - {recording.scene.name for recording in recordings}:
+            workspace.cut_scene(gone, ())
+            remove(workspace.scene_file(gone).parent)
+            remove(workspace.labels_file(gone))
+        for recording in recordings:
+            remove(workspace.cache(recording.scene.name))
+            workspace.save_recording(replace(recording, trajectory=None) if context.tracks else recording)
+        lines = [
+            f"scene {recording.scene.name}: {line}"
+            for recording in recordings
+            for line in (*recording.skipped, *recording.notes)
+        ]
+        return Outcome(sum(len(recording.scene.frames) for recording in recordings), tuple(lines))
+
+    not_here = workspace.truth if context.recipe.twin else workspace.root.resolve()
+    seen: Json = {}
+    for source in sources:
+        seen |= stamps(source.path, but_not=not_here, names=source.names)
+    options: Json = {"scenes": [asdict(source) | {"path": str(source.path)} for source in sources]}
+    if context.tracks:
+        options |= {"poses": "tracked"}
+    outputs = [workspace.scene_file(name) for name in workspace.video_names()]
+    return [step("import", "", run, options=options, sources=seen, after=["twin"], outputs=outputs)]
+
+
+def _emptied(workspace: Workspace, scene: str) -> Path:
+    folder = workspace.images(scene)
+    remove(folder)
+    return folder
+
+
+def read_recordings(
+    sources: Sequence[SceneSource], *, unpack: Callable[[str], Path] | None = None, poses: bool = True
+) -> list[Recording]:
+    """All scenes of all sources; DataError when two share a name or one has no poses.
+
+    Args:
+        sources: where they are.
+        unpack: an empty folder for the images of a scene whose recording is one file.
+        poses: whether a scene without poses is refused.
+    """
+    recordings: dict[str, Recording] = {}
+    for source in sources:
+        for recording in capture.open_scenes(**vars(source), unpack=unpack):
+            name = recording.scene.name
+            if name in recordings:
+                raise DataError(
+                    f"two scenes are called {name}: {recordings[name].scene.source} and "
+                    f"{recording.scene.source}; rename a folder, or choose scenes by `names`"
+                )
+            if recording.trajectory is None and poses:
+                raise DataError(
+                    f"scene {name} in {source.path} has no camera poses; write "
+                    "`reconstruct: {method: track}` in the recipe to compute them"
+                )
+            recordings[name] = recording
+    return list(recordings.values())

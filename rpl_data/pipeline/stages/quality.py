@@ -1,0 +1,65 @@
+"""Models and labels against the truth, where it is known."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict
+from typing import Any
+
+from rpl_data.pipeline.context import Context, step
+from rpl_data.pipeline.ledger import Advance, Json, Ledger, Outcome, Step, stamps
+from rpl_data.types import QualityRow
+from rpl_data.workspace.workspace import Workspace
+
+
+def truth_workspace(context: Context) -> Workspace | None:
+    """Where the truth is, when it is known."""
+    if context.recipe.truth is not None and context.recipe.truth.is_dir():
+        return Workspace(context.recipe.truth)
+    known = context.recipe.truth is not None or context.recipe.twin is not None
+    return Workspace(context.workspace.truth) if known else None
+
+
+def quality_steps(context: Context) -> list[Step]:
+    """Models and labels against truth, where it is known."""
+    recipe, workspace = context.recipe, context.workspace
+    truth = truth_workspace(context)
+    if truth is None:
+        return []
+
+    def run(advance: Advance) -> Outcome:
+        from rpl_data.evaluate.quality import compare_workspaces
+        from rpl_data.evaluate.truth import truth_from_poses
+
+        if recipe.truth is not None and not recipe.truth.is_dir():
+            truth_from_poses(workspace, truth, recipe.truth)
+        rows = compare_workspaces(workspace, truth)
+        return Outcome(
+            sum(row.frames for row in rows), details={"rows": [finite_or_none(asdict(r)) for r in rows]}
+        )
+
+    before = [f"label/{video}" for video in context.placed_videos()]
+    sources = {} if recipe.truth is None else stamps(recipe.truth)
+    return [step("quality", "", run, options={}, sources=sources, after=["twin", *before])]
+
+
+def quality_rows(ledger: Ledger) -> list[QualityRow]:
+    """The comparison that the quality stage made last; empty when there was none."""
+    entry = ledger.entries.get("quality")
+    rows: Any = [] if entry is None else entry.outcome.details["rows"]
+    filled: list[dict[str, Any]] = [{k: math.nan if v is None else v for k, v in row.items()} for row in rows]
+    return [QualityRow(**row) for row in filled]
+
+
+def _quality_row(row: Json) -> QualityRow:
+    numbers: Json = {name: math.nan if value is None else value for name, value in row.items()}
+    return QualityRow(**numbers)
+
+
+def finite_or_none(value: Any) -> Any:
+    """JSON-ready: NaN becomes null, tuples lists."""
+    if isinstance(value, dict):
+        return {key: finite_or_none(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite_or_none(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

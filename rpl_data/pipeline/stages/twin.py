@@ -1,0 +1,27 @@
+"""The recipe's `twin:` -> a synthetic recording with truth."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+
+from rpl_data.pipeline.context import Context, step
+from rpl_data.pipeline.ledger import Advance, Outcome, Step, stamps
+
+
+def twin_steps(context: Context) -> list[Step]:
+    """A synthetic recording with truth, when the recipe asks for one."""
+    spec, workspace = context.recipe.twin, context.workspace
+    if spec is None:
+        return []
+
+    def run(advance: Advance) -> Outcome:
+        from rpl_data.twin.write import write_twin
+
+        write_twin(workspace.recording, spec, workers=context.pool.workers, progress=advance)
+        return Outcome(spec.total_frames)
+
+    outputs = [workspace.recording / "camera.txt", workspace.recording / "clicks.csv"]
+    options = json.loads(json.dumps(asdict(spec), default=str))  # paths of meshes
+    meshes = stamps(*(thing.mesh for thing in spec.things if thing.mesh is not None))
+    return [step("twin", "", run, options=options, sources=meshes, outputs=outputs)]
