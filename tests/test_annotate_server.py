@@ -17,7 +17,7 @@ from fastapi.testclient import TestClient
 from rpl_data.annotate import Place
 from rpl_data.annotate.server import make_app
 from rpl_data.annotate.session import Session
-from rpl_data.serve import place_of, work_of
+from rpl_data.cli.annotate import place_of, work_of
 from rpl_data.types import DataError
 from rpl_data.workspace.workspace import Workspace
 

@@ -24,9 +24,9 @@ from rpl_data.capture.exposure import lock
 from rpl_data.capture.live import Captured, CaptureOptions, capture
 from rpl_data.capture.preview import Preview, side_by_side
 from rpl_data.capture.streams import Shot
-from rpl_data.cli import main
+from rpl_data.cli.capture import next_scene, record_scene, stopped_by_ctrl_c
+from rpl_data.cli.main import main
 from rpl_data.images import read_color, read_depth_m
-from rpl_data.record import next_scene, record_scene, stopped_by_ctrl_c
 from rpl_data.recordings.open import open_scenes
 from rpl_data.types import DataError
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from rpl_data.cli import COMMANDS, main
+from rpl_data.cli.main import COMMANDS, main
 from rpl_data.types import Click
 from rpl_data.workspace.workspace import Workspace
 

@@ -12,7 +12,7 @@ import test_ycb_video
 from recordings import CAMERA
 from software_camera import record
 
-from rpl_data.cli import main
+from rpl_data.cli.main import main
 from rpl_data.evaluate.truth import box_mesh, truth_from_poses
 from rpl_data.formats.models.meshlab import write_picked_points
 from rpl_data.geometry import invert, project, transform
@@ -83,7 +83,7 @@ def test_the_truth_is_a_file_of_its_own(dataset: Path, tmp_path: Path) -> None:
 
 
 def test_truth_without_a_cad_or_of_other_objects(dataset: Path, tmp_path: Path) -> None:
-    from rpl_data.pipeline.true_poses import write_true_poses
+    from rpl_data.cli.truth import write_true_poses
 
     recipe = load_recipe(YCB, root=dataset)
     recordings = open_scenes(dataset, "ycb_video", names=["0048"])

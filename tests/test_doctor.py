@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from rpl_data.cli import main
+from rpl_data.cli.main import main
 from rpl_data.doctor.alignment import align
 from rpl_data.doctor.edges import edges_of
 from rpl_data.doctor.examine import examine, stretches

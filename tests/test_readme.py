@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from rpl_data.cli import COMMANDS
+from rpl_data.cli.main import COMMANDS
 from rpl_data.pipeline.build import STAGES
 
 ROOT = Path(__file__).parent.parent

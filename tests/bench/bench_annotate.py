@@ -26,11 +26,11 @@ from driving import SHOWN, Server, on_page
 
 from rpl_data.annotate.live import Lifter, solve_live
 from rpl_data.annotate.scenes import SceneStore
+from rpl_data.cli.annotate import work_of
 from rpl_data.clicks.log import click_event, keypoints_event
 from rpl_data.geometry import invert, project, transform
 from rpl_data.pipeline.build import build
 from rpl_data.pipeline.recipe import load_recipe
-from rpl_data.serve import work_of
 from rpl_data.types import Recording, Trajectory
 from rpl_data.workspace.workspace import Workspace
 

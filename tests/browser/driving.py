@@ -33,7 +33,7 @@ class Server:
         command = [
             sys.executable,
             "-m",
-            "rpl_data.cli",
+            "rpl_data.cli.main",
             "annotate",
             str(self.workspace),
             "--port",
@@ -62,7 +62,7 @@ class ServerHere:
 
         from rpl_data.annotate.server import make_app
         from rpl_data.annotate.session import Session
-        from rpl_data.serve import place_of, work_of
+        from rpl_data.cli.annotate import place_of, work_of
 
         self.workspace = workspace
         taken = socket.create_server(("127.0.0.1", 0))

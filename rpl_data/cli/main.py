@@ -111,7 +111,7 @@ def capture(
     """
     from rpl_data.capture.camera import connected_camera
     from rpl_data.capture.live import CaptureOptions
-    from rpl_data.record import record_scene
+    from rpl_data.cli.capture import record_scene
 
     options = CaptureOptions(width, height, fps, seconds, countdown, exposure)
     record_scene(
@@ -140,8 +140,8 @@ def check(
     """
     from tempfile import TemporaryDirectory
 
-    from rpl_data.pipeline.check import recordings_at
-    from rpl_data.screen import print_diagnoses
+    from rpl_data.cli.check import recordings_at
+    from rpl_data.cli.screen import print_diagnoses
 
     with TemporaryDirectory() as scratch:
         print_diagnoses(
@@ -269,8 +269,8 @@ def truth(
     """
     from tempfile import TemporaryDirectory
 
+    from rpl_data.cli.truth import write_true_poses
     from rpl_data.pipeline.recipe import load_recipe
-    from rpl_data.pipeline.true_poses import write_true_poses
     from rpl_data.recordings.open import open_scenes
 
     loaded = load_recipe(recipe, root=root)
@@ -335,8 +335,8 @@ def annotate(
         host: the address to listen on; any but this machine's own asks for the token in the printed URL.
         port: where the page is served.
     """
+    from rpl_data.cli.annotate import place_of, serve
     from rpl_data.pipeline.recipe import load_recipe
-    from rpl_data.serve import place_of, serve
 
     place = place_of(host, port)
     if recipe is not None:
@@ -414,8 +414,8 @@ def _run(
     recipe: Any, workspace: Path, until: str | None, again: str | None, workers: int | None = None
 ) -> Ledger:
     """Build with progress on the terminal, and say what came out."""
+    from rpl_data.cli.screen import Screen, print_results
     from rpl_data.pipeline.build import STAGES, build
-    from rpl_data.screen import Screen, print_results
     from rpl_data.workspace.workspace import Workspace
 
     if again is not None and again not in (*STAGES, "all"):

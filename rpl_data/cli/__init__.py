@@ -1,0 +1,1 @@
+"""The command `rpl`: wiring only."""
