@@ -1,1 +1,1 @@
-"""What a person marks: the log of clicks, their positions in depth, rigid bodies and grasps. Shared by page and solver."""
+"""What a person marks: the log of clicks, their depth, rigid bodies and grasps; for page and solver."""

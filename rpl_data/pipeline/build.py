@@ -17,43 +17,36 @@ from rpl_data.pipeline.ledger import Entry, Ledger, Outcome, Step
 from rpl_data.pipeline.pool import Pool
 from rpl_data.pipeline.recipe import Recipe, load_recipe, recipe_to_yaml
 from rpl_data.pipeline.stages import (
-    clicks as inputs,
-)
-from rpl_data.pipeline.stages import (
-    drift as cuts,
-)
-from rpl_data.pipeline.stages import (
-    export as products,
-)
-from rpl_data.pipeline.stages import (
-    label as labels,
-)
-from rpl_data.pipeline.stages import (
-    segment as dense,
-)
-from rpl_data.pipeline.stages import (
-    solve as sparse,
-)
-from rpl_data.pipeline.stages import (
-    track as poses,
+    clicks,
+    drift,
+    export,
+    import_,
+    label,
+    quality,
+    report,
+    segment,
+    solve,
+    surface,
+    track,
+    twin,
 )
 from rpl_data.types import DataError
 from rpl_data.workspace.workspace import Workspace
 
 STAGES: dict[str, Callable[[Context], list[Step]]] = {
-    "twin": inputs.twin_steps,
-    "import": inputs.import_steps,
-    "track": poses.track_steps,
-    "clicks": inputs.clicks_steps,
-    "drift": cuts.drift_steps,
-    "cut": cuts.cut_steps,
-    "solve": sparse.solve_steps,
-    "surface": dense.surface_steps,
-    "segment": dense.segment_steps,
-    "label": labels.label_steps,
-    "export": products.export_steps,
-    "quality": products.quality_steps,
-    "report": products.report_steps,
+    "twin": twin.twin_steps,
+    "import": import_.import_steps,
+    "track": track.track_steps,
+    "clicks": clicks.clicks_steps,
+    "drift": drift.drift_steps,
+    "cut": drift.cut_steps,
+    "solve": solve.solve_steps,
+    "surface": surface.surface_steps,
+    "segment": segment.segment_steps,
+    "label": label.label_steps,
+    "export": export.export_steps,
+    "quality": quality.quality_steps,
+    "report": report.report_steps,
 }
 """In order. Each plans its steps when those of the stages before it hold."""
 
@@ -103,7 +96,7 @@ def build(
     Raises:
         DataError: what the user can mend; steps that were finished stay finished.
     """
-    products.refuse_unknown_exports(recipe.export)
+    export.refuse_unknown_exports(recipe.export)
     save_recipe(recipe, workspace)
     busy = f"another build is at work in {workspace.root}; wait for its end, or stop it"
     with locked(workspace.build_lock, busy), Pool(workers) as pool:

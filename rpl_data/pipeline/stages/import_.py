@@ -7,11 +7,11 @@ from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 
-from rpl_data import capture
 from rpl_data.files import remove
 from rpl_data.pipeline.context import Context, step
 from rpl_data.pipeline.ledger import Advance, Json, Outcome, Step, stamps
 from rpl_data.pipeline.recipe import SceneSource
+from rpl_data.recordings.open import open_scenes
 from rpl_data.types import DataError, Recording
 from rpl_data.workspace.workspace import Workspace
 
@@ -66,7 +66,7 @@ def read_recordings(
     """
     recordings: dict[str, Recording] = {}
     for source in sources:
-        for recording in capture.open_scenes(**vars(source), unpack=unpack):
+        for recording in open_scenes(**vars(source), unpack=unpack):
             name = recording.scene.name
             if name in recordings:
                 raise DataError(
