@@ -12,7 +12,7 @@ from fastapi.testclient import TestClient
 from test_annotate_server import client_of
 from test_annotate_solid import root  # noqa: F401
 
-from rpl_data.annotate.images import resized
+from rpl_data.annotate.stores.pictures import resized
 from rpl_data.images import read_color
 from rpl_data.overlay import draw_overlay
 from rpl_data.workspace.workspace import Workspace

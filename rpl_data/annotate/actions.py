@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from rpl_data.annotate.scenes import SceneStore
+from rpl_data.annotate.stores.scenes import SceneStore
 from rpl_data.clicks.log import OPS, Annotation, Event
 from rpl_data.types import Click, DataError
 

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 
-from rpl_data.annotate.images import encoded, resized
 from rpl_data.annotate.session import Session
+from rpl_data.annotate.stores.pictures import encoded, resized
 from rpl_data.images import read_color
 from rpl_data.overlay import draw_overlay
 from rpl_data.types import DataError, KeypointModel

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float64
 
-from rpl_data.annotate.scenes import SceneStore
+from rpl_data.annotate.stores.scenes import SceneStore
 from rpl_data.clicks.lift import lift
 from rpl_data.clicks.log import Annotation
 from rpl_data.clicks.rigidity import describe_loose, generic_points, loose_scenes

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from rpl_data.annotate.actions import LOCAL, checked
-from rpl_data.annotate.scenes import SceneStore
+from rpl_data.annotate.stores.scenes import SceneStore
 from rpl_data.clicks.log import Annotation, Event, effective, replay
 from rpl_data.types import DataError
 from rpl_data.workspace.workspace import Workspace

@@ -12,8 +12,8 @@ import numpy as np
 from rpl_data.annotate.advice import next_step
 from rpl_data.annotate.live import FEWEST, Live
 from rpl_data.annotate.log import Revision
-from rpl_data.annotate.scenes import PosedScene
 from rpl_data.annotate.session import Result
+from rpl_data.annotate.stores.scenes import PosedScene
 from rpl_data.clicks.log import Event
 from rpl_data.json_arrays import numbers, rows_to_json
 from rpl_data.overlay import keypoint_color

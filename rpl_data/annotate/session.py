@@ -10,12 +10,12 @@ import numpy as np
 from jaxtyping import Float64
 
 from rpl_data.annotate.actions import checked_names
-from rpl_data.annotate.images import PictureStore
-from rpl_data.annotate.label_masks import MaskStore
 from rpl_data.annotate.live import Lifter, Live, solve_live
 from rpl_data.annotate.log import ObjectLog, Revision
 from rpl_data.annotate.news import News
-from rpl_data.annotate.scenes import SceneStore
+from rpl_data.annotate.stores.masks import MaskStore
+from rpl_data.annotate.stores.pictures import PictureStore
+from rpl_data.annotate.stores.scenes import SceneStore
 from rpl_data.annotate.suggest import Suggestion, suggest_frames
 from rpl_data.annotate.work import Work
 from rpl_data.clicks.log import Annotation

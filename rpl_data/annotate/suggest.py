@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float64
 
-from rpl_data.annotate.scenes import PosedScene
+from rpl_data.annotate.stores.scenes import PosedScene
 from rpl_data.geometry import inside_image, invert, project
 
 MOST, LEAST = 6, 3

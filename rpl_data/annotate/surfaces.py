@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64, UInt8
 
-from rpl_data.annotate.scenes import PosedScene, SceneStore
 from rpl_data.annotate.session import Result
+from rpl_data.annotate.stores.scenes import PosedScene, SceneStore
 from rpl_data.geometry import Points, back_project, transform
 from rpl_data.images import read_color
 from rpl_data.meshes import load_mesh, simplified

@@ -25,7 +25,7 @@ from conftest import FLAGS, chromium
 from driving import SHOWN, Server, on_page
 
 from rpl_data.annotate.live import Lifter, solve_live
-from rpl_data.annotate.scenes import SceneStore
+from rpl_data.annotate.stores.scenes import SceneStore
 from rpl_data.cli.annotate import work_of
 from rpl_data.clicks.log import click_event, keypoints_event
 from rpl_data.geometry import invert, project, transform

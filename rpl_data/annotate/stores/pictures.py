@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from rpl_data.annotate.scenes import SceneStore
+from rpl_data.annotate.stores.scenes import SceneStore
 from rpl_data.images import read_color
 from rpl_data.types import ColorImage, DataError, DepthImage, Frame
 

@@ -1,0 +1,1 @@
+"""What the annotation server keeps in memory: scenes, pictures and masks."""
