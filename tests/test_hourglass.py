@@ -14,7 +14,13 @@ from torch.utils.data import default_collate
 from rpl_data.torch.decoding import in_image, locate, probabilities
 from rpl_data.torch.heatmaps import draw_heatmaps, positions_in_image
 from rpl_data.torch.keypoints import KeypointDataset
-from training.hourglass import Residual, StackedHourglass, cross_entropy, mean_squares, parameter_count
+from training.keypoints.hourglass import (
+    Residual,
+    StackedHourglass,
+    cross_entropy,
+    mean_squares,
+    parameter_count,
+)
 
 # The network ----------------------------------------------------------------------------------------
 

@@ -19,9 +19,9 @@ from pycocotools.cocoeval import COCOeval
 from rpl_data.formats.datasets.coco import read_coco
 from rpl_data.types import DataError
 from training.evaluate_masks import evaluate, table
-from training.mask_scores import average_precision, score_split
-from training.mask_weights import Segmenter
-from training.masks import ModelConfig, build_model
+from training.masks.mask_rcnn import ModelConfig, build_model
+from training.masks.scores import average_precision, score_split
+from training.masks.weights import Segmenter
 from training.predict_masks import predict_masks, predict_to
 
 ROOT = Path(__file__).parent.parent

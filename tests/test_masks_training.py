@@ -17,12 +17,12 @@ from torchvision.models.detection import maskrcnn_resnet50_fpn
 from rpl_data.torch.instances import InstanceDataset
 from rpl_data.torch.transforms import Augmentation
 from rpl_data.types import DataError
-from training.mask_crops import SMALLEST_PX, SquareCrops, random_square
-from training.mask_results import predict
-from training.mask_settings import Settings, learning_rate, load_settings
-from training.mask_weights import Segmenter, load_segmenter, load_weights
-from training.masks import ModelConfig, build_model, train_body, with_norm
-from training.train_masks import CHECKPOINT, train
+from training.masks.crops import SMALLEST_PX, SquareCrops, random_square
+from training.masks.mask_rcnn import ModelConfig, build_model, train_body, with_norm
+from training.masks.module import CHECKPOINT, train
+from training.masks.results import predict
+from training.masks.settings import Settings, learning_rate, load_settings
+from training.masks.weights import Segmenter, load_segmenter, load_weights
 
 ROOT = Path(__file__).parent.parent
 SMALL = ModelConfig(

@@ -20,12 +20,12 @@ from rpl_data.meshes import load_mesh, save_mesh
 from rpl_data.types import DataError
 from rpl_data.workspace.workspace import Workspace
 from training.reproduce.__main__ import COMMANDS, main
-from training.reproduce.cad_protocol import by_cad, true_cads
+from training.reproduce.curves.slopes import before_the_fit, slope_of
 from training.reproduce.results import finite_or_none, write_results
-from training.reproduce.slopes import before_the_fit, slope_of
-from training.reproduce.table1 import measure
-from training.reproduce.table1_page import write_page
-from training.reproduce.worst import worst_scenes
+from training.reproduce.table1.cad_protocol import by_cad, true_cads
+from training.reproduce.table1.experiment import measure
+from training.reproduce.table1.page import write_page
+from training.reproduce.table1.worst import worst_scenes
 
 ROOT = Path(__file__).parent.parent
 

@@ -11,13 +11,13 @@ import pytest
 
 from rpl_data.types import DataError
 from rpl_data.workspace.workspace import Workspace
-from training.mask_scores import ClassScore, SplitScore
-from training.mask_settings import comparable, load_settings
+from training.masks.module import train
+from training.masks.scores import ClassScore, SplitScore
+from training.masks.settings import comparable, load_settings
 from training.reproduce.__main__ import main
-from training.reproduce.segmentation import segmentation, sources_of, train_round
-from training.reproduce.segmentation_page import verdict
-from training.reproduce.segmentation_progress import Progress
-from training.train_masks import train
+from training.reproduce.segmentation.experiment import segmentation, sources_of, train_round
+from training.reproduce.segmentation.page import verdict
+from training.reproduce.segmentation.progress import Progress
 
 SETTINGS = """
 settings:

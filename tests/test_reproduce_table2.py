@@ -12,11 +12,11 @@ import pytest
 
 from rpl_data.pose.errors import INFINITE, PoseErrors
 from rpl_data.workspace.workspace import Workspace
-from training.options import DetectorNetwork, Learning, Machine, Network
-from training.pose_scores import Judged, PoseScore
-from training.reproduce.pose_comparison import Cell, Ratio, counts, ratios
-from training.reproduce.table2 import table2
-from training.reproduce.table2_page import verdict
+from training.pose.scores import Judged, PoseScore
+from training.reproduce.table2.experiment import table2
+from training.reproduce.table2.page import verdict
+from training.reproduce.table2.pose_comparison import Cell, Ratio, counts, ratios
+from training.runs.options import DetectorNetwork, Learning, Machine, Network
 
 NETWORK = Network(stacks=1, features=16, levels=2, input_px=32, heatmap_px=8, loss="entropy")
 DETECTOR = DetectorNetwork(width_px=96, features=32)

@@ -18,13 +18,13 @@ from rpl_data.formats.datasets.coco import read_coco, write_coco
 from rpl_data.geometry import project
 from rpl_data.types import DataError, KeypointModel
 from training.evaluate_pose import evaluate_pose
-from training.keypoint_training import load_keypoints, untrained
-from training.options import DetectorNetwork, Learning, Machine, Network
-from training.pose_evaluation import evaluate
-from training.pose_pipeline import PosePipeline, SeenKeypoints, load_pipeline, read_depth_m
+from training.keypoints.module import load_keypoints, untrained
+from training.pose.evaluation import evaluate
+from training.pose.pipeline import PosePipeline, SeenKeypoints, load_pipeline, read_depth_m
 from training.predict import predict
-from training.program import main
-from training.runs import trained_epochs
+from training.runs.options import DetectorNetwork, Learning, Machine, Network
+from training.runs.program import main
+from training.runs.trainer import trained_epochs
 from training.train_detector import train_detector
 from training.train_keypoints import train_keypoints
 
@@ -80,7 +80,7 @@ def test_checkpoint_rebuilds_the_network(run):
 
 
 def test_a_run_that_was_cut_off_goes_on(coco, tmp_path, monkeypatch):
-    from training.keypoint_training import KeypointTraining
+    from training.keypoints.module import KeypointTraining
 
     options = {"network": TINY, "learning": Learning(epochs=3, batch=4, rate=1e-3), "machine": ONE}
     step = KeypointTraining.training_step
@@ -257,7 +257,7 @@ def test_predictions(coco, run, detector, tmp_path):
 
 
 def test_evaluation_counts_what_is_missing(coco, run, detector, tmp_path, monkeypatch):
-    import training.pose_evaluation as evaluation
+    import training.pose.evaluation as evaluation
 
     points = np.random.default_rng(0).uniform(-0.1, 0.1, (50, 3))
     monkeypatch.setattr(evaluation, "surface_points", lambda mesh, count: points)

@@ -9,9 +9,9 @@ from pathlib import Path
 import torch
 
 from rpl_data.files import write_json
-from training.mask_results import predict_split
-from training.mask_scores import SplitScore, score_split
-from training.mask_weights import Segmenter, load_segmenter
+from training.masks.results import predict_split
+from training.masks.scores import SplitScore, score_split
+from training.masks.weights import Segmenter, load_segmenter
 
 SCORE_THRESHOLD = 0.5
 """Least score of what counts as found for the IoU."""
@@ -71,6 +71,6 @@ def evaluate_masks(
 
 
 if __name__ == "__main__":
-    from training.program import main
+    from training.runs.program import main
 
     sys.exit(main(evaluate_masks))

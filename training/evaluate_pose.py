@@ -7,7 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from rpl_data.pose.estimate import Method
-from training.options import Crops
+from training.runs.options import Crops
 
 
 def evaluate_pose(
@@ -37,9 +37,9 @@ def evaluate_pose(
             too, when given.
         out: a JSON file for the figures and every instance.
     """
-    from training.pose_evaluation import evaluate, true_objects
-    from training.pose_pipeline import load_pipeline
-    from training.pose_scores import score
+    from training.pose.evaluation import evaluate, true_objects
+    from training.pose.pipeline import load_pipeline
+    from training.pose.scores import score
 
     pipeline = load_pipeline(keypoints, detector)
     coco_json = coco / f"{split}.json"
@@ -62,7 +62,7 @@ def evaluate_pose(
             print(f"{name:14s} {method:9s} {line_of(found)}")
     if out is not None:
         from rpl_data.files import write_json
-        from training.pose_scores import finite
+        from training.pose.scores import finite
 
         rows = [
             {"object": e.object, "image": e.image, "method": e.method, "found": e.found, **asdict(e.errors)}
@@ -80,6 +80,6 @@ def line_of(found: dict[str, float]) -> str:
 
 
 if __name__ == "__main__":
-    from training.program import main
+    from training.runs.program import main
 
     sys.exit(main(evaluate_pose))

@@ -11,7 +11,7 @@ from rpl_data.pose.estimate import Method, PoseEstimate, PoseFailure
 from rpl_data.types import Click, DataError, Intrinsics
 
 if TYPE_CHECKING:
-    from training.pose_pipeline import PosePipeline, SeenKeypoints
+    from training.pose.pipeline import PosePipeline, SeenKeypoints
 
 SUFFIXES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp"}
 
@@ -56,7 +56,7 @@ def predict(
     """
     from rpl_data.files import write_json, write_text
     from rpl_data.torch.images import read_image
-    from training.pose_pipeline import load_pipeline
+    from training.pose.pipeline import load_pipeline
 
     files = images_of(images)
     pipeline = load_pipeline(keypoints, detector)
@@ -167,7 +167,7 @@ def _below(file: Path, images: Path, suffix: str) -> Path:
 
 def _depth_m(depth: Path | None, file: Path, images: Path, metres_per_unit: float, image: Any) -> Any:
     """The image's depth in metres; None when no depth was named."""
-    from training.pose_pipeline import read_depth_m
+    from training.pose.pipeline import read_depth_m
 
     if depth is None:
         return None
@@ -180,7 +180,7 @@ def _write_overlay(
     import cv2
 
     from rpl_data.files import write_bytes
-    from training.pose_pictures import drawn
+    from training.pose.pictures import drawn
 
     for seen, result in found:
         pose = None if isinstance(result, PoseFailure) else result.camera_from_object
@@ -189,6 +189,6 @@ def _write_overlay(
 
 
 if __name__ == "__main__":
-    from training.program import main
+    from training.runs.program import main
 
     sys.exit(main(predict))

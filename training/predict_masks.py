@@ -17,9 +17,9 @@ from rich.progress import track
 from rpl_data.files import write_bytes, write_json
 from rpl_data.torch.images import read_image, to_unit_range
 from rpl_data.types import DataError
-from training.mask_pictures import draw
-from training.mask_results import Json, predict
-from training.mask_weights import Segmenter, load_segmenter
+from training.masks.pictures import draw
+from training.masks.results import Json, predict
+from training.masks.weights import Segmenter, load_segmenter
 
 IMAGE_SUFFIXES = {".bmp", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp"}
 SCORE_THRESHOLD = 0.5
@@ -199,6 +199,6 @@ def predict_masks(
 
 
 if __name__ == "__main__":
-    from training.program import main
+    from training.runs.program import main
 
     sys.exit(main(predict_masks))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from rpl_data.torch.transforms import Augmentation
 from rpl_data.types import DataError
-from training.options import DetectorNetwork, Learning, Machine
+from training.runs.options import DetectorNetwork, Learning, Machine
 
 if TYPE_CHECKING:
     from rpl_data.torch.detection import DetectionDataset
@@ -48,8 +48,8 @@ def train_detector(
     from pytorch_lightning import seed_everything
 
     from rpl_data.torch.detection import DetectionDataset
-    from training.detector import load_detector, untrained_detector
-    from training.runs import trainer_of
+    from training.detection.module import load_detector, untrained_detector
+    from training.runs.trainer import trainer_of
 
     if machine.threads is not None:
         torch.set_num_threads(machine.threads)
@@ -97,7 +97,7 @@ def _loader(dataset: DetectionDataset, learning: Learning, machine: Machine, *, 
     from torch.utils.data import DataLoader
 
     from rpl_data.torch.readable import Readable
-    from training.detector import collate_detection
+    from training.detection.module import collate_detection
 
     return DataLoader(
         Readable(dataset),
@@ -110,6 +110,6 @@ def _loader(dataset: DetectionDataset, learning: Learning, machine: Machine, *, 
 
 
 if __name__ == "__main__":
-    from training.program import main
+    from training.runs.program import main
 
     sys.exit(main(train_detector))

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 
 from rpl_data.torch.transforms import Augmentation
 from rpl_data.types import DataError
-from training.options import Learning, Machine, Network
+from training.runs.options import Learning, Machine, Network
 
 if TYPE_CHECKING:
-    from training.keypoint_training import KeypointTraining
+    from training.keypoints.module import KeypointTraining
 
 
 def train_keypoints(
@@ -50,8 +50,8 @@ def train_keypoints(
     from pytorch_lightning import seed_everything
 
     from rpl_data.torch.datamodule import KeypointDataModule
-    from training.keypoint_training import untrained
-    from training.runs import trainer_of
+    from training.keypoints.module import untrained
+    from training.runs.trainer import trainer_of
 
     if machine.threads is not None:
         torch.set_num_threads(machine.threads)
@@ -89,7 +89,7 @@ def train_keypoints(
 
 def check_resumable(checkpoint: Path, module: KeypointTraining) -> None:
     """DataError unless the checkpoint is of the same object and network."""
-    from training.keypoint_training import check_same_object, load_keypoints
+    from training.keypoints.module import check_same_object, load_keypoints
 
     trained = load_keypoints(checkpoint)
     check_same_object(trained, module.model, source=str(checkpoint))
@@ -101,6 +101,6 @@ def check_resumable(checkpoint: Path, module: KeypointTraining) -> None:
 
 
 if __name__ == "__main__":
-    from training.program import main
+    from training.runs.program import main
 
     sys.exit(main(train_keypoints))

@@ -21,11 +21,11 @@ import torch
 
 from rpl_data.torch.transforms import Augmentation
 from training.evaluate_masks import evaluate
-from training.mask_crops import SquareCrops
-from training.mask_settings import Settings, load_settings
-from training.mask_weights import load_segmenter
-from training.masks import build_model, with_norm
-from training.train_masks import train
+from training.masks.crops import SquareCrops
+from training.masks.mask_rcnn import build_model, with_norm
+from training.masks.module import train
+from training.masks.settings import Settings, load_settings
+from training.masks.weights import load_segmenter
 
 ROOT = Path(__file__).parents[2]
 CONFIGS = ROOT / "training/configs"

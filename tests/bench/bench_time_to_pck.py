@@ -25,8 +25,8 @@ from pytorch_lightning import Callback, LightningModule, Trainer, seed_everythin
 
 from rpl_data.torch.datamodule import KeypointDataModule
 from rpl_data.torch.transforms import Augmentation
-from training.keypoint_training import PCK_SHARE, distances_by_box, untrained
-from training.options import Learning, Network
+from training.keypoints.module import PCK_SHARE, distances_by_box, untrained
+from training.runs.options import Learning, Network
 from training.train_keypoints import train_keypoints
 
 ROOT = Path(__file__).parents[2]

@@ -28,8 +28,8 @@ from rpl_data.geometry import box_around, from_rotvec, project, square_box, tran
 from rpl_data.torch.keypoints import KeypointDataset
 from rpl_data.torch.transforms import Augmentation
 from rpl_data.types import Frame, InstanceLabel, Intrinsics, KeypointModel, Rle
-from training.keypoint_training import untrained
-from training.options import Learning, Network
+from training.keypoints.module import untrained
+from training.runs.options import Learning, Network
 
 CAMERA = Intrinsics(600.0, 600.0, 319.5, 239.5, 640, 480)
 CUBE = KeypointModel(

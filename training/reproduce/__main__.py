@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from typing import Any
 
 from rpl_data.types import DataError
-from training.reproduce.curves import curves
-from training.reproduce.segmentation import segmentation
-from training.reproduce.table1 import table1
-from training.reproduce.table2 import table2
+from training.reproduce.curves.experiment import curves
+from training.reproduce.segmentation.experiment import segmentation
+from training.reproduce.table1.experiment import table1
+from training.reproduce.table2.experiment import table2
 
 HELP = "The paper's experiments: numbers beside the paper's, as JSON and as a page."
 COMMANDS: dict[str, Any] = {

@@ -1,0 +1,1 @@
+"""The detector of all objects of a dataset."""

@@ -1,0 +1,194 @@
+"""The detector in front of the hourglass, in the role the paper gives YOLO: torchvision's, from scratch."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter, OrderedDict
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from pytorch_lightning import LightningModule
+from torch import Tensor, nn
+from torchvision.models.detection import fcos_resnet50_fpn, ssdlite320_mobilenet_v3_large
+from torchvision.models.detection.anchor_utils import AnchorGenerator
+from torchvision.models.detection.fcos import FCOS, FCOSHead
+from torchvision.ops import box_iou
+
+from rpl_data.torch.detection import DetectionTarget, shrunk, square_from_box
+from rpl_data.torch.images import to_unit_range
+from rpl_data.torch.readable import Unreadable
+from training.keypoints.hourglass import Hourglass, Residual
+from training.runs.options import DetectorNetwork, Learning
+from training.runs.trainer import load_module, optimizer_of, stop_if_not_finite
+
+Collated = tuple[list[Tensor], list[DetectionTarget], Sequence[str]]
+"""Of `collate_detection`."""
+
+
+class HourglassBackbone(nn.Module):
+    """One feature map of stride 8, with an hourglass for context."""
+
+    def __init__(self, features: int) -> None:
+        super().__init__()
+        self.out_channels = features
+        self.layers = nn.Sequential(
+            nn.Conv2d(3, features // 2, 5, stride=2, padding=2),
+            nn.BatchNorm2d(features // 2),
+            nn.ReLU(inplace=True),
+            nn.MaxPool2d(2),
+            Residual(features // 2, features),
+            nn.MaxPool2d(2),
+            Residual(features, features),
+            Hourglass(2, features),
+        )
+
+    def forward(self, images: Tensor) -> OrderedDict[str, Tensor]:
+        """The map, under the name torchvision looks for."""
+        return OrderedDict(p3=self.layers(images))
+
+
+def small_fcos(classes: int, network: DetectorNetwork) -> nn.Module:
+    """FCOS (Tian, Shen, Chen and He, ICCV 2019) on one map: objects of a few sizes need no pyramid."""
+    backbone = HourglassBackbone(network.features)
+    return FCOS(
+        backbone,
+        num_classes=classes,
+        anchor_generator=AnchorGenerator(sizes=((8,),), aspect_ratios=((1.0,),)),
+        head=FCOSHead(backbone.out_channels, 1, classes, num_convs=1),
+        score_thresh=0.05,
+        **_size(network),
+    )
+
+
+def fcos(classes: int, network: DetectorNetwork) -> nn.Module:
+    """Torchvision's, with batch normalisation that learns, since nothing is pretrained."""
+    return fcos_resnet50_fpn(
+        weights=None,
+        weights_backbone=None,
+        num_classes=classes,
+        norm_layer=nn.BatchNorm2d,
+        trainable_backbone_layers=5,
+        **_size(network),
+    )
+
+
+def ssdlite(classes: int, network: DetectorNetwork) -> nn.Module:
+    """Torchvision's; it resizes images to 320 x 320 whatever their size."""
+    return ssdlite320_mobilenet_v3_large(weights=None, weights_backbone=None, num_classes=classes)
+
+
+ARCHITECTURES: dict[str, Callable[[int, DetectorNetwork], nn.Module]] = {
+    "small_fcos": small_fcos,
+    "fcos": fcos,
+    "ssdlite": ssdlite,
+}
+
+
+def _size(network: DetectorNetwork) -> dict[str, Any]:
+    """Images of 4:3 come at their size and keep it; others are made to fit into that."""
+    return {"min_size": network.width_px * 3 // 4, "max_size": network.width_px}
+
+
+class Detection(NamedTuple):
+    """An object found in an image: the paper's square in pixels of the full image, and the score."""
+
+    square_px: np.ndarray
+    score: float
+
+
+class DetectorTraining(LightningModule):
+    """One detector of all objects of a label source.
+
+    Attributes:
+        names: of the labels, `names[0]` is the background.
+        network: its options.
+        unreadable: how often an image could not be read, by message.
+    """
+
+    def __init__(self, names: list[str], network: dict[str, Any], learning: dict[str, Any]) -> None:
+        """An untrained detector.
+
+        Args:
+            names: of the labels.
+            network: fields of `DetectorNetwork`.
+            learning: fields of `Learning`.
+        """
+        super().__init__()
+        self.save_hyperparameters()
+        self.names, self.options, self._learning = names, DetectorNetwork(**network), Learning(**learning)
+        self.detector = ARCHITECTURES[self.options.architecture](len(names), self.options)
+        self.unreadable: Counter[str] = Counter()
+
+    def training_step(self, collated: Collated, number: int) -> Tensor | None:
+        """The sum of torchvision's losses; None when no image of the batch could be read."""
+        images, targets, messages = collated
+        self.unreadable.update(messages)
+        if not images:
+            return None
+        losses: dict[str, Tensor] = self.detector(images, targets)
+        loss = torch.stack(list(losses.values())).sum()
+        stop_if_not_finite(loss, self.current_epoch, number, [int(target["image_id"]) for target in targets])
+        self.log("train_loss", loss, on_step=False, on_epoch=True, batch_size=len(images))
+        return loss
+
+    def validation_step(self, collated: Collated, _: int) -> None:
+        """Share of the objects whose best detection overlaps them by half or more."""
+        images, targets, messages = collated
+        self.unreadable.update(messages)
+        found = self.detector(images) if images else []
+        hits = [hit for output, target in zip(found, targets, strict=True) for hit in _hits(output, target)]
+        if hits:
+            self.log("val_found", sum(hits) / len(hits), batch_size=len(hits))
+            self.log("cpu_s", time.process_time(), batch_size=1, reduce_fx="max")
+
+    def configure_optimizers(self) -> Any:
+        """By the options."""
+        return optimizer_of(self, self._learning)
+
+    @torch.no_grad()
+    def detect(self, image: np.ndarray) -> dict[str, Detection]:
+        """The best detection of every object that is found in an RGB image of any size."""
+        small = shrunk(image, self.options.width_px)
+        output = self.detector([to_unit_range(small).to(self.device)])[0]
+        zoom = image.shape[1] / self.options.width_px
+        best: dict[str, Detection] = {}
+        for box, label, score in zip(output["boxes"], output["labels"], output["scores"], strict=True):
+            name = self.names[int(label)]
+            if name not in best or float(score) > best[name].score:
+                square = square_from_box(box.cpu().numpy().astype(float) * zoom)
+                best[name] = Detection(square, float(score))
+        return best
+
+
+def untrained_detector(names: list[str], network: DetectorNetwork, learning: Learning) -> DetectorTraining:
+    """A new detector."""
+    return DetectorTraining(names, asdict(network), asdict(learning))
+
+
+def load_detector(checkpoint: Path) -> DetectorTraining:
+    """The trained detector of a checkpoint, ready to detect.
+
+    Raises:
+        DataError: it is missing, or no checkpoint of `train_detector`.
+    """
+    return load_module(DetectorTraining, checkpoint, "training.train_detector")
+
+
+def collate_detection(samples: Sequence[Any]) -> Collated:
+    """Images and targets as lists, and why the others could not be read."""
+    read = [sample for sample in samples if not isinstance(sample, Unreadable)]
+    failed = tuple(sample.message for sample in samples if isinstance(sample, Unreadable))
+    return [image for image, _ in read], [target for _, target in read], failed
+
+
+def _hits(output: dict[str, Tensor], target: DetectionTarget) -> list[bool]:
+    """For every object of an image, whether its label's best detection overlaps it by half or more."""
+    hits = []
+    for box, label in zip(target["boxes"], target["labels"], strict=True):
+        mine = output["boxes"][output["labels"] == label]  # best score first
+        hits.append(len(mine) > 0 and float(box_iou(mine[:1], box[None])[0, 0]) >= 0.5)
+    return hits

@@ -1,0 +1,1 @@
+"""The stacked hourglass of one object's keypoints (paper IV-B)."""

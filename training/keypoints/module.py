@@ -1,0 +1,178 @@
+"""One object's hourglass as a Lightning module: losses, learning rate, what is measured, checkpoints."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from pytorch_lightning import LightningModule
+from torch import Tensor
+
+from rpl_data.torch.decoding import Keypoints, in_image, locate, probabilities
+from rpl_data.torch.heatmaps import positions_in_image
+from rpl_data.torch.keypoints import KeypointSample
+from rpl_data.types import DataError, KeypointModel
+from training.keypoints.hourglass import StackedHourglass, cross_entropy, mean_squares
+from training.runs.options import Learning, Network
+from training.runs.trainer import load_module, optimizer_of, stop_if_not_finite
+
+Collated = tuple[KeypointSample | None, Sequence[str]]
+"""Of `collate_readable`."""
+
+PCK_SHARE = 0.1
+"""A keypoint is right within this share of its square box's side."""
+
+
+class KeypointTraining(LightningModule):
+    """An hourglass with its object: all that predicting poses needs is in its checkpoint.
+
+    Attributes:
+        model: the sparse model whose keypoints the heatmaps are.
+        options: of the network.
+        unreadable: how often an image could not be read, by message.
+    """
+
+    def __init__(self, model: dict[str, Any], options: dict[str, Any], learning: dict[str, Any]) -> None:
+        """An untrained network.
+
+        Args:
+            model: name, keypoints and points_object (rows of metres, None where never clicked).
+            options: fields of `Network`.
+            learning: fields of `Learning`.
+        """
+        super().__init__()
+        self.save_hyperparameters()
+        self.model = _model_from(model)
+        self.unreadable: Counter[str] = Counter()
+        self.options, self._learning = Network(**options), Learning(**learning)
+        if self.options.input_px != StackedHourglass.shrink * self.options.heatmap_px:
+            raise DataError(
+                f"heatmaps of {self.options.heatmap_px} px do not go with an input of "
+                f"{self.options.input_px} px: the hourglass makes them a quarter as wide"
+            )
+        if self.options.heatmap_px % 2**self.options.levels:
+            raise DataError(
+                f"an hourglass of {self.options.levels} levels halves heatmaps that often; "
+                f"{self.options.heatmap_px} px is no multiple of {2**self.options.levels}"
+            )
+        self.network = StackedHourglass(
+            len(self.model.keypoints),
+            stacks=self.options.stacks,
+            features=self.options.features,
+            levels=self.options.levels,
+        )
+        if self._learning.channels_last:
+            self.network = self.network.to(memory_format=torch.channels_last)
+
+    def forward(self, images: Tensor) -> Keypoints:
+        """Keypoints of crops, in pixels of the heatmap."""
+        return self.located(self.network(self._laid_out(images))[-1])
+
+    def located(self, output: Tensor) -> Keypoints:
+        """What the last stack's output says."""
+        sigma_px = self.options.sigma_px
+        heatmaps = (
+            probabilities(output.float(), sigma_px=sigma_px)
+            if self.options.loss == "entropy"
+            else output.float()
+        )
+        return locate(heatmaps, sigma_px=sigma_px)
+
+    def keypoints_in_image(self, images: Tensor, crop_from_image: Tensor) -> Keypoints:
+        """Keypoints of crops, in pixels of the full images, float64."""
+        found = self(images)
+        sizes = {"input_px": self.options.input_px, "heatmap_px": self.options.heatmap_px}
+        return Keypoints(
+            positions_in_image(found.positions, crop_from_image, **sizes),
+            found.confidence,
+            in_image(found.covariance, crop_from_image, **sizes),
+        )
+
+    def loss_of(self, outputs: list[Tensor], batch: KeypointSample) -> Tensor:
+        """The mean over the stacks; every one is supervised."""
+        one = cross_entropy if self.options.loss == "entropy" else mean_squares
+        losses = [one(output.float(), batch["heatmaps"], batch["weights"]) for output in outputs]
+        return torch.stack(losses).mean()
+
+    def training_step(self, collated: Collated, number: int) -> Tensor | None:
+        """The loss; None when no image of the batch could be read."""
+        batch = self._read(collated)
+        if batch is None:
+            return None
+        loss = self.loss_of(self.network(self._laid_out(batch["image"])), batch)
+        stop_if_not_finite(loss, self.current_epoch, number, batch["image_id"].tolist())
+        self.log("train_loss", loss, on_step=False, on_epoch=True, batch_size=len(batch["image"]))
+        return loss
+
+    def validation_step(self, collated: Collated, _: int) -> None:
+        """Share of keypoints within `PCK_SHARE` of the box, and their mean distance by the box."""
+        batch = self._read(collated)
+        if batch is None:
+            return
+        output = self.network(self._laid_out(batch["image"]))
+        size = len(batch["image"])
+        self.log("val_loss", self.loss_of(output, batch), batch_size=size)
+        found = self.keypoints_in_image(batch["image"], batch["crop_from_image"])
+        distances = distances_by_box(found.positions, batch)
+        self.log("val_pck", (distances < PCK_SHARE).double().mean(), batch_size=distances.numel())
+        self.log("val_error", distances.clamp_max(1).mean(), batch_size=distances.numel())
+        self.log("cpu_s", time.process_time(), batch_size=size, reduce_fx="max")
+
+    def configure_optimizers(self) -> Any:
+        """By the options."""
+        return optimizer_of(self, self._learning)
+
+    def _read(self, collated: Collated) -> KeypointSample | None:
+        """The samples that could be read; the others are counted by what is wrong with them."""
+        batch, messages = collated
+        self.unreadable.update(messages)
+        return batch
+
+    def _laid_out(self, images: Tensor) -> Tensor:
+        if self._learning.channels_last:
+            return images.contiguous(memory_format=torch.channels_last)
+        return images
+
+
+def distances_by_box(positions_px: Tensor, batch: KeypointSample) -> Tensor:
+    """Distance of every labelled keypoint inside its crop, as a share of the square box's side; flat."""
+    off = (positions_px - batch["keypoints_px"]).norm(dim=-1) / batch["square_box"][:, 2:]
+    return off[batch["weights"] > 0]
+
+
+def untrained(model: KeypointModel, options: Network, learning: Learning) -> KeypointTraining:
+    """A new network for an object."""
+    rows = [row.tolist() if np.isfinite(row).all() else None for row in model.points_object]
+    plain = {"name": model.name, "keypoints": list(model.keypoints), "points_object": rows}
+    return KeypointTraining(plain, asdict(options), asdict(learning))
+
+
+def load_keypoints(checkpoint: Path) -> KeypointTraining:
+    """The trained network of a checkpoint, ready to predict.
+
+    Raises:
+        DataError: it is missing, or no checkpoint of `train_keypoints`.
+    """
+    return load_module(KeypointTraining, checkpoint, "training.train_keypoints")
+
+
+def check_same_object(trained: KeypointTraining, model: KeypointModel, *, source: str) -> None:
+    """DataError unless a checkpoint's keypoints are those of the dataset."""
+    if trained.model.name != model.name or trained.model.keypoints != model.keypoints:
+        raise DataError(
+            f"{source}: the checkpoint is of {trained.model.name} with {len(trained.model.keypoints)} "
+            f"keypoints ({', '.join(trained.model.keypoints)}), the dataset of {model.name} with "
+            f"{len(model.keypoints)} ({', '.join(model.keypoints)}); train again or choose another checkpoint"
+        )
+
+
+def _model_from(plain: dict[str, Any]) -> KeypointModel:
+    rows = [[np.nan] * 3 if row is None else row for row in plain["points_object"]]
+    points = np.array(rows, dtype=float).reshape(-1, 3)
+    return KeypointModel(plain["name"], tuple(plain["keypoints"]), points)

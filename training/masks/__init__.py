@@ -1,0 +1,1 @@
+"""Mask R-CNN on the exported masks (paper IV-C)."""

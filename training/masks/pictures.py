@@ -1,0 +1,39 @@
+"""Pictures with instances drawn on them: masks, boxes, names and scores."""
+
+from __future__ import annotations
+
+import colorsys
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from pycocotools import mask as masks
+
+from training.masks.results import Json
+
+
+def class_color(label: int, classes: int) -> tuple[int, int, int]:
+    """Bright colours spread over the hues."""
+    red, green, blue = colorsys.hsv_to_rgb((label - 1) / max(1, classes), 0.75, 1.0)
+    return round(255 * red), round(255 * green), round(255 * blue)
+
+
+def draw(pixels: np.ndarray, results: Sequence[Json], names: Sequence[str]) -> np.ndarray:
+    """A new picture with masks tinted and outlined, boxes, names and scores; the best lie on top."""
+    picture = pixels.copy()
+    for entry in sorted(results, key=lambda entry: float(entry["score"])):
+        label = entry["category_id"]
+        color = class_color(label, len(names) - 1)
+        inside = np.ascontiguousarray(masks.decode(entry["segmentation"]))
+        picture[inside > 0] = (0.6 * picture[inside > 0] + 0.4 * np.array(color)).astype(np.uint8)
+        outlines, _ = cv2.findContours(inside, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+        cv2.drawContours(picture, outlines, -1, color, 1, cv2.LINE_AA)
+        left, top, width, height = (round(side) for side in entry["bbox"])
+        cv2.rectangle(picture, (left, top), (left + width - 1, top + height - 1), color, 1)
+        _write(picture, f"{names[label]} {entry['score']:.2f}", (left, max(12, top - 4)), color)
+    return picture
+
+
+def _write(picture: np.ndarray, words: str, corner: tuple[int, int], color: tuple[int, int, int]) -> None:
+    for shade, thickness in (((15, 15, 15), 3), (color, 1)):
+        cv2.putText(picture, words, corner, cv2.FONT_HERSHEY_SIMPLEX, 0.45, shade, thickness, cv2.LINE_AA)

@@ -1,0 +1,150 @@
+"""How good predicted masks are: COCO's average precision, and the mean IoU per class that the paper plots."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from pycocotools import mask as masks
+
+from rpl_data.formats.datasets.coco import read_coco
+from training.masks.results import Json
+
+
+@dataclass(frozen=True)
+class ClassScore:
+    """One class on one split; None where nothing could be measured: the truth does not have the class.
+
+    Attributes:
+        images: that show the class.
+        mean_iou: over these images, of all its predicted pixels with all its true ones; 0 where it is missed.
+        missed: images that show it where nothing of it was found.
+        false_alarms: images that do not show it where it was found.
+        box_ap, mask_ap, mask_ap50: COCO's average precision, 0 to 1.
+    """
+
+    name: str
+    images: int
+    mean_iou: float | None
+    missed: int
+    false_alarms: int
+    box_ap: float | None
+    mask_ap: float | None
+    mask_ap50: float | None
+
+
+@dataclass(frozen=True)
+class SplitScore:
+    """All classes on one split; means are over the classes that the truth has."""
+
+    images: int
+    mean_iou: float | None
+    box_ap: float | None
+    box_ap50: float | None
+    mask_ap: float | None
+    mask_ap50: float | None
+    classes: tuple[ClassScore, ...]
+
+
+def score_split(coco_json: Path, results: Sequence[Json], *, threshold: float) -> SplitScore:
+    """Predictions against the labels of a COCO file.
+
+    Args:
+        results: COCO results with masks.
+        threshold: the least score of what counts for IoU, missed and false alarms; AP uses all of them.
+    """
+    truth = read_coco(coco_json)
+    names = {int(category["id"]): str(category["name"]) for category in truth["categories"]}
+    boxes, shapes = (average_precision(truth, results, kind) for kind in ("bbox", "segm"))
+    overlaps = class_overlaps(truth, [entry for entry in results if entry["score"] >= threshold])
+    classes = []
+    for number, name in sorted(names.items()):
+        ious, alarms = overlaps[number]
+        classes.append(
+            ClassScore(
+                name=name,
+                images=len(ious),
+                mean_iou=_mean(ious),
+                missed=sum(iou == 0 for iou in ious),
+                false_alarms=alarms,
+                box_ap=boxes.each.get(number),
+                mask_ap=shapes.each.get(number),
+                mask_ap50=shapes.each50.get(number),
+            )
+        )
+    mean_iou = _mean([c.mean_iou for c in classes if c.mean_iou is not None])
+    aps = boxes.all, boxes.all50, shapes.all, shapes.all50
+    return SplitScore(len(truth["images"]), mean_iou, *aps, tuple(classes))
+
+
+def class_overlaps(truth: Json, results: Sequence[Json]) -> dict[int, tuple[list[float], int]]:
+    """For each category: the IoU in every image that shows it, and how many others it was found in.
+
+    All instances of a category in an image count as one set of pixels, as in the paper's figure.
+    """
+    true, found = (_united(entries) for entries in (truth["annotations"], results))
+    overlaps: dict[int, tuple[list[float], int]] = {}
+    for category in truth["categories"]:
+        number = category["id"]
+        shown = [key for key in true if key[1] == number]
+        ious = [_iou(true[key], found[key]) if key in found else 0.0 for key in shown]
+        alarms = sum(key[1] == number and key not in true for key in found)
+        overlaps[number] = ious, alarms
+    return overlaps
+
+
+def _united(entries: Sequence[Json]) -> dict[tuple[int, int], Json]:
+    """The union of the masks of each image and category."""
+    groups: dict[tuple[int, int], list[Json]] = defaultdict(list)
+    for entry in entries:
+        groups[entry["image_id"], entry["category_id"]].append(entry["segmentation"])
+    return {key: masks.merge(group) for key, group in groups.items()}
+
+
+def _iou(one: Json, other: Json) -> float:
+    return float(masks.iou([one], [other], [0])[0, 0])
+
+
+def _mean(values: Sequence[float]) -> float | None:
+    return float(np.mean(values)) if values else None
+
+
+@dataclass(frozen=True)
+class Precision:
+    """Average precision over IoU 0.5 to 0.95, and at 0.5; a category the truth lacks has none."""
+
+    all: float | None
+    all50: float | None
+    each: dict[int, float]
+    each50: dict[int, float]
+
+
+def average_precision(truth: Json, results: Sequence[Json], kind: str) -> Precision:
+    """COCO's average precision of boxes (`bbox`) or masks (`segm`).
+
+    COCO looks at the best 100 of an image; where the truth has more instances, so many are looked at.
+    """
+    from faster_coco_eval import COCO, COCOeval_faster
+
+    if not truth["annotations"]:
+        return Precision(None, None, {}, {})
+    present = {annotation["category_id"] for annotation in truth["annotations"]}
+    if not results:
+        nothing = dict.fromkeys(present, 0.0)
+        return Precision(0.0, 0.0, nothing, nothing)
+    most = max(np.unique([a["image_id"] for a in truth["annotations"]], return_counts=True)[1])
+    judge = COCO(truth)
+    # loadRes writes into what it is given.
+    evaluation = COCOeval_faster(judge, judge.loadRes([dict(entry) for entry in results]), kind)
+    evaluation.params.maxDets = [1, 10, max(100, int(most))]
+    evaluation.evaluate()
+    evaluation.accumulate()
+    precision = evaluation.eval["precision"][:, :, :, 0, -1]  # IoU x recall x category
+    ids = [number for number in evaluation.params.catIds if number in present]
+    rows = [list(evaluation.params.catIds).index(number) for number in ids]
+    each = {number: float(precision[:, :, row].mean()) for number, row in zip(ids, rows, strict=True)}
+    each50 = {number: float(precision[0, :, row].mean()) for number, row in zip(ids, rows, strict=True)}
+    return Precision(float(np.mean([*each.values()])), float(np.mean([*each50.values()])), each, each50)

@@ -1,0 +1,110 @@
+"""Weights of a Mask R-CNN: where training starts from, and what it leaves behind."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from pickle import UnpicklingError
+from typing import Any
+from urllib.error import URLError
+
+import torch
+from torch import Tensor, nn
+from torchvision.models import get_model_weights
+from torchvision.models.detection import MaskRCNN
+
+from rpl_data.types import DataError
+from training.masks.mask_rcnn import ModelConfig, build_model
+
+
+def load_weights(model: MaskRCNN, config: ModelConfig, weights: str) -> str:
+    """Put trained weights into the network; a line saying what came from where.
+
+    Args:
+        weights: `scratch`; `imagenet`, which torchvision fetches; or the path of a file with a ResNet, a
+            torchvision Mask R-CNN (other classes than ours: the layers that name them stay random) or one of
+            our checkpoints.
+
+    Raises:
+        DataError: nothing can be fetched, or the file does not hold this network.
+    """
+    if weights == "scratch":
+        return f"{config.backbone} from scratch, {config.norm} norm"
+    state = _fetched(config.backbone) if weights == "imagenet" else _read(Path(weights))
+    resnet_only = "layer1.0.conv1.weight" in state
+    target: nn.Module = model.backbone.body if resnet_only else model
+    wanted = target.state_dict()
+    fitting = {key: value for key, value in state.items() if _fits(wanted.get(key), value)}
+    needed = {key for key in wanted if not key.endswith("num_batches_tracked")}
+    body = {key for key in needed if resnet_only or key.startswith("backbone.body.")}
+    if missing := sorted(body - set(fitting)):
+        raise DataError(
+            f"{weights} does not hold a {config.backbone}: {len(missing)} of its {len(body)} tensors are "
+            f"missing or of another shape ({missing[0]}); choose the backbone the weights belong to"
+        )
+    target.load_state_dict(fitting, strict=False)
+    left = len(needed - set(fitting))
+    return f"{weights}: {len(fitting)} tensors taken, {left} stay random, {config.norm} norm"
+
+
+def _fits(wanted: Tensor | None, value: Any) -> bool:
+    return wanted is not None and isinstance(value, Tensor) and wanted.shape == value.shape
+
+
+def _fetched(backbone: str) -> Mapping[str, Tensor]:
+    try:
+        state: Mapping[str, Tensor] = get_model_weights(backbone).DEFAULT.get_state_dict(check_hash=True)
+    except (URLError, OSError) as error:
+        raise DataError(
+            f"cannot fetch torchvision's weights of {backbone}: {error}; give the path of a file as "
+            "`weights`, or `scratch`"
+        ) from error
+    return state
+
+
+def _read(path: Path) -> Mapping[str, Tensor]:
+    """The state dict of a file: our own checkpoints hold it one level down, with a prefix."""
+    content = read_file(path)
+    if "state_dict" in content:
+        return {key.removeprefix("model."): value for key, value in content["state_dict"].items()}
+    return content
+
+
+def read_file(path: Path) -> dict[str, Any]:
+    """A file that `torch.save` wrote, tensors and plain values only; DataError when it is anything else."""
+    if not path.is_file():
+        raise DataError(f"{path} does not exist; expected a file of weights")
+    try:
+        content = torch.load(path, map_location="cpu", weights_only=True)
+    except (UnpicklingError, RuntimeError, EOFError, KeyError, ValueError, OSError) as error:
+        raise DataError(f"cannot read {path} as weights: {str(error).splitlines()[0]}") from error
+    if not isinstance(content, dict):
+        raise DataError(f"{path} holds a {type(content).__name__}; expected a dictionary of tensors")
+    return content
+
+
+@dataclass(frozen=True)
+class Segmenter:
+    """A trained network and what its labels mean: `names[0]` is the background."""
+
+    model: MaskRCNN
+    config: ModelConfig
+    names: tuple[str, ...]
+
+
+def description(config: ModelConfig, names: tuple[str, ...]) -> dict[str, Any]:
+    """What a checkpoint says about its network, in plain values."""
+    return {"model": asdict(config), "names": list(names)}
+
+
+def load_segmenter(checkpoint: Path) -> Segmenter:
+    """The network of a checkpoint of `training.train_masks`, ready to predict."""
+    content = read_file(checkpoint)
+    if "masks" not in content:
+        raise DataError(f"{checkpoint} is not a checkpoint of training.train_masks")
+    config, names = ModelConfig(**content["masks"]["model"]), tuple(content["masks"]["names"])
+    model = build_model(config, len(names) - 1)
+    state = content["state_dict"]
+    model.load_state_dict({key.removeprefix("model."): value for key, value in state.items()})
+    return Segmenter(model.eval(), config, names)

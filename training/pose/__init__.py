@@ -1,0 +1,1 @@
+"""Poses from predicted keypoints, and how good they are."""

@@ -1,0 +1,183 @@
+"""Errors of a pose pipeline on a split of a dataset whose labels are true."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rpl_data.formats.datasets.coco import (
+    instance_from_coco,
+    intrinsics_from_coco,
+    objects_from_coco,
+    read_coco,
+)
+from rpl_data.geometry import fit_rigid
+from rpl_data.pose.errors import INFINITE, pose_errors
+from rpl_data.pose.estimate import Method, PoseEstimate, PoseFailure
+from rpl_data.torch.images import read_image
+from rpl_data.types import DataError, InstanceLabel, KeypointModel
+from training.pose.pipeline import PosePipeline, SeenKeypoints, read_depth_m
+from training.pose.scores import Judged
+from training.runs.options import Crops
+
+
+@dataclass(frozen=True)
+class TrueObject:
+    """An object as the truth has it.
+
+    Attributes:
+        category: its category id in the file.
+        surface: points of its surface, n x 3, metres, the truth's object frame.
+        centre: of the surface's bounding box: where position errors are taken.
+    """
+
+    category: int
+    model: KeypointModel
+    surface: np.ndarray
+    centre: np.ndarray
+
+
+def true_objects(coco_json: Path, *, points: int = 1000) -> dict[str, TrueObject]:
+    """The objects of a true export, with points of their meshes, by name.
+
+    Raises:
+        DataError: the export has no mesh of an object.
+    """
+    found = {}
+    for category, item in enumerate(objects_from_coco(read_coco(coco_json)), start=1):
+        if item.mesh is None or not (coco_json.parent / item.mesh).exists():
+            raise DataError(f"{coco_json}: {item.model.name} has no mesh; ADD needs one: export again")
+        surface = surface_points(coco_json.parent / item.mesh, points)
+        centre = (surface.min(axis=0) + surface.max(axis=0)) / 2
+        found[item.model.name] = TrueObject(category, item.model, surface, centre)
+    return found
+
+
+def surface_points(mesh: Path, count: int) -> np.ndarray:
+    """Points spread evenly over a mesh file's surface, the same ones every time."""
+    import open3d
+
+    open3d.utility.random.seed(0)
+    triangles = open3d.io.read_triangle_mesh(str(mesh))
+    return np.asarray(triangles.sample_points_uniformly(count).points)
+
+
+def evaluate(
+    pipeline: PosePipeline,
+    coco_json: Path,
+    *,
+    crops: Crops,
+    methods: Sequence[Method],
+    truth: Mapping[str, TrueObject],
+    metres_per_unit: float | None = None,
+    least_visible: float = 0.1,
+) -> Iterator[Judged]:
+    """Every true instance of the pipeline's objects, judged; a line an instance and method.
+
+    Args:
+        pipeline: trained on any labels of the same keypoints; its object frames may differ from the truth's
+            by one rigid transform an object, which the two sparse models give.
+        coco_json: a split of the true export.
+        crops: the true boxes, or what the detector finds.
+        methods: of PnP.
+        truth: of `true_objects`.
+        metres_per_unit: of the export's depth images; None leaves depth unused.
+        least_visible: instances that show a smaller share of themselves are left out.
+    """
+    data = read_coco(coco_json)
+    if unknown := set(pipeline.networks) - set(truth):
+        raise DataError(
+            f"{coco_json} has no {', '.join(sorted(unknown))}, which a checkpoint is of; it has "
+            f"{', '.join(truth)}: evaluate on the dataset it was trained on"
+        )
+    truth_from_trained = {
+        name: aligned(truth[name].model, network.model, source=str(coco_json))
+        for name, network in pipeline.networks.items()
+    }
+    labels_of = _labels(data, {truth[name].category: name for name in pipeline.networks}, least_visible)
+    for image in data["images"]:
+        labels = labels_of.get(image["id"], [])
+        if not labels:
+            continue
+        pixels = read_image(str(coco_json.parent / image["file_name"]))
+        squares = {label.object: _square(label) for label in labels} if crops == "given" else None
+        seen = {each.object: each for each in pipeline.see(pixels, squares)}
+        depth = None
+        if metres_per_unit is not None:
+            depth = read_depth_m(_depth_file(coco_json.parent, image), metres_per_unit, like=pixels)
+        for label, method in product(labels, methods):
+            name = label.object
+            solved = None
+            if name in seen:
+                solved = pipeline.pose(seen[name], intrinsics_from_coco(image), method=method, depth=depth)
+            yield _judged(
+                seen.get(name),
+                solved,
+                label,
+                image=image["file_name"],
+                method=method,
+                truth=truth[name],
+                truth_from_trained=truth_from_trained[name],
+            )
+
+
+def _labels(
+    data: Mapping[str, Any], names: Mapping[int, str], least_visible: float
+) -> dict[int, list[InstanceLabel]]:
+    """Labels of the named categories that show enough of themselves, by image id."""
+    found: dict[int, list[InstanceLabel]] = {}
+    for annotation in data["annotations"]:
+        name = names.get(annotation["category_id"])
+        if name is not None and annotation["visib_fract"] >= least_visible:
+            found.setdefault(annotation["image_id"], []).append(instance_from_coco(annotation, name))
+    return found
+
+
+def aligned(true: KeypointModel, trained: KeypointModel, *, source: str) -> np.ndarray:
+    """``truth_from_trained``: the one rigid transform between the object frames of two label sources."""
+    if true.keypoints != trained.keypoints:
+        raise DataError(
+            f"{source}: {true.name} has the keypoints {', '.join(true.keypoints)}, the checkpoint "
+            f"{', '.join(trained.keypoints)}; evaluate on the dataset it was trained on"
+        )
+    both = true.known & trained.known
+    return fit_rigid(true.points_object[both], trained.points_object[both])
+
+
+def _judged(
+    seen: SeenKeypoints | None,
+    solved: PoseEstimate | PoseFailure | None,
+    label: InstanceLabel,
+    *,
+    image: str,
+    method: Method,
+    truth: TrueObject,
+    truth_from_trained: np.ndarray,
+) -> Judged:
+    """What was seen and solved against a true label."""
+    known = label.visibility > 0
+    if seen is None or solved is None:
+        missed = np.full(int(known.sum()), np.inf)
+        return Judged(label.object, image, method, "not detected", INFINITE, missed, None, None)
+    off = np.linalg.norm(seen.positions_px - label.keypoints_px, axis=1)[known] / label.square_box.side_px
+    if isinstance(solved, PoseFailure):
+        return Judged(label.object, image, method, solved.reason, INFINITE, off, None, seen)
+    pose = solved.camera_from_object @ np.linalg.inv(truth_from_trained)
+    errors = pose_errors(pose, label.camera_from_object, truth.surface, centre_object=truth.centre)
+    return Judged(label.object, image, method, "ok", errors, off, pose, seen)
+
+
+def _depth_file(folder: Path, image: Mapping[str, Any]) -> Path:
+    if image["depth_file_name"] is None:
+        raise DataError(f"{folder / image['file_name']} has no depth image; evaluate without metres_per_unit")
+    return folder / str(image["depth_file_name"])
+
+
+def _square(label: InstanceLabel) -> np.ndarray:
+    box = label.square_box
+    return np.array([box.cx_px, box.cy_px, box.side_px])

@@ -1,0 +1,1 @@
+"""The segmentation figure: Mask R-CNN on our masks and on true ones."""

@@ -1,0 +1,181 @@
+"""The segmentation figure: Mask R-CNN trained on our masks and on true ones, both tested on true ones."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Mapping
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rpl_data.files import write_json
+from rpl_data.types import DataError
+from training.reproduce.segmentation.progress import Progress, load_progress
+
+if TYPE_CHECKING:
+    from training.masks.scores import SplitScore
+    from training.masks.settings import Settings
+
+OURS, MANUAL = "OURS", "MANUAL"
+"""The paper's names for training on generated and on true labels."""
+ROUND_EPOCHS = 3
+"""Epochs of one source before it is the other's turn; scoring both on val costs about a third of one."""
+PRESET = Path(__file__).parents[2] / "configs" / "masks_cpu.yaml"
+
+
+def segmentation(
+    workspace: Path,
+    out: Path = Path("runs/segmentation"),
+    preset: Path = PRESET,
+    epochs: int | None = None,
+    threads: int | None = None,
+) -> None:
+    """Mean IoU per class of Mask R-CNN trained on OURS and on MANUAL labels (the paper's figure).
+
+    Both are trained on the same images for the same number of epochs, in turns, and tested on the true masks
+    of val (random frames, as in the paper) and of test (scenes that training never saw). Interrupt it when
+    you like and run it again: it goes on. After every round the figure is drawn from what there is.
+
+    Args:
+        workspace: a built workspace whose truth is known.
+        out: folder for segmentation.json, segmentation.html, the figure and both runs.
+        preset: settings of the training, as training/configs/masks_cpu.yaml and masks_paper.yaml hold them.
+        epochs: of each source, whatever else the machine is doing; those of the preset when left out.
+        threads: processor cores to use; as many as there are when left out.
+    """
+    import torch
+
+    from rpl_data.formats.datasets.coco import read_coco
+    from training.masks.settings import load_settings
+
+    if threads is not None:
+        torch.set_num_threads(threads)
+    sources = sources_of(workspace)
+    settings = load_settings(preset)
+    settings = settings if epochs is None else replace(settings, epochs=epochs)
+    progress = load_progress(out, settings)
+    while progress.epochs < settings.epochs:
+        progress = train_round(sources, settings, progress, out)
+        print(_line(progress, settings), flush=True)
+    splits = [name for name in ("val", "test") if read_coco(sources[MANUAL] / f"{name}.json")["images"]]
+    scores = score_sources(sources, out, splits)
+    print(write_figure(sources, scores, progress, settings, out))
+
+
+def sources_of(workspace: Path) -> dict[str, Path]:
+    """Folders of the COCO files of both sources; the true ones are made when they are not there.
+
+    Raises:
+        DataError: the truth is not known, or the two do not have the same training images.
+    """
+    from rpl_data.formats.datasets.coco import read_coco
+    from rpl_data.pipeline.build import context_of
+    from rpl_data.pipeline.stages.export import export_truth
+    from rpl_data.workspace.workspace import Workspace
+
+    place = Workspace(workspace)
+    sources = {OURS: place.export("coco"), MANUAL: place.export("coco_truth")}
+    if not (sources[OURS] / "train.json").exists():
+        raise DataError(f"{sources[OURS]} has no train.json; build the workspace first with `rpl build`")
+    if not (sources[MANUAL] / "train.json").exists():
+        export_truth(context_of(place))
+    names = [
+        [image["file_name"] for image in read_coco(f / "train.json")["images"]] for f in sources.values()
+    ]
+    if names[0] != names[1]:
+        raise DataError(
+            f"{sources[OURS]} and {sources[MANUAL]} have other training images; run "
+            "`rpl export --labels truth` again"
+        )
+    return sources
+
+
+# Training -----------------------------------------------------------------------------------------
+
+
+def train_round(sources: Mapping[str, Path], settings: Settings, progress: Progress, out: Path) -> Progress:
+    """A few more epochs of both sources, their scores on val, and the figure as it stands."""
+    from training.masks.module import train
+
+    clock, cpu = time.perf_counter(), _cpu_s()
+    done = min(progress.epochs + ROUND_EPOCHS, settings.epochs)
+    for name, data in sources.items():
+        train(settings, data, out / name.lower(), until=done)
+    scores = score_sources(sources, out, ["val"])
+    means = [score.mean_iou for score in scores["val"].values()]
+    progress = replace(
+        progress,
+        epochs=done,
+        seconds=progress.seconds + time.perf_counter() - clock,
+        cpu_seconds=progress.cpu_seconds + _cpu_s() - cpu,
+        history=[*progress.history, [done, *means]],
+    )
+    write_json(out / "progress.json", asdict(progress))
+    write_figure(sources, scores, progress, settings, out)
+    return progress
+
+
+def _cpu_s() -> float:
+    """Of this process and of those it has started and seen end."""
+    return sum(os.times()[:4])
+
+
+def _line(progress: Progress, settings: Settings) -> str:
+    epoch, *means = progress.history[-1]
+    pairs = zip((OURS, MANUAL), means, strict=True)
+    found = ", ".join(f"{name} {'-' if mean is None else f'{mean:.3f}'}" for name, mean in pairs)
+    return f"epoch {epoch} of {settings.epochs}: mean IoU on val {found}; {progress.seconds / 60:.1f} min"
+
+
+# Scores -------------------------------------------------------------------------------------------
+
+
+def score_sources(
+    sources: Mapping[str, Path], out: Path, splits: list[str]
+) -> dict[str, dict[str, SplitScore]]:
+    """For each split the scores of both networks, against the true masks."""
+    from training.evaluate_masks import evaluate
+    from training.masks.module import CHECKPOINT
+    from training.masks.weights import load_segmenter
+
+    scores: dict[str, dict[str, SplitScore]] = {split: {} for split in splits}
+    for name in sources:
+        folder = out / name.lower()
+        segmenter = load_segmenter(folder / CHECKPOINT)
+        for split in splits:
+            scores[split][name] = evaluate(segmenter, sources[MANUAL] / f"{split}.json", folder)
+    return scores
+
+
+def write_figure(
+    sources: Mapping[str, Path],
+    scores: Mapping[str, Mapping[str, SplitScore]],
+    progress: Progress,
+    settings: Settings,
+    out: Path,
+) -> Path:
+    """segmentation.json, segmentation.html and segmentation.png; the path of the page comes back."""
+    from rpl_data.formats.datasets.coco import read_coco
+    from training.reproduce.results import write_results
+    from training.reproduce.segmentation.page import bars, sections, verdict
+
+    figure = bars(scores)
+    data = {
+        "settings": asdict(settings),
+        "progress": asdict(progress),
+        "training_images": len(read_coco(sources[OURS] / "train.json")["images"]),
+        "verdict": {split: verdict(arms) for split, arms in scores.items()},
+        "scores": {split: {k: asdict(v) for k, v in arms.items()} for split, arms in scores.items()},
+    }
+    return write_results(
+        out,
+        "segmentation",
+        title="Segmentation",
+        data=data,
+        sections=sections(sources, scores, progress, figure, out),
+        note=f"{settings.model.backbone} FPN at {settings.model.size_px} px, {progress.epochs} epochs of "
+        f"{data['training_images']} images a source, {progress.seconds / 60:.0f} min on the clock, "
+        f"{progress.cpu_seconds / 60:.0f} CPU min",
+        figures={"segmentation": figure},
+    )

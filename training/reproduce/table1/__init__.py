@@ -1,0 +1,1 @@
+"""Table I: errors of keypoints and masks."""

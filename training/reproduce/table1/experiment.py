@@ -1,0 +1,181 @@
+"""Table I: how accurate the sparse models and the labels are, beside the paper's rows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rpl_data.types import DataError
+from training.reproduce.table1.rows import Row, Scores, Trajectories
+
+if TYPE_CHECKING:
+    from rpl_data.evaluate.cad import Cad
+    from rpl_data.types import QualityRow
+    from rpl_data.workspace.workspace import Workspace
+    from training.reproduce.table1.cad_protocol import CadResult
+
+
+def table1(
+    sources: Path | list[Path],
+    out: Path = Path("runs/table1"),
+    root: Path | None = None,
+    trajectories: list[Trajectories] | None = None,
+    cad: Path | None = None,
+    cad_metres_per_unit: float = 1.0,
+    seed: int = 0,
+    workers: int | None = None,
+) -> None:
+    """Accuracy of sparse models and labels (the paper's Table I), an object a row, by two protocols.
+
+    Strict: true correspondences and true poses, nothing aligned in the image; it needs a twin, or `truth:`
+    in the recipe. The paper's: a CAD aligned by ICP to the sparse model and to every scene; it needs a CAD,
+    which a twin has, and for which real recordings name a folder.
+
+    Args:
+        sources: a workspace that is built, a recipe, which is built first, or a list of them: '[a, b]'.
+        out: folder for table1.json, table1.html and the workspaces that are made.
+        root: where the relative paths of recipes start; the recipe's own folder when left out.
+        trajectories: '[given, drifting, tracked]' or some of them; drifting ones (5 mm and 0.3 degrees at
+            the end of a video) and tracked ones are made of a twin's recording. Given ones when left out.
+        cad: folder with <object>.obj (or .ply, .stl) and <object>.pp, the keypoints picked on it.
+        cad_metres_per_unit: of those meshes and points; 0.001 for millimetres.
+        seed: of the drift and of the simulated picks on a twin's CAD.
+        workers: processes; as many as cores when left out.
+    """
+    from training.reproduce.table1.page import as_text, write_page
+
+    kinds: tuple[Trajectories, ...] = tuple(dict.fromkeys(trajectories or ("given",)))
+    rows: list[Row] = []
+    for source in sources if isinstance(sources, list) else [sources]:
+        workspace = built(source, out / "workspaces", root=root, workers=workers)
+        for kind in kinds:
+            place = in_kind(workspace, kind, out, seed=seed, workers=workers)
+            found = measure(place, cad_folder=cad, metres_per_unit=cad_metres_per_unit, seed=seed)
+            rows += [replace(row, workspace=workspace.root.name, trajectories=kind) for row in found]
+    path = write_page(out, rows, seed=seed)
+    print(as_text(rows))
+    print(path)
+
+
+# Workspaces ---------------------------------------------------------------------------------------
+
+
+def built(source: Path, folder: Path, *, root: Path | None, workers: int | None) -> Workspace:
+    """The workspace itself, or what a recipe makes."""
+    from rpl_data.pipeline.build import build
+    from rpl_data.pipeline.recipe import load_recipe
+    from rpl_data.workspace.workspace import Workspace
+
+    if not source.is_file():
+        return Workspace(source)
+    workspace = Workspace(folder / source.stem)
+    build(load_recipe(source, root=root), workspace, workers=workers)
+    return workspace
+
+
+def in_kind(
+    workspace: Workspace, kind: Trajectories, out: Path, *, seed: int, workers: int | None
+) -> Workspace:
+    """The workspace, or one of the same pixels and other camera paths, built to its labels."""
+    from rpl_data.pipeline.build import build
+    from rpl_data.workspace.workspace import Workspace
+    from training.reproduce.table1.trajectories import with_trajectories
+
+    if kind == "given":
+        return workspace
+    name = f"{workspace.root.resolve().name}_{kind}"
+    recipe = with_trajectories(workspace, kind, out / "recordings" / name, seed=seed)
+    changed = Workspace(out / "workspaces" / name)
+    build(recipe, changed, until="label", workers=workers)
+    return changed
+
+
+# Rows ---------------------------------------------------------------------------------------------
+
+
+def measure(
+    workspace: Workspace, *, cad_folder: Path | None = None, metres_per_unit: float = 1.0, seed: int = 0
+) -> list[Row]:
+    """A row an object of a built workspace.
+
+    Raises:
+        DataError: neither truth nor a CAD is known.
+    """
+    from rpl_data.evaluate.quality import compare_workspaces
+    from rpl_data.pipeline.build import context_of
+    from rpl_data.pipeline.stages.quality import truth_workspace
+    from training.reproduce.table1.cad_protocol import by_cad
+    from training.reproduce.table1.worst import worst_scenes
+
+    context = context_of(workspace)
+    truth = truth_workspace(context)
+    cads = _cads(workspace, truth, context.object_names, cad_folder, metres_per_unit, seed)
+    if truth is None and not cads:
+        raise DataError(
+            f"the truth of {workspace.root} is not known: name it with `truth:` in the recipe, or give a "
+            "folder with CAD models (--cad)"
+        )
+    strict = {} if truth is None else {row.object: row for row in compare_workspaces(workspace, truth)}
+    aligned = by_cad(workspace, cads)
+    worst = {} if truth is None else worst_scenes(workspace, truth)
+    labels = labels_of(workspace)
+    rows = [
+        _row(workspace, name, labels.get(name, 0), strict.get(name), aligned.get(name))
+        for name in context.object_names
+    ]
+    return [replace(row, worst=worst.get(row.object)) for row in rows]
+
+
+def _cads(
+    workspace: Workspace,
+    truth: Workspace | None,
+    names: Sequence[str],
+    folder: Path | None,
+    metres_per_unit: float,
+    seed: int,
+) -> dict[str, Cad]:
+    from rpl_data.evaluate.cad import cads_in
+    from training.reproduce.table1.cad_protocol import true_cads
+
+    if folder is not None:
+        models = [workspace.load_solution(name).model for name in names]
+        keypoints = {model.name: model.keypoints for model in models}
+        return cads_in(folder, keypoints, metres_per_unit=metres_per_unit)
+    return {} if truth is None else true_cads(truth, names, seed=seed)
+
+
+def _row(
+    workspace: Workspace, name: str, labels: int, strict: QualityRow | None, aligned: CadResult | None
+) -> Row:
+    solution = workspace.load_solution(name)
+    places = list(aligned.scenes.values()) if aligned else []
+    return Row(
+        workspace=workspace.root.name,
+        trajectories="given",
+        object=name,
+        keypoints=len(solution.model.keypoints),
+        scenes=len(solution.scene_from_object),
+        labels=labels,
+        strict=scores_of(strict) if strict else None,
+        by_cad=replace(scores_of(aligned.row), iou_visible=float("nan")) if aligned else None,
+        started_by_solution=sum(started == "solution" for _, started in places),
+        left_out=tuple(f"{scene}: {why}" for scene, why in aligned.left_out.items()) if aligned else (),
+        cad_rms_mm=1e3 * sum(p.rms_m for p, _ in places) / len(places) if places else float("nan"),
+    )
+
+
+def labels_of(workspace: Workspace) -> dict[str, int]:
+    """Labelled frames of every object."""
+    counts: dict[str, int] = {}
+    for scene in workspace.labelled_scene_names():
+        for label in workspace.load_labels(scene):
+            for instance in label.instances:
+                counts[instance.object] = counts.get(instance.object, 0) + 1
+    return counts
+
+
+def scores_of(row: QualityRow) -> Scores:
+    """The figures that Table I has."""
+    return Scores(row.error_3d_mean_mm, row.error_2d_mean_px, row.iou_full_mean, row.iou_visible_mean)

@@ -1,0 +1,1 @@
+"""Table II: poses by networks trained on our labels and on true ones."""

@@ -1,0 +1,1 @@
+"""What every training run shares: trainer, options and the program around it."""
