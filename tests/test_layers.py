@@ -3,36 +3,31 @@
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Iterator
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
-import pytest
-
-ROOT = Path(__file__).parent.parent
-STAGES = {
-    "annotate", "cad", "capture", "doctor", "export", "label", "quality", "reconstruct", "refine", "report",
-    "segment", "solve", "truth", "twin",
-}  # fmt: skip
+ROOT = Path(__file__).parents[1]
 LAYERS = [
     {"types"},
-    {"clicklog", "depth_codec", "files", "geometry", "records"},
-    {"masks", "mend", "parts", "pixels", "regions", "reprojection", "split", "surface_files"},
-    {
-        "adjustment", "completion", "drift", "formats", "grasp", "lift", "occlusion", "overlay", "pool",
-        "pose", "raycast", "simplify", "steps", "views", "workspace",
-    },
-    STAGES,
-    {"recipe", "torch"},
+    {"files", "geometry", "json_arrays"},
+    {"images", "meshes", "raycast", "overlay", "drift"},
+    {"formats", "clicks", "pose", "reconstruct", "workspace"},
+    {"capture", "solve", "refine", "segment", "label", "export", "torch"},
+    {"recordings"},
+    {"twin", "evaluate", "report", "annotate", "doctor"},
     {"pipeline"},
-    {"build"},
-    {"record", "screen", "serve"},
     {"cli"},
-]  # fmt: skip
-LAYER_OF = {unit: number for number, layer in enumerate(LAYERS) for unit in layer}
+]
+"""The rooms of `rpl_data`, from the ground to the command line."""
+
+LAYER_OF = {room: number for number, layer in enumerate(LAYERS) for room in layer}
+WITHIN_A_LAYER = {("clicks", "workspace"), ("workspace", "clicks")}
 
 LEARNING = {
-    "rpl_data.files", "rpl_data.formats.coco", "rpl_data.geometry", "rpl_data.pose", "rpl_data.torch",
-    "rpl_data.types",
+    "rpl_data.files", "rpl_data.formats.datasets", "rpl_data.geometry", "rpl_data.images", "rpl_data.json_arrays",
+    "rpl_data.pose", "rpl_data.torch", "rpl_data.types",
 }  # fmt: skip
 """What rpl_data.torch and training may know: a trained pipeline does not depend on the labelling tool."""
 
@@ -42,8 +37,15 @@ SLOW = {
 }  # fmt: skip
 """Imported inside the functions that need them, so that `rpl --help` is quick."""
 
-FILES = sorted([*ROOT.glob("rpl_data/**/*.py"), *ROOT.glob("training/**/*.py")])
-IDS = [str(path.relative_to(ROOT)) for path in FILES]
+
+def module_of(path: Path) -> str:
+    return ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+
+
+TREES = {
+    module_of(path): ast.parse(path.read_text())
+    for path in sorted([*ROOT.glob("rpl_data/**/*.py"), *ROOT.glob("training/**/*.py")])
+}
 
 
 def imported(nodes: Iterator[ast.AST] | list[ast.stmt]) -> Iterator[str]:
@@ -56,41 +58,91 @@ def imported(nodes: Iterator[ast.AST] | list[ast.stmt]) -> Iterator[str]:
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
 
 
-def module_of(path: Path) -> str:
-    return ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+def arrows() -> Iterator[tuple[str, str]]:
+    """(module, name it imports) for every import within the project, wherever it stands."""
+    for module, tree in TREES.items():
+        for name in imported(ast.walk(tree)):
+            if name.split(".")[0] in {"rpl_data", "training"}:
+                yield module, name
 
 
-@pytest.mark.parametrize("path", FILES, ids=IDS)
-def test_imports_go_downwards(path: Path) -> None:
-    names = module_of(path).split(".")
-    if names[0] == "training" or len(names) == 1:
-        return
-    assert names[1] in LAYER_OF, f"give {names[1]} a layer in this file"
-    for name in imported(ast.walk(ast.parse(path.read_text()))):
-        parts = name.split(".")
-        if parts[0] != "rpl_data" or len(parts) == 1 or parts[1] == names[1]:
+def room_of(module: str) -> str:
+    """The first name below `rpl_data`; empty for the package itself."""
+    return (module.split(".") + [""])[1]
+
+
+def test_every_room_has_a_layer() -> None:
+    rooms = {room_of(module) for module in TREES if module.startswith("rpl_data.")}
+    assert rooms <= LAYER_OF.keys(), f"give {rooms - LAYER_OF.keys()} a layer in this file"
+
+
+def test_imports_go_downwards() -> None:
+    upward = [
+        f"{module} imports {name}"
+        for module, name in arrows()
+        if module.startswith("rpl_data.")
+        and room_of(module) != room_of(name)
+        and (room_of(module), room_of(name)) not in WITHIN_A_LAYER
+        and LAYER_OF.get(room_of(name), 99) >= LAYER_OF[room_of(module)]
+    ]
+    assert not upward
+
+
+def test_no_module_imports_itself_by_a_detour() -> None:
+    graph: dict[str, set[str]] = {module: set() for module in TREES}
+    for module, name in arrows():
+        target = name if name in TREES else name.rpartition(".")[0]
+        if target in TREES and target != module:
+            graph[module].add(target)
+    try:
+        tuple(TopologicalSorter(graph).static_order())
+    except CycleError as error:
+        raise AssertionError(f"imports go in a circle: {error.args[1]}") from None
+
+
+def test_learning_does_not_know_the_labelling_tool() -> None:
+    known = []
+    for module, name in arrows():
+        if not module.startswith(("rpl_data.torch", "training")) or name.startswith("training"):
             continue
-        lower = LAYER_OF.get(parts[1], 99) < LAYER_OF[names[1]]
-        assert lower, f"{module_of(path)} imports {name}, which is not below it"
+        # The experiments run everything, from the recording to the table.
+        allowed = {"rpl_data"} if module.startswith("training.reproduce") else LEARNING
+        if not any(f"{name}.".startswith(f"{start}.") for start in allowed):
+            known.append(f"{module} imports {name}")
+    assert not known
 
 
-@pytest.mark.parametrize("path", FILES, ids=IDS)
-def test_learning_does_not_know_the_labelling_tool(path: Path) -> None:
-    module = module_of(path)
-    learning = module.startswith(("rpl_data.torch", "training"))
-    # The experiments run everything, from the recording to the table.
-    allowed = {"rpl_data"} if module.startswith("training.reproduce") else LEARNING
-    for name in imported(ast.walk(ast.parse(path.read_text()))):
-        if learning and name.startswith("rpl_data"):
-            assert any(f"{name}.".startswith(f"{known}.") for known in allowed), f"{module} imports {name}"
-        if name.split(".")[0] in {"torch", "torchvision"}:
-            assert learning, f"{module} imports {name}; torch belongs to rpl_data.torch and training"
+def test_torch_stays_where_learning_is() -> None:
+    elsewhere = [
+        f"{module} imports {name}"
+        for module, tree in TREES.items()
+        if not module.startswith(("rpl_data.torch", "training"))
+        for name in imported(ast.walk(tree))
+        if name.split(".")[0] in {"torch", "torchvision"}
+    ]
+    assert not elsewhere
 
 
-@pytest.mark.parametrize("path", FILES, ids=IDS)
-def test_slow_packages_are_imported_where_used(path: Path) -> None:
-    module = module_of(path)
-    if module.startswith(("rpl_data.torch", "training", "rpl_data.annotate.")):
-        return
-    for name in imported(ast.parse(path.read_text()).body):
-        assert name.split(".")[0] not in SLOW, f"{module} imports {name} at its top"
+def test_slow_packages_are_imported_where_used() -> None:
+    at_the_top = [
+        f"{module} imports {name} at its top"
+        for module, tree in TREES.items()
+        if not module.startswith(("rpl_data.torch", "training", "rpl_data.annotate."))
+        for name in imported(tree.body)
+        if name.split(".")[0] in SLOW
+    ]
+    assert not at_the_top
+
+
+def test_the_page_has_no_circle_of_imports() -> None:
+    static = ROOT / "rpl_data/annotate/static"
+    graph = {
+        path.resolve(): {
+            (path.parent / name).resolve() for name in re.findall(r'from "(\..*?)"', path.read_text())
+        }
+        for path in static.rglob("*.js")
+    }
+    try:
+        tuple(TopologicalSorter(graph).static_order())
+    except CycleError as error:
+        raise AssertionError(f"imports go in a circle: {[p.name for p in error.args[1]]}") from None

@@ -27,6 +27,8 @@ class NewObject(BaseModel):
 
 
 def add_objects(app: FastAPI, session: Session) -> None:
+    """Routes of the objects: their logs, results and suggestions."""
+
     @app.post("/api/objects")
     def add(new: NewObject) -> Json:
         session.add_object(new.name, new.keypoints)

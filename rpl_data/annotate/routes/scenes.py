@@ -13,6 +13,8 @@ from rpl_data.annotate.stores.scenes import poses_table
 
 
 def add_scenes(app: FastAPI, session: Session) -> None:
+    """Routes of the scenes: what there is, poses, pictures, depth and masks."""
+
     @app.get("/api/workspace")
     def workspace() -> Json:
         return {

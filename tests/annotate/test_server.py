@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -12,55 +11,19 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from annotate_client import HERE, OBJECT, act, click, client_of, marks
 from fastapi.testclient import TestClient
 
-from rpl_data.annotate import Place
 from rpl_data.annotate.server import make_app
 from rpl_data.annotate.session import Session
 from rpl_data.cli.annotate import place_of, work_of
 from rpl_data.types import DataError
 from rpl_data.workspace.workspace import Workspace
 
-HERE = "http://127.0.0.1:8017"
-OBJECT = "/api/objects/carton"
-
-
-def client_of(root: Path, place: Place | None = None) -> TestClient:
-    workspace = Workspace(root)
-    app = make_app(Session(workspace, work_of(workspace)), place or place_of("127.0.0.1", 8017))
-    return TestClient(app, base_url=HERE, raise_server_exceptions=False)
-
-
-@pytest.fixture
-def root(tiny_workspace: Workspace, tmp_path: Path) -> Path:
-    """A copy of the tiny workspace with its clicks; the pictures stay where they are."""
-    shutil.copytree(
-        tiny_workspace.root, tmp_path / "ws", ignore=shutil.ignore_patterns("recording", "export", "report")
-    )
-    (tmp_path / "ws" / "recording").symlink_to(tiny_workspace.recording)
-    return tmp_path / "ws"
-
 
 @pytest.fixture
 def client(root: Path) -> TestClient:
     return client_of(root)
-
-
-def act(client: TestClient, *actions: dict[str, Any], seen: int | None = None, status: int = 200) -> Any:
-    if seen is None:
-        seen = client.get(OBJECT).json()["revision"]
-    answer = client.post(OBJECT, json={"seen": seen, "actions": list(actions)})
-    assert answer.status_code == status, answer.text
-    return answer.json()
-
-
-def click(keypoint: int, u_px: float, v_px: float, *, scene: str = "00", frame: int = 0, **more: Any) -> Any:
-    place = {"keypoint": keypoint, "scene": scene, "frame": frame}
-    return {"op": "click", **place, "u_px": u_px, "v_px": v_px, **more}
-
-
-def marks(state: Any) -> dict[tuple[int, str, int], tuple[float, float]]:
-    return {(c["keypoint"], c["scene"], c["frame"]): (c["u_px"], c["v_px"]) for c in state["clicks"]}
 
 
 # Actions and the log ------------------------------------------------------------------------------
@@ -343,7 +306,7 @@ def test_only_this_machine_needs_no_token() -> None:
 def test_nothing_is_fetched_from_elsewhere(client: TestClient) -> None:
     answer = client.get("/")
     assert "default-src 'self'" in answer.headers["content-security-policy"]
-    static = Path(__file__).parent.parent / "rpl_data/annotate/static"
+    static = Path(__file__).parents[2] / "rpl_data/annotate/static"
     for path in static.iterdir():
         text = path.read_text().replace("http://www.w3.org", "")
         assert "http://" not in text and "https://" not in text, path

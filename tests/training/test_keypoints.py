@@ -28,7 +28,7 @@ from training.runs.trainer import trained_epochs
 from training.train_detector import train_detector
 from training.train_keypoints import train_keypoints
 
-CONFIGS = Path(__file__).parent.parent / "training" / "configs"
+CONFIGS = Path(__file__).parents[2] / "training" / "configs"
 WEDGE = KeypointModel(
     "wedge",
     ("a", "b", "c", "d", "e"),

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from annotate_client import act, client_of
 from fastapi.testclient import TestClient
-from test_annotate_server import act, client_of
 
 from rpl_data.annotate.jobs import Jobs
 from rpl_data.annotate.news import News

@@ -2,33 +2,18 @@
 
 from __future__ import annotations
 
-import base64
-import shutil
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from annotate_client import OBJECT, client_of, unpacked
 from fastapi.testclient import TestClient
-from test_annotate_server import OBJECT, client_of
 
 from rpl_data.geometry import inside_image, invert, project, transform
 from rpl_data.images import read_depth_m
 from rpl_data.meshes import load_mesh
 from rpl_data.workspace.workspace import Workspace
-
-
-def unpacked(text: str, kind: str) -> np.ndarray:
-    return np.frombuffer(base64.b64decode(text), kind).reshape(-1, 3).astype(float)
-
-
-@pytest.fixture
-def root(tiny_workspace: Workspace, tmp_path: Path) -> Path:
-    shutil.copytree(
-        tiny_workspace.root, tmp_path / "ws", ignore=shutil.ignore_patterns("recording", "export", "report")
-    )
-    (tmp_path / "ws" / "recording").symlink_to(tiny_workspace.recording)
-    return tmp_path / "ws"
 
 
 @pytest.fixture

@@ -17,7 +17,7 @@ from rpl_data.twin.resting import resting_rotations
 from rpl_data.twin.spec import Cast, Thing
 from rpl_data.types import DataError
 
-RECIPES = Path(__file__).parent.parent / "datasets"
+RECIPES = Path(__file__).parents[2] / "datasets"
 
 
 @pytest.mark.parametrize("name", OBJECTS)

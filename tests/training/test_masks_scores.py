@@ -24,7 +24,7 @@ from training.masks.scores import average_precision, score_split
 from training.masks.weights import Segmenter
 from training.predict_masks import predict_masks, predict_to
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "training/examples/plain_torchvision.py"
 
 

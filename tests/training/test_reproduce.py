@@ -27,7 +27,7 @@ from training.reproduce.table1.experiment import measure
 from training.reproduce.table1.page import write_page
 from training.reproduce.table1.worst import worst_scenes
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 
 
 def test_help_is_quick_and_lists_every_command() -> None:

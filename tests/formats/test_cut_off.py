@@ -24,7 +24,7 @@ from rpl_data.recordings.open import READERS, UNPACKERS, open_scenes
 from rpl_data.types import Recording
 
 TIMES_S = [t * 1e-6 for t in test_klg.TIMES_US]
-BAG = Path(__file__).parent / "data" / "realsense.bag"
+BAG = Path(__file__).parents[1] / "data" / "realsense.bag"
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from rpl_data.images import read_color, read_depth_m
 from rpl_data.recordings.open import open_scenes
 from rpl_data.types import DataError, Recording
 
-BAG = Path(__file__).parent / "data" / "realsense.bag"
+BAG = Path(__file__).parents[1] / "data" / "realsense.bag"
 BAG_PAIRS = 120
 
 

@@ -23,7 +23,7 @@ from rpl_data.recordings.open import open_scenes
 from rpl_data.types import DataError, Mesh
 from rpl_data.workspace.workspace import Workspace
 
-DATASETS = Path(__file__).parent.parent / "datasets"
+DATASETS = Path(__file__).parents[2] / "datasets"
 YCB = DATASETS / "ycb_video.yaml"
 CORNERS = np.array([[x, y, z] for x in (-0.03, 0.03) for y in (-0.04, 0.04) for z in (-0.05, 0.05)])
 MUSTARD = "006_mustard_bottle"

@@ -7,7 +7,7 @@ import pytest
 from rpl_data.pipeline.recipe import load_recipe, recipe_to_yaml
 from rpl_data.types import DataError
 
-DATASETS = Path(__file__).parent.parent / "datasets"
+DATASETS = Path(__file__).parents[2] / "datasets"
 CUBE = """
 name: cube_on_desk
 scenes:

@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from annotate_client import OBJECT, act, client_of, unpacked
 from fastapi.testclient import TestClient
-from test_annotate_server import OBJECT, act, client_of
-from test_annotate_solid import root, unpacked  # noqa: F401
 
 from rpl_data.formats.models.meshlab import write_picked_points
 from rpl_data.formats.models.sparse_model import (
@@ -31,7 +30,7 @@ MOVED = from_rotvec(np.array([0.4, -0.9, 0.3]), np.array([0.5, 0.2, -0.7]))
 
 
 @pytest.fixture
-def client(root: Path) -> TestClient:  # noqa: F811
+def client(root: Path) -> TestClient:
     return client_of(root)
 
 
@@ -99,7 +98,7 @@ def test_millimetres_are_noticed(client: TestClient, truth: Solution, tmp_path: 
 
 def test_a_mesh_with_picked_keypoints_becomes_the_dense_model(
     client: TestClient,
-    root: Path,  # noqa: F811
+    root: Path,
     truth: Solution,
     tmp_path: Path,
     tiny_workspace: Workspace,
@@ -130,7 +129,7 @@ def test_a_mesh_with_picked_keypoints_becomes_the_dense_model(
 
 def test_a_grasp_is_in_the_result_in_both_files_and_in_the_export(
     client: TestClient,
-    root: Path,  # noqa: F811
+    root: Path,
     tmp_path: Path,
     tiny_workspace: Workspace,
 ) -> None:

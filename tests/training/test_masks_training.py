@@ -24,7 +24,7 @@ from training.masks.results import predict
 from training.masks.settings import Settings, learning_rate, load_settings
 from training.masks.weights import Segmenter, load_segmenter, load_weights
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 SMALL = ModelConfig(
     backbone="resnet18", size_px=64, channels=32, hidden=64, proposals=50, rois=16, norm="batch"
 )

@@ -8,9 +8,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from annotate_client import client_of
 from fastapi.testclient import TestClient
-from test_annotate_server import client_of
-from test_annotate_solid import root  # noqa: F401
 
 from rpl_data.annotate.stores.pictures import resized
 from rpl_data.images import read_color
@@ -19,11 +18,11 @@ from rpl_data.workspace.workspace import Workspace
 
 
 @pytest.fixture
-def client(root: Path) -> TestClient:  # noqa: F811
+def client(root: Path) -> TestClient:
     return client_of(root)
 
 
-def test_every_labelled_frame_is_listed_with_its_worst_quality(client: TestClient, root: Path) -> None:  # noqa: F811
+def test_every_labelled_frame_is_listed_with_its_worst_quality(client: TestClient, root: Path) -> None:
     found = client.get("/api/labels/01").json()["frames"]
     labels = list(Workspace(root).load_labels("01"))
     assert [item["frame"] for item in found] == [label.frame for label in labels]
@@ -34,7 +33,7 @@ def test_every_labelled_frame_is_listed_with_its_worst_quality(client: TestClien
     assert client.get("/api/labels/none").json()["frames"] == []
 
 
-def test_a_picture_is_the_frame_with_its_labels(client: TestClient, root: Path) -> None:  # noqa: F811
+def test_a_picture_is_the_frame_with_its_labels(client: TestClient, root: Path) -> None:
     workspace = Workspace(root)
     answer = client.get("/api/labels/01/3.jpg?width=300")
     shown = cv2.imdecode(np.frombuffer(answer.content, np.uint8), cv2.IMREAD_COLOR_RGB)
@@ -49,7 +48,7 @@ def test_a_picture_is_the_frame_with_its_labels(client: TestClient, root: Path) 
     assert client.get("/api/labels/01/99.jpg").status_code == 422
 
 
-def test_frames_left_out_stay_out_of_the_export(client: TestClient, root: Path) -> None:  # noqa: F811
+def test_frames_left_out_stay_out_of_the_export(client: TestClient, root: Path) -> None:
     from rpl_data.pipeline.build import context_of
     from rpl_data.pipeline.stages.export import export_labels, export_steps
 
