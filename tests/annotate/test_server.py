@@ -307,6 +307,6 @@ def test_nothing_is_fetched_from_elsewhere(client: TestClient) -> None:
     answer = client.get("/")
     assert "default-src 'self'" in answer.headers["content-security-policy"]
     static = Path(__file__).parents[2] / "rpl_data/annotate/static"
-    for path in static.iterdir():
+    for path in static.rglob("*.*"):
         text = path.read_text().replace("http://www.w3.org", "")
         assert "http://" not in text and "https://" not in text, path

@@ -48,7 +48,7 @@ SCENES, FRAMES = 20, 9000
 CLICKS, CHANGES = 30, 20
 
 WATCH = """async () => {
-    const { app, onChange } = await import("/static/store.js");
+    const { app, onChange } = await import("/static/state/store.js");
     window.taken = [];
     window.released = null;
     window.addEventListener("pointerup", () => (window.released = performance.now()), true);
@@ -60,13 +60,13 @@ WATCH = """async () => {
     }, () => [app.result, app.state, app.waiting]);
 }"""
 SELECTED = """async () => {
-    const { projectedKeypoints } = await import("/static/marks.js");
-    const { app } = await import("/static/store.js");
+    const { projectedKeypoints } = await import("/static/image/marks.js");
+    const { app } = await import("/static/state/store.js");
     return projectedKeypoints()[app.keypoint];
 }"""
 GO = """async (row) => {
-    const { goToRow } = await import("/static/frames.js");
-    const { app, frame } = await import("/static/store.js");
+    const { goToRow } = await import("/static/image/frames.js");
+    const { app, frame } = await import("/static/state/store.js");
     const started = performance.now();
     goToRow(row);
     const picture = document.getElementById("picture");
@@ -144,7 +144,7 @@ def opened(browser: Browser, server: Server) -> tuple[Page, float]:
 def settled(page: Page) -> None:
     """Wait until there is a result of what was done last."""
     asked = """async () => {
-        const { app } = await import("/static/store.js");
+        const { app } = await import("/static/state/store.js");
         return Boolean(app.result) && !app.waiting && app.result.revision === app.state?.revision;
     }"""
     while not page.evaluate(asked):
@@ -156,7 +156,7 @@ def free_place(page: Page, random: np.random.Generator) -> tuple[float, float]:
     while True:
         x, y = on_page(page, *random.uniform((60, 60), (580, 420)))
         taken = """async ([x, y]) => {
-            const { markAt } = await import("/static/marks.js");
+            const { markAt } = await import("/static/image/marks.js");
             const box = document.getElementById("marks").getBoundingClientRect();
             return markAt(x - box.x, y - box.y) !== null;
         }"""

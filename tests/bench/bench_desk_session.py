@@ -40,7 +40,7 @@ NOISE_PX = 1.0
 SECONDS = {"click": 1.35 + 1.1 + 0.2, "double click": 1.35 + 1.1 + 0.4, "key": 1.35 + 0.28, "command": 15.0}
 """Think, point, press; a command line is some 50 keys. Dragging a polygon counts as two clicks."""
 STATE = """async () => {
-    const { app, frame } = await import("/static/store.js");
+    const { app, frame } = await import("/static/state/store.js");
     const settled = !app.waiting && app.result?.revision === app.state?.revision;
     const { scene, keypoint, next, fresh } = app;
     return { settled, scene, frame: frame(), keypoint, next, fresh };

@@ -89,7 +89,7 @@ def view(page: Page) -> dict[str, float]:
     """Zoom, and where the image's corner is in the page."""
     return page.evaluate(
         """async () => {
-            const { view } = await import("/static/canvas.js");
+            const { view } = await import("/static/image/view.js");
             const box = document.getElementById("marks").getBoundingClientRect();
             return { zoom: view.zoom, x: box.x + view.left, y: box.y + view.top };
         }"""
@@ -105,7 +105,8 @@ def zoom_to(page: Page, zoom: float, u: float, v: float) -> None:
     x, y = on_page(page, u, v)
     page.evaluate(
         """async ([zoom, x, y]) => {
-            const { view, zoomBy } = await import("/static/canvas.js");
+            const { view } = await import("/static/image/view.js");
+            const { zoomBy } = await import("/static/image/canvas.js");
             const box = document.getElementById("marks").getBoundingClientRect();
             zoomBy(zoom / view.zoom, x - box.x, y - box.y);
         }""",

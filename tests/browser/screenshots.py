@@ -142,14 +142,14 @@ def select(page: Page, keypoint: int) -> None:
 
 def go_to(page: Page, frame: int) -> None:
     """Open a frame of the scene that is open, with the slider."""
-    store = "const { app, rowOf } = await import('/static/store.js');"
+    store = "const { app, rowOf } = await import('/static/state/store.js');"
     row = page.evaluate(f"async (frame) => {{ {store} return rowOf(app.scene, frame); }}", frame)
     page.locator("#scrub").fill(str(row))
     expect(page.locator("#picture")).to_have_attribute("data-frame", f"{scene_of(page)}/{frame}")
 
 
 def scene_of(page: Page) -> str:
-    return str(page.evaluate("async () => (await import('/static/store.js')).app.scene"))
+    return str(page.evaluate("async () => (await import('/static/state/store.js')).app.scene"))
 
 
 def picture(page: Page, path: Path) -> None:

@@ -128,8 +128,8 @@ def test_the_model_is_projected_as_the_library_does(
     expect(page.locator("#scenes .good")).to_have_count(3)
     found: Any = page.evaluate(
         """async () => {
-            const { projectedKeypoints } = await import("/static/marks.js");
-            const { openScene } = await import("/static/frames.js");
+            const { projectedKeypoints } = await import("/static/image/marks.js");
+            const { openScene } = await import("/static/image/frames.js");
             for (const name of ["00", "01", "02"]) await openScene(name);
             return ["00", "01", "02"].map((s) => [0, 1, 2, 3, 4, 5].map((row) => projectedKeypoints(s, row)));
         }"""

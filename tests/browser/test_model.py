@@ -57,7 +57,7 @@ def test_three_clicks_place_a_loaded_model(
     write_sparse_model(tmp_path / "sparse_model.txt", truth.load_solution("carton").model.points_object)
     choose(page, "Load a known model", tmp_path / "sparse_model.txt")
     saved(page)
-    frame = int(page.evaluate("async () => (await import('/static/store.js')).frame()"))
+    frame = int(page.evaluate("async () => (await import('/static/state/store.js')).frame()"))
     label = next(label for label in truth.load_labels("00") if label.frame == frame).instances[0]
     for keypoint in np.flatnonzero(label.visibility == 2)[:3]:
         page.locator("#keypoints li").nth(int(keypoint)).locator("button").first.click()

@@ -50,7 +50,7 @@ def test_all_text_can_be_read(page: Page, theme: str) -> None:
         page.keyboard.press("t")
     page.evaluate(
         """async () => {
-            const { change } = await import("/static/store.js");
+            const { change } = await import("/static/state/store.js");
             change({ alert: { text: "Not saved: the disk is full", again: true } });
         }"""
     )

@@ -14,7 +14,7 @@ from rpl_data.workspace.workspace import Workspace
 
 MOST_ACTIONS = 60
 STATE = """async () => {
-    const { app, frame } = await import("/static/store.js");
+    const { app, frame } = await import("/static/state/store.js");
     return { next: app.next, scene: app.scene, frame: frame(), keypoint: app.keypoint, waiting: app.waiting,
         stale: app.result?.revision !== app.state?.revision };
 }"""

@@ -1,28 +1,28 @@
 // The page: loads the workspace, joins the parts, and keeps the address bar at the place one is at.
 
-import { get, post } from "./api.js";
-import * as canvas from "./canvas.js";
-import * as contact from "./contact.js";
-import * as crop from "./crop.js";
-import * as dense from "./dense.js";
-import { ask } from "./dom.js";
-import * as files from "./files.js";
-import { openScene } from "./frames.js";
-import * as grasp from "./grasp.js";
-import * as jobs from "./jobs.js";
-import * as keypoints from "./keypoints.js";
-import * as keys from "./keys.js";
-import * as log from "./log.js";
-import * as loupe from "./loupe.js";
-import * as mask from "./mask.js";
-import { listen } from "./news.js";
-import * as model from "./model.js";
-import * as next from "./next.js";
-import * as results from "./results.js";
-import * as scenes from "./scenes.js";
-import * as solid from "./solid.js";
-import { app, change, frame, onChange } from "./store.js";
-import * as timeline from "./timeline.js";
+import { get } from "./state/api.js";
+import * as canvas from "./image/canvas.js";
+import * as contact from "./panels/contact.js";
+import * as crop from "./solid/crop.js";
+import * as dense from "./solid/dense.js";
+import * as files from "./panels/files.js";
+import { openScene } from "./image/frames.js";
+import * as grasp from "./panels/grasp.js";
+import * as jobs from "./panels/jobs.js";
+import * as keypoints from "./panels/keypoints.js";
+import * as keys from "./panels/keys.js";
+import * as log from "./state/log.js";
+import * as loupe from "./image/loupe.js";
+import * as mask from "./image/mask.js";
+import { listen } from "./state/news.js";
+import * as model from "./panels/model.js";
+import * as next from "./panels/next.js";
+import { newObject, openObject } from "./panels/objects.js";
+import * as results from "./panels/results.js";
+import * as scenes from "./panels/scenes.js";
+import * as solid from "./solid/solid.js";
+import { app, change, frame, onChange } from "./state/store.js";
+import * as timeline from "./image/timeline.js";
 
 const by = (id) => document.getElementById(id);
 
@@ -53,12 +53,6 @@ async function open() {
   await log.load(object);
   await openScene(scene, index);
   if (!place.has("keypoint")) keypoints.selectOpen();
-}
-
-export async function openObject(name) {
-  change({ state: null, result: null, next: null, dense: null, mask: null, suggestions: {}, keypoint: 0 });
-  await log.load(name);
-  keypoints.selectOpen();
 }
 
 function rememberPlace() {
@@ -115,23 +109,6 @@ function setUpButtons() {
   on("object", (event) => openObject(event.target.value), "change");
   on("new-object", newObject);
   for (const tab of document.querySelectorAll("#views button")) tab.addEventListener("click", () => change({ view: tab.dataset.view }));
-}
-
-async function newObject() {
-  const answer = await ask("Another object in these scenes", [
-    { label: "name", value: "" },
-    { label: "keypoints: how many, or their names with commas between", value: "8" },
-  ]);
-  if (!answer) return;
-  const [name, wanted] = answer, count = Number(wanted);
-  const names = Number.isInteger(count) ? Array.from({ length: count }, (_, k) => String(k)) : wanted.split(",").map((n) => n.trim());
-  try {
-    const { objects } = await post("/api/objects", { name, keypoints: names });
-    change({ workspace: { ...app.workspace, objects } });
-    await openObject(name);
-  } catch (error) {
-    log.alertOnce(error.message);
-  }
 }
 
 function setUpTheme() {

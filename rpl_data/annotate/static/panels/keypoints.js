@@ -1,7 +1,7 @@
 // The list of keypoints: which one is marked next, and everything that can be done to the list itself.
 
-import { app, change, clicksIn, frame as frameNow, isSkipped, keypointTitle, onChange, residualOf } from "./store.js";
-import { act, alertOnce } from "./log.js";
+import { app, change, clicksIn, frame as frameNow, isSkipped, keypointTitle, onChange, residualOf } from "../state/store.js";
+import { act, alertOnce } from "../state/log.js";
 import { ask, element, refill } from "./dom.js";
 
 const list = document.getElementById("keypoints");

@@ -1,8 +1,8 @@
 // The frames of a scene: a row of thumbnails, a bar with what is marked where, and a slider to scrub.
 
-import { picturePath } from "./api.js";
+import { picturePath } from "../state/api.js";
 import { goToRow } from "./frames.js";
-import { app, change, clicksIn, frame, onChange, poses, rowOf } from "./store.js";
+import { app, change, clicksIn, frame, onChange, poses, rowOf } from "../state/store.js";
 
 const thumbnails = document.getElementById("thumbnails");
 const bar = document.getElementById("bar");

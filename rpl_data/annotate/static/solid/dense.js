@@ -1,8 +1,8 @@
 // Points around the object in every scene, and its dense model: fetched once, moved by every new result.
 
-import { get, objectPath } from "./api.js";
-import { apply, invert, multiply } from "./camera.js";
-import { app, change, clicksIn, onChange } from "./store.js";
+import { get, objectPath } from "../state/api.js";
+import { apply, invert, multiply } from "../image/camera.js";
+import { app, change, clicksIn, onChange } from "../state/store.js";
 
 const clouds = new Map(); // scene -> {key, points, colors}
 let model = null, asked = null, placedFor; // the result it was placed for

@@ -3,13 +3,14 @@
 import { addEntry } from "./files.js";
 import { addKeys } from "./keys.js";
 import { takeClicks } from "./keypoints.js";
-import { act, alertOnce } from "./log.js";
-import { addTraces, xyz } from "./solid.js";
-import { app, change, frame } from "./store.js";
+import { act, alertOnce } from "../state/log.js";
+import { addTraces, xyz } from "../solid/solid.js";
+import { app, change, frame } from "../state/store.js";
 
 const LENGTH_M = 0.05;
 const AXES = [["x", "#e5484d"], ["y", "#30a46c"], ["z", "#3e8bff"]];
-let usual = null; // the next step, while the clicks of a grasp are asked for
+const WHERE = "grasp: click on the object where it is to be grasped (W gives it up)";
+const TOWARD = "grasp: now click, in this frame, toward where its x axis is to point (W gives it up)";
 
 export function setUp() {
   addEntry("Mark a grasp", "two clicks on the object: where to grasp, and toward where the gripper's x axis points", begin);
@@ -20,12 +21,11 @@ export function setUp() {
 }
 
 function begin() {
-  usual = app.next;
-  change({ view: "mark", pendingGrasp: {}, next: { text: "grasp: click on the object where it is to be grasped (W gives it up)" } });
+  change({ view: "mark", pendingGrasp: { text: WHERE } });
 }
 
 function end() {
-  change({ pendingGrasp: null, next: app.result?.next || usual });
+  change({ pendingGrasp: null });
 }
 
 // True when the click was for the grasp.
@@ -34,11 +34,10 @@ function place(u_px, v_px) {
   if (!begun) return false;
   const here = { scene: app.scene, frame: frame() };
   if (begun.scene !== here.scene || begun.frame !== here.frame) {
-    const text = "grasp: now click, in this frame, toward where its x axis is to point (W gives it up)";
-    change({ pendingGrasp: { ...here, u_px, v_px }, next: { text } });
+    change({ pendingGrasp: { ...here, u_px, v_px, text: TOWARD } });
     return true;
   }
-  finish({ ...begun, toward_u_px: u_px, toward_v_px: v_px });
+  finish({ ...here, u_px: begun.u_px, v_px: begun.v_px, toward_u_px: u_px, toward_v_px: v_px });
   return true;
 }
 

@@ -1,9 +1,9 @@
 // How good it is: errors a scene and a click, what is wrong, what is missing.
 
 import { element, refill } from "./dom.js";
-import { openScene } from "./frames.js";
+import { openScene } from "../image/frames.js";
 import { looks } from "./looks.js";
-import { app, frame, keypointTitle, onChange, residualOf } from "./store.js";
+import { app, frame, keypointTitle, onChange, residualOf } from "../state/store.js";
 
 const panel = document.getElementById("result");
 const STEPS = [

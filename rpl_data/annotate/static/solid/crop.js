@@ -1,9 +1,9 @@
 // The crop box: what is outside of it never becomes part of the dense model. Shown while a slider moves, saved when it rests.
 
-import { element } from "./dom.js";
-import { act } from "./log.js";
+import { element } from "../panels/dom.js";
+import { act } from "../state/log.js";
 import { addTraces, cutTo, nearBox, stage, xyz } from "./solid.js";
-import { app, change, onChange } from "./store.js";
+import { app, change, onChange } from "../state/store.js";
 
 const SIDES = [0, 1, 2].flatMap((axis) => [0, 1].map((side) => ({ axis, side, name: `${"xyz"[axis]} ${side ? "to" : "from"}` })));
 const LEAST_M = 0.005;

@@ -1,15 +1,15 @@
 // Builds: the dense model, the labels, the dataset. They run on the server and go on when the page is closed.
 
-import { get, post } from "./api.js";
-import { openObject } from "./app.js";
-import * as dense from "./dense.js";
+import { get, post } from "../state/api.js";
+import { openObject } from "./objects.js";
+import * as dense from "../solid/dense.js";
 import { element } from "./dom.js";
-import { openScene } from "./frames.js";
+import { openScene } from "../image/frames.js";
 import { addKeys } from "./keys.js";
-import { alertOnce } from "./log.js";
-import { onNews } from "./news.js";
+import { alertOnce } from "../state/log.js";
+import { onNews } from "../state/news.js";
 import { onAction } from "./next.js";
-import { app, change, onChange } from "./store.js";
+import { app, change, onChange } from "../state/store.js";
 
 const panel = document.getElementById("jobs");
 const STEPS = [

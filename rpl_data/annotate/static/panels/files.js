@@ -1,10 +1,10 @@
 // The menu of files: clicks as CSV in and out; other parts of the page add their entries.
 
-import { objectPath, post } from "./api.js";
+import { objectPath, post } from "../state/api.js";
 import { closeDialog, element, show } from "./dom.js";
 import { addKeys } from "./keys.js";
-import * as log from "./log.js";
-import { app } from "./store.js";
+import * as log from "../state/log.js";
+import { app } from "../state/store.js";
 
 const entries = [
   ["Export clicks (CSV)", "every click of this object: object, keypoint, scene, frame, u_px, v_px", exportClicks],

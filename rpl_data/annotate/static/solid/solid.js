@@ -1,9 +1,9 @@
 // The 3D view: keypoints, what every scene saw around them, the dense model. It follows every click.
 
 import { cloud, denseModel, shownScenes } from "./dense.js";
-import { element } from "./dom.js";
-import { addKeys } from "./keys.js";
-import { app, change, keypointTitle, onChange } from "./store.js";
+import { element } from "../panels/dom.js";
+import { addKeys } from "../panels/keys.js";
+import { app, change, keypointTitle, onChange } from "../state/store.js";
 
 export const SCENE_COLORS = ["#0a84d6", "#e08a00", "#12a06a", "#d65aa0", "#8f6bf0", "#d9480f", "#5f9e00", "#00a3a3"];
 const MM = 1000, STILL_PX = 4;

@@ -1,13 +1,13 @@
 // Everything by keyboard, and the sheet that lists it.
 
-import { cursorOnScreen, fit, nudge, zoomBy } from "./canvas.js";
+import { cursorOnScreen, fit, nudge, zoomBy } from "../image/canvas.js";
 import { element, show, closeDialog } from "./dom.js";
-import { goToRow } from "./frames.js";
+import { goToRow } from "../image/frames.js";
 import * as keypoints from "./keypoints.js";
 import * as scenes from "./scenes.js";
-import * as timeline from "./timeline.js";
-import { act } from "./log.js";
-import { app, change, poses } from "./store.js";
+import * as timeline from "../image/timeline.js";
+import { act } from "../state/log.js";
+import { app, change, poses } from "../state/store.js";
 
 const brighter = (by) => change({ brightness: Math.round(10 * Math.max(0.4, Math.min(3, app.brightness + by))) / 10 });
 const placeAtCursor = () => app.cursor && keypoints.place(app.cursor.u, app.cursor.v);

@@ -1,7 +1,7 @@
 // Scenes, poses and pictures, fetched when they are first needed.
 
-import { binary, get, objectPath, picturePath, scenePath } from "./api.js";
-import { app, change, clicksIn, frame, poses, rowOf, scene } from "./store.js";
+import { binary, get, objectPath, picturePath, scenePath } from "../state/api.js";
+import { app, change, clicksIn, frame, poses, rowOf, scene } from "../state/store.js";
 
 const MOST_PICTURES = 48;
 const pictures = new Map(); // address -> {image, ready}

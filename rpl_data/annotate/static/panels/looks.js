@@ -1,8 +1,8 @@
 // What a keypoint looks like where it is marked already, so that it is found again in another scene.
 
-import { scenePath } from "./api.js";
+import { scenePath } from "../state/api.js";
 import { element } from "./dom.js";
-import { app } from "./store.js";
+import { app } from "../state/store.js";
 
 const MOST = 3;
 

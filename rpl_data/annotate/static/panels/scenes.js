@@ -1,8 +1,8 @@
 // The list of scenes: how far each one is, and how good.
 
-import { openScene, suggestions } from "./frames.js";
+import { openScene, suggestions } from "../image/frames.js";
 import { selectOpen } from "./keypoints.js";
-import { app, change, clicksIn, isSkipped, onChange } from "./store.js";
+import { app, change, clicksIn, isSkipped, onChange } from "../state/store.js";
 import { element, refill } from "./dom.js";
 
 const list = document.getElementById("scenes");

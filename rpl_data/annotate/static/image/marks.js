@@ -1,8 +1,8 @@
 // What is drawn over the picture: clicks, the model projected into the frame, and the cursor.
 
 import { apply, invert, multiply, poseAt, project } from "./camera.js";
-import { clicksHere, toScreen, view } from "./canvas.js";
-import { app, frame, poses, residualOf, scene } from "./store.js";
+import { clicksHere, toScreen, view } from "./view.js";
+import { app, frame, poses, residualOf, scene } from "../state/store.js";
 
 const REACH_PX = 9;
 

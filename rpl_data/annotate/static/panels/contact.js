@@ -1,12 +1,12 @@
 // The contact sheet: the labels on small pictures, a page of a scene at a time; a picture opens its frame.
 
-import { get, post } from "./api.js";
-import { openScene } from "./frames.js";
+import { get, post } from "../state/api.js";
+import { openScene } from "../image/frames.js";
 import { element } from "./dom.js";
 import { addKeys } from "./keys.js";
-import { alertOnce } from "./log.js";
-import { onNews } from "./news.js";
-import { app, change, onChange } from "./store.js";
+import { alertOnce } from "../state/log.js";
+import { onNews } from "../state/news.js";
+import { app, change, onChange } from "../state/store.js";
 
 const PAGE = 48;
 const section = document.getElementById("labels");

@@ -1,20 +1,17 @@
-// The image and what is marked on it: zoom at the cursor, pan, click, drag. Screen and image are tied by
-// x = (u + 0.5) * zoom + left: (0, 0) is the centre of the top-left pixel.
+// The image and what is marked on it: zoom at the cursor, pan, click, drag.
 
 import { fetchNeighbours, onlyFetch, picture, wantedWidth } from "./frames.js";
 import { drawMarks, markAt } from "./marks.js";
-import { app, change, clicksIn, frame, poses, scene } from "./store.js";
+import { app, change, frame, scene } from "../state/store.js";
+import { isInside, toImage, toScreen, view } from "./view.js";
 
 const pictureCanvas = document.getElementById("picture");
 const marksCanvas = document.getElementById("marks");
 const stage = document.getElementById("stage");
 const MOST_ZOOM = 64, STILL_PX = 4;
 
-export const view = { zoom: 1, left: 0, top: 0, fitted: true };
 let shownScene = null, placing = () => {}, moving = () => {}, drag = null, last = null, wanted = null;
 
-export const toScreen = ([u, v]) => [(u + 0.5) * view.zoom + view.left, (v + 0.5) * view.zoom + view.top];
-export const toImage = (x, y) => [(x - view.left) / view.zoom - 0.5, (y - view.top) / view.zoom - 0.5];
 
 // place(u, v) puts the selected keypoint there; move(click, u, v) moves a mark.
 export function setUp({ place, move }) {
@@ -77,7 +74,6 @@ export function nudge(dx, dy) {
 }
 
 const clamp = (value, size) => Math.min(size - 0.501, Math.max(-0.5, value));
-export const isInside = (u, v) => u >= -0.5 && v >= -0.5 && u < scene().width - 0.5 && v < scene().height - 0.5;
 
 function position(event) {
   const box = marksCanvas.getBoundingClientRect();
@@ -176,4 +172,3 @@ function drawPicture(entry) {
 }
 
 export const currentPicture = () => last;
-export const clicksHere = () => (poses() ? clicksIn(app.scene, frame()) : []);

@@ -1,9 +1,10 @@
 // The pixels around the cursor, eight times enlarged, with the depth there.
 
-import { currentPicture, toScreen } from "./canvas.js";
+import { currentPicture } from "./canvas.js";
+import { toScreen } from "./view.js";
 import { describeDepth } from "./depth.js";
 import { depthAround, picture } from "./frames.js";
-import { app, change, frame, scene } from "./store.js";
+import { app, change, frame, scene } from "../state/store.js";
 
 const canvas = document.getElementById("loupe");
 const readout = document.getElementById("readout");

@@ -1,7 +1,7 @@
 // The mask of the labels in the current frame, fetched while it is shown.
 
-import { scenePath } from "./api.js";
-import { app, change, frame, onChange } from "./store.js";
+import { scenePath } from "../state/api.js";
+import { app, change, frame, onChange } from "../state/store.js";
 
 let shown = "";
 

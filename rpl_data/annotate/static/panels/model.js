@@ -1,15 +1,15 @@
 // A model that is there already: keypoints from a file, or picked on a mesh in the 3D view. Then three
 // clicks place the object in a scene.
 
-import { get, objectPath } from "./api.js";
-import { bytes, floats } from "./dense.js";
+import { get, objectPath } from "../state/api.js";
+import { bytes, floats } from "../solid/dense.js";
 import { ask, element } from "./dom.js";
 import { addEntry, chooseFile } from "./files.js";
 import { selectNext } from "./keypoints.js";
-import { act, alertOnce } from "./log.js";
-import { onNews } from "./news.js";
-import { addTraces, insteadOf, labelFont, onPick, stage, xyz } from "./solid.js";
-import { app, change, keypointTitle, onChange } from "./store.js";
+import { act, alertOnce } from "../state/log.js";
+import { onNews } from "../state/news.js";
+import { addTraces, insteadOf, labelFont, onPick, stage, xyz } from "../solid/solid.js";
+import { app, change, keypointTitle, onChange } from "../state/store.js";
 
 const ACCEPTED = ".txt,.pp,.ply,.obj,.off,.stl";
 const panel = element("div", { id: "model-panel" });

@@ -1,0 +1,43 @@
+// The line that says what to do next, and the way there.
+
+import { addKeys } from "./keys.js";
+import { openScene } from "../image/frames.js";
+import { app, change, frame, onChange } from "../state/store.js";
+
+const text = document.getElementById("next-text");
+const button = document.getElementById("next-go");
+const actions = {};
+
+// Parts of the page say what an action of the server's advice does here.
+export function onAction(name, does) {
+  actions[name] = does;
+}
+
+export function setUp() {
+  button.addEventListener("click", go);
+  addKeys([[["g"], "go to where the next step is", go]]);
+  onChange(draw, () => [app.next, app.pendingGrasp]);
+}
+
+// While a grasp is being marked, its own next click; a result that arrives meanwhile does not hide it.
+const step = () => app.pendingGrasp || app.next;
+
+async function go() {
+  const wanted = step();
+  if (!wanted) return;
+  if (wanted.action && actions[wanted.action]) return actions[wanted.action](wanted);
+  const part = { view: wanted.view || "mark" };
+  if (wanted.keypoint != null) part.keypoint = wanted.keypoint;
+  if (wanted.scene != null) await openScene(wanted.scene, wanted.frame ?? suggested(wanted.scene), part); else change(part);
+}
+
+// The first suggested frame of another scene; null = where one was in it.
+const suggested = (name) => (name === app.scene ? frame() : app.suggestions[name]?.[0]?.frame ?? null);
+
+function draw() {
+  const wanted = step();
+  if (!wanted) return;
+  text.textContent = wanted.text;
+  button.hidden = app.pendingGrasp != null || (wanted.scene == null && !wanted.action && !wanted.view);
+  button.firstChild.textContent = wanted.label || "Take me there ";
+}
