@@ -53,7 +53,7 @@ def spoil(path: Path, change: Callable[[str], str]) -> None:
 
 def test_help_is_quick_and_names_every_command() -> None:
     code = (
-        "import sys; from rpl_data.cli import main\n"
+        "import sys; from rpl_data.cli.main import main\n"
         "try: main(['--help'])\n"
         "except SystemExit: pass\n"
         "print([m for m in ('torch', 'open3d', 'cv2', 'scipy', 'plotly') if m in sys.modules])"
