@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from rpl_data.geometry import Transform, back_project, inside_image, invert, project, transform
-from rpl_data.types import DepthImage, Frame, Intrinsics, Scene, Span, Trajectory
+from rpl_data.types import DepthImage, Intrinsics, ReadDepth, Scene, Span, Trajectory
 
 MAX_DRIFT_MM = 15.0
 """Poses that stray farther are cut, unless the recipe says otherwise."""
@@ -76,7 +76,7 @@ class Drift:
 def measure_drift(
     scene: Scene,
     trajectory: Trajectory,
-    read_depth_m: Callable[[Scene, Frame], DepthImage],
+    read_depth: ReadDepth,
     *,
     most_frames: int = 24,
     most_neighbours: int = 8,
@@ -85,7 +85,7 @@ def measure_drift(
     """Compare `most_frames` depth images with one another, and some with their neighbours.
 
     Args:
-        read_depth_m: reads a depth image.
+        read_depth: reads the depth images of the scene.
         advance: called with the images read and how many will be.
     """
     posed = set(trajectory.frames.tolist())
@@ -96,7 +96,7 @@ def measure_drift(
     depths_m = {}
     for number, row in enumerate(wanted):
         advance(number, len(wanted))
-        depths_m[row] = read_depth_m(scene, frames[row])
+        depths_m[row] = read_depth(frames[row])
 
     def error_m(a: int, b: int) -> float:
         a_from_b = invert(trajectory.at(frames[a].index)) @ trajectory.at(frames[b].index)
@@ -214,7 +214,7 @@ def reprojection_over_gap(
     trajectory: Trajectory,
     *,
     gap: int,
-    read_depth_m: Callable[[Scene, Frame], DepthImage],
+    read_depth: ReadDepth,
     most_pairs: int = 40,
 ) -> GapErrors:
     """Depth reprojection errors between frames `gap` apart, in constant memory.
@@ -222,7 +222,7 @@ def reprojection_over_gap(
     Args:
         gap: in frames of the recording (of `Frame.index`); pairs with a frame that has no pose or no
             depth are left out.
-        read_depth_m: reads a depth image.
+        read_depth: reads the depth images of the scene.
         most_pairs: this many pairs, spread over the recording, are looked at.
     """
     posed = set(trajectory.frames.tolist())
@@ -234,8 +234,8 @@ def reprojection_over_gap(
         depth_reprojection_error_m(
             scene.intrinsics,
             invert(trajectory.at(early)) @ trajectory.at(late),
-            read_depth_m(scene, frames[early]),
-            read_depth_m(scene, frames[late]),
+            read_depth(frames[early]),
+            read_depth(frames[late]),
         )
         for early, late in pairs.tolist()
     ]

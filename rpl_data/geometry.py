@@ -17,6 +17,8 @@ Units are metres, pixels, seconds, radians unless a name says otherwise.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Float64
@@ -247,3 +249,25 @@ def square_box(uv_px: Pixels, *, scale: float = 1.5) -> SquareBox:
     low, high = uv_px.min(axis=0), uv_px.max(axis=0)
     centre = (low + high) / 2
     return SquareBox(float(centre[0]), float(centre[1]), float((high - low).max() * scale))
+
+
+@dataclass(frozen=True)
+class Sphere:
+    """A ball of space, in the frame its user says.
+
+    Attributes:
+        centre_m: its centre, metres.
+        radius_m: its radius, metres.
+    """
+
+    centre_m: Float64[np.ndarray, "3"]
+    radius_m: float
+
+
+def sphere_around(points: Points, *, factor: float = 1.8, margin_m: float = 0.06) -> Sphere:
+    """The ball about the centroid of points that reaches `factor` times as far as they do, and a margin more.
+
+    With the defaults it holds an object whose keypoints the points are, and some of what it stands on.
+    """
+    centre = points.mean(axis=0)
+    return Sphere(centre, factor * float(np.linalg.norm(points - centre, axis=1).max()) + margin_m)

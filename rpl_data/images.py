@@ -2,11 +2,23 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import cv2
 import numpy as np
 from jaxtyping import UInt16
 
-from rpl_data.types import ColorImage, DataError, DepthImage, DepthUnits, DepthWarp, Frame, GreyImage, Scene
+from rpl_data.types import (
+    ColorImage,
+    DataError,
+    DepthImage,
+    DepthUnits,
+    DepthWarp,
+    Frame,
+    GreyImage,
+    ReadDepth,
+    Scene,
+)
 
 REDUCED_GREY = {
     1: cv2.IMREAD_GRAYSCALE,
@@ -44,6 +56,11 @@ def read_grey(frame: Frame, *, reduce: int) -> GreyImage:
 def read_depth_m(scene: Scene, frame: Frame) -> DepthImage:
     """The depth image in metres, 0 = none; DataError when it is missing, broken or of another size."""
     return in_metres(scene, read_depth_units(scene, frame))
+
+
+def depth_reader(scene: Scene) -> ReadDepth:
+    """Read the depth images of a scene from its recording, without a cache."""
+    return partial(read_depth_m, scene)
 
 
 def in_metres(scene: Scene, units: DepthUnits) -> DepthImage:

@@ -8,7 +8,7 @@ Missing is absent, ``None`` or, in a row of an array that is otherwise numbers, 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, TypedDict
@@ -387,3 +387,6 @@ DepthUnits = UInt16[np.ndarray, "height width"]
 
 Span = tuple[int, int]
 """First and last frame (`Frame.index`)."""
+
+ReadDepth = Callable[[Frame], DepthImage]
+"""Gives the depth image of a frame in metres, 0 = none: from a workspace's cache or from the recording."""

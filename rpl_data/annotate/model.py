@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import tempfile
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -13,12 +12,11 @@ from rpl_data.clicks.log import Annotation, Event
 from rpl_data.formats.models.meshlab import read_picked_points
 from rpl_data.formats.models.sparse_model import read_sparse_model
 from rpl_data.geometry import Points
-from rpl_data.json_arrays import rows_to_json
+from rpl_data.json_arrays import Json, rows_to_json
 from rpl_data.meshes import load_mesh, save_mesh, simplified
 from rpl_data.types import DataError, Mesh
 from rpl_data.workspace.workspace import Workspace
 
-Json = dict[str, Any]
 MESHES = (".ply", ".obj", ".off", ".stl")
 LARGEST_M = 5.0
 MOST_TRIANGLES = 12_000

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import asdict
-from typing import Any
 
 import numpy as np
 
@@ -15,11 +14,9 @@ from rpl_data.annotate.log import Revision
 from rpl_data.annotate.session import Result
 from rpl_data.annotate.stores.scenes import PosedScene
 from rpl_data.clicks.log import Event
-from rpl_data.json_arrays import numbers, rows_to_json
+from rpl_data.json_arrays import Json, numbers, rows_to_json
 from rpl_data.overlay import keypoint_color
 from rpl_data.types import ClickResidual, Solution
-
-Json = dict[str, Any]
 
 
 def scene_payload(posed: PosedScene) -> Json:

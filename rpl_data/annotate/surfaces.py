@@ -11,20 +11,19 @@ import base64
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float64, UInt8
 
 from rpl_data.annotate.session import Result
 from rpl_data.annotate.stores.scenes import PosedScene, SceneStore
-from rpl_data.geometry import Points, back_project, transform
+from rpl_data.geometry import Points, Sphere, back_project, sphere_around, transform
 from rpl_data.images import read_color
+from rpl_data.json_arrays import Json
 from rpl_data.meshes import load_mesh, simplified
 from rpl_data.types import DataError, DepthImage
 from rpl_data.workspace.workspace import Workspace
 
-Json = dict[str, Any]
 MOST_POINTS = 5000
 """A scene: enough to see whether two surfaces lie on one another, few enough for a slow link."""
 MOST_TRIANGLES = 6000
@@ -41,14 +40,6 @@ class Coloured:
     colors: UInt8[np.ndarray, "n 3"]
 
 
-@dataclass(frozen=True)
-class Surroundings:
-    """The ball of a scene that is shown, scene frame."""
-
-    centre_m: Float64[np.ndarray, "3"]
-    radius_m: float
-
-
 class SurfaceStore:
     """Points of scenes; those used last are kept."""
 
@@ -57,7 +48,7 @@ class SurfaceStore:
         self._fused = lru_cache(SCENES_KEPT)(self._read_fused)
         self._seen = lru_cache(SCENES_KEPT)(self._read_frames)
 
-    def near(self, scene: str, ball: Surroundings, frames: Sequence[int]) -> Coloured:
+    def near(self, scene: str, ball: Sphere, frames: Sequence[int]) -> Coloured:
         """At most `MOST_POINTS` points in the ball.
 
         Args:
@@ -100,7 +91,7 @@ def _seen(posed: PosedScene, frame: int, depth_m: DepthImage) -> Coloured:
     )
 
 
-def _inside(cloud: Coloured, ball: Surroundings) -> Coloured:
+def _inside(cloud: Coloured, ball: Sphere) -> Coloured:
     chosen = np.linalg.norm(cloud.points - ball.centre_m, axis=1) < ball.radius_m
     return Coloured(cloud.points[chosen], cloud.colors[chosen])
 
@@ -116,20 +107,15 @@ def thinned(cloud: Coloured, *, most: int = MOST_POINTS) -> Coloured:
     return cloud
 
 
-def surroundings(result: Result, scene: str) -> Surroundings | None:
+def surroundings(result: Result, scene: str) -> Sphere | None:
     """Around the object where it is placed, else around its lifted clicks; None where there is neither."""
     solution = result.live.solution
     if solution is not None and scene in solution.scene_from_object:
         model = solution.model
         points: Points = transform(solution.scene_from_object[scene], model.points_object[model.known])
-        return _around(points, 1.8, 0.06)
+        return sphere_around(points)
     lifted = [point for click, point in result.lifted if click.scene == scene]
-    return _around(np.array(lifted), 2.0, 0.12) if lifted else None
-
-
-def _around(points: Points, factor: float, margin_m: float) -> Surroundings:
-    centre = points.mean(axis=0)
-    return Surroundings(centre, factor * float(np.linalg.norm(points - centre, axis=1).max()) + margin_m)
+    return sphere_around(np.array(lifted), factor=2.0, margin_m=0.12) if lifted else None
 
 
 def surface_payload(cloud: Coloured) -> Json:

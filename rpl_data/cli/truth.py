@@ -9,7 +9,7 @@ import numpy as np
 
 from rpl_data.evaluate.cad import cads_in, mesh_of
 from rpl_data.files import write_json
-from rpl_data.pipeline.ledger import Json
+from rpl_data.json_arrays import Json
 from rpl_data.pipeline.recipe import Recipe
 from rpl_data.types import DataError, Recording
 

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from rpl_data.geometry import depth_sigma_m, rays
-from rpl_data.types import Click, DataError, DepthImage, Frame, Intrinsics, Observation, Scene, Trajectory
+from rpl_data.types import Click, DataError, DepthImage, Intrinsics, Observation, ReadDepth, Scene, Trajectory
 
 RADIUS_PX = 14.0
 """A D435 loses 5-10 px at depth edges, and a hand is off by 2-3 px."""
@@ -28,11 +28,14 @@ def lift_clicks(
     clicks: Iterable[Click],
     scenes: Mapping[str, Scene],
     trajectories: Mapping[str, Trajectory],
-    read_depth: Callable[[Scene, Frame], DepthImage],
+    depth_reader: Callable[[Scene], ReadDepth],
 ) -> list[Observation]:
     """Lift clicks, in their order; every clicked depth image is read once, and only one is kept.
 
     A click in a frame without a depth image is a ray without candidates.
+
+    Args:
+        depth_reader: gives what reads the depth images of a scene.
 
     Raises:
         DataError: a click names an unknown scene or frame, a frame without a pose, or lies outside the
@@ -54,7 +57,7 @@ def lift_clicks(
         frame = scene.frame(index)
         pose = _pose(first, trajectories[name])
         size = (scene.intrinsics.height, scene.intrinsics.width)
-        depth_m = np.zeros(size, np.float32) if frame.depth is None else read_depth(scene, frame)
+        depth_m = np.zeros(size, np.float32) if frame.depth is None else depth_reader(scene)(frame)
         for number in numbers:
             lifted[number] = lift(clicks[number], scene.intrinsics, pose, depth_m)
     return [lifted[number] for number in range(len(clicks))]

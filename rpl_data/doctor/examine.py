@@ -147,7 +147,7 @@ def _drift(
 ) -> tuple[str, list[Finding]]:
     """How far the poses stray from the start to the end."""
 
-    def depth_m(scene: Scene, frame: Frame) -> DepthImage:
+    def depth_m(frame: Frame) -> DepthImage:
         try:
             return read_depth_m(scene, frame)
         except DataError:  # said already

@@ -105,6 +105,8 @@ def build(
         for stage, plan in STAGES.items():
             steps = plan(context)
             ledger.keep_only(stage, [item.item for item in steps])
+            if stage == "label":
+                label.forget_labels(context)
             for item in steps:
                 _bring_up_to_date(ledger, item, stage in again, tell)
             if stage == until:

@@ -8,28 +8,12 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import astuple, dataclass
 from pathlib import Path
 
-from rpl_data.pipeline.ledger import Advance, Json, Outcome, Step
+from rpl_data.json_arrays import Json
+from rpl_data.pipeline.ledger import Advance, Outcome, Step
 from rpl_data.pipeline.pool import Pool
 from rpl_data.pipeline.recipe import ObjectRecipe, Recipe, SceneSource
 from rpl_data.types import Frame, Scene, Solution, Trajectory
 from rpl_data.workspace.workspace import Workspace
-
-VERSIONS = {
-    "twin": 4,
-    "import": 1,
-    "track": 1,
-    "clicks": 1,
-    "drift": 1,
-    "cut": 1,
-    "solve": 1,
-    "surface": 1,
-    "segment": 1,
-    "label": 1,
-    "export": 1,
-    "quality": 1,
-    "report": 1,
-}
-"""Raised when a stage writes something else for the same input; its steps then run again."""
 
 
 @dataclass(frozen=True)
@@ -111,13 +95,18 @@ def step(
     item: str,
     run: Callable[[Advance], Outcome],
     *,
+    version: int,
     options: Json | None = None,
     sources: Json | None = None,
     after: Sequence[str] = (),
     outputs: Sequence[Path] = (),
 ) -> Step:
-    """A step with the version of its stage."""
-    return Step(stage, item, VERSIONS[stage], options or {}, sources or {}, tuple(after), tuple(outputs), run)
+    """A step, with nothing where nothing is said.
+
+    Args:
+        version: of the stage, kept beside it as `VERSION`.
+    """
+    return Step(stage, item, version, options or {}, sources or {}, tuple(after), tuple(outputs), run)
 
 
 def posed_frames(scene: Scene, trajectory: Trajectory) -> list[Frame]:

@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any
 
 from rpl_data.files import read_json, write_json
+from rpl_data.json_arrays import Json
 
-Json = dict[str, Any]
 IMAGE_SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff"}
 
 

@@ -11,7 +11,17 @@ import numpy as np
 from jaxtyping import Float64
 
 from rpl_data.geometry import NEAREST_M, cropped, invert, project, rays, transform
-from rpl_data.types import ColorImage, DataError, DepthImage, Frame, Intrinsics, Mesh, Scene, Trajectory
+from rpl_data.types import (
+    ColorImage,
+    DataError,
+    DepthImage,
+    Frame,
+    Intrinsics,
+    Mesh,
+    ReadDepth,
+    Scene,
+    Trajectory,
+)
 
 BLOCK_VOXELS = 8  # 8^3 blocks cost half of Open3D's default 16^3 here: fewer voxels far from the surface
 TRUNCATION_VOXELS = 4.0
@@ -21,7 +31,7 @@ def fuse_surface(
     scene: Scene,
     trajectory: Trajectory,
     frames: Iterable[Frame],
-    depths: Callable[[Frame], DepthImage],
+    depths: ReadDepth,
     *,
     centre_scene: Float64[np.ndarray, "3"],
     radius_m: float,

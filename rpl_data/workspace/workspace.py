@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -29,6 +29,7 @@ from rpl_data.types import (
     DepthUnits,
     Frame,
     FrameLabel,
+    ReadDepth,
     Recording,
     Scene,
     Solution,
@@ -256,7 +257,7 @@ class Workspace:
 
     # Decoded depth --------------------------------------------------------------------------------
 
-    def depth_reader(self, scene: Scene, *, keep: bool = False) -> Callable[[Frame], DepthImage]:
+    def depth_reader(self, scene: Scene, *, keep: bool = False) -> ReadDepth:
         """Reads depth images in metres: from the cache where they are in it, else from the recording.
 
         Args:

@@ -10,7 +10,6 @@ import os
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import cv2
@@ -20,7 +19,7 @@ from made_scenes import errors, orbit, tracked
 
 from rpl_data.drift import reprojection_over_gap
 from rpl_data.geometry import fit_rigid, invert, resized, transform
-from rpl_data.images import read_color, read_depth_m, read_grey
+from rpl_data.images import depth_reader, read_color, read_depth_m, read_grey
 from rpl_data.pipeline.stages.track import decoded
 from rpl_data.reconstruct.path import Track, collected
 from rpl_data.reconstruct.surface import fuse_surface
@@ -52,7 +51,7 @@ def kitchen(real_data: Path) -> Recording:
 
 
 def follow(scene: Scene, depths: Callable[[Frame], DepthImage] | None = None) -> Track:
-    images = decoded(scene.frames, depths or partial(read_depth_m, scene), lambda done, total: None)
+    images = decoded(scene.frames, depths or depth_reader(scene), lambda done, total: None)
     return collected(scene, track(scene, images))
 
 
@@ -100,7 +99,9 @@ def against_given(recording: Recording, gaps: tuple[int, ...]) -> None:
     print(f"\n{scene.name}: {len(scene.frames) - len(found.lost)} of {len(scene.frames)} frames tracked")
     for gap in gaps:
         given, ours = (
-            reprojection_over_gap(scene, poses, gap=gap, read_depth_m=read_depth_m, most_pairs=100).median_m
+            reprojection_over_gap(
+                scene, poses, gap=gap, read_depth=depth_reader(scene), most_pairs=100
+            ).median_m
             for poses in (recording.trajectory, found.trajectory)
         )
         print(f"  gap {gap:2d}: given {given * 1e3:5.2f} mm, ours {ours * 1e3:5.2f} mm: {given / ours:.2f}x")
@@ -126,11 +127,13 @@ def test_cost_against_open3d(twin: Recording, kitchen: Recording) -> None:
     print("\nCPU a frame, decoding excluded")
     for name, recording, step in (("twin", twin, 2), ("kitchen", kitchen, 3)):
         scene = replace(recording.scene, frames=recording.scene.frames[: 80 * step : step])
-        images = list(decoded(scene.frames, partial(read_depth_m, scene), lambda done, total: None))
+        images = list(decoded(scene.frames, depth_reader(scene), lambda done, total: None))
         (mine_ms, mine), (other_ms, other) = ours(scene, images), open3d_slam(scene, images)
         gap = 9 * step
         for who, cpu_ms, poses in (("Open3D slam.Model", other_ms, other), ("ours", mine_ms, mine)):
-            apart = reprojection_over_gap(scene, poses, gap=gap, read_depth_m=read_depth_m).median_m * 1e3
+            apart = (
+                reprojection_over_gap(scene, poses, gap=gap, read_depth=depth_reader(scene)).median_m * 1e3
+            )
             print(
                 f"  {name:8s} {who:18s} {cpu_ms:6.1f} ms, error {rmse_mm(recording, poses):6.2f} mm, "
                 f"depth reprojection over {gap} frames {apart:5.2f} mm"

@@ -58,7 +58,7 @@ def scene_and_reader(tmp_path):
     trajectory = Trajectory(np.array([0, 2]), np.stack([np.eye(4)] * 2))
     reads = []
 
-    def read(scene, frame):
+    def read(frame):
         reads.append(frame.index)
         return edge_image(0.9, 0.7)
 
@@ -68,7 +68,7 @@ def scene_and_reader(tmp_path):
 def test_every_clicked_image_is_read_once(tmp_path):
     scenes, trajectories, read, reads = scene_and_reader(tmp_path)
     clicks = [Click("cube", k, "00", f, 100.0 + k, 50.0) for k in range(4) for f in (0, 2)]
-    assert len(lift_clicks(clicks, scenes, trajectories, read)) == 8
+    assert len(lift_clicks(clicks, scenes, trajectories, lambda scene: read)) == 8
     assert sorted(reads) == [0, 2]
 
 
@@ -77,7 +77,7 @@ def test_clicks_keep_their_order_and_a_frame_may_lack_depth(tmp_path):
     (first, second) = scenes["00"].frames
     scenes = {"00": replace(scenes["00"], frames=(first, replace(second, depth=None)))}
     clicks = [Click("cube", k, "00", f, 100.0, 50.0) for k in range(2) for f in (2, 0)]
-    observations = lift_clicks(clicks, scenes, trajectories, read)
+    observations = lift_clicks(clicks, scenes, trajectories, lambda scene: read)
     assert [o.click for o in observations] == clicks
     assert reads == [0]
     assert [len(o.depths_m) for o in observations] == [0, 2, 0, 2]
@@ -89,7 +89,7 @@ def test_a_click_in_a_frame_without_a_pose_is_named(tmp_path):
     with pytest.raises(
         DataError, match="object cube, scene 00, a click in frame 2: the trajectory has no pose"
     ):
-        lift_clicks([Click("cube", 0, "00", 2, 10.0, 10.0)], scenes, known, read)
+        lift_clicks([Click("cube", 0, "00", 2, 10.0, 10.0)], scenes, known, lambda scene: read)
 
 
 @pytest.mark.parametrize(
@@ -107,7 +107,7 @@ def test_a_click_in_a_frame_without_a_pose_is_named(tmp_path):
 def test_bad_clicks_are_named(tmp_path, click, message):
     scenes, trajectories, read, _ = scene_and_reader(tmp_path)
     with pytest.raises(DataError, match=message):
-        lift_clicks([click], scenes, trajectories, read)
+        lift_clicks([click], scenes, trajectories, lambda scene: read)
 
 
 def test_a_far_surface_is_less_sure_and_continued_as_a_plane():

@@ -10,7 +10,7 @@ import pytest
 
 from rpl_data.drift import depth_reprojection_error_m, reprojection_over_gap
 from rpl_data.geometry import from_rotvec, invert, rays
-from rpl_data.images import read_depth_m
+from rpl_data.images import depth_reader
 from rpl_data.recordings.open import open_scenes
 from rpl_data.types import DepthImage, Frame, Intrinsics, Scene, Trajectory
 
@@ -27,7 +27,7 @@ def wall_depth_m(scene_from_camera: np.ndarray) -> DepthImage:
     return depth_m.reshape(u.shape).astype(np.float32)
 
 
-def read_wall(scene: Scene, frame: Frame) -> DepthImage:
+def read_wall(frame: Frame) -> DepthImage:
     return wall_depth_m(POSES[frame.index])
 
 
@@ -68,16 +68,18 @@ def test_points_that_come_to_lie_behind_or_beside_the_camera_are_left_out() -> N
 
 def test_pairs_over_a_gap_skip_frames_without_pose_or_depth() -> None:
     trajectory = Trajectory(np.array([0, 1, 2, 3, 5, 6, 7, 8]), np.delete(POSES, 4, axis=0))
-    found = reprojection_over_gap(wall_scene(missing=6), trajectory, gap=3, read_depth_m=read_wall)
+    found = reprojection_over_gap(wall_scene(missing=6), trajectory, gap=3, read_depth=read_wall)
     assert found.pairs.tolist() == [[0, 3], [2, 5], [5, 8]]
     assert found.median_m < 1e-4
-    few = reprojection_over_gap(wall_scene(), trajectory, gap=3, read_depth_m=read_wall, most_pairs=2)
+    few = reprojection_over_gap(wall_scene(), trajectory, gap=3, read_depth=read_wall, most_pairs=2)
     assert few.pairs.tolist() == [[0, 3], [5, 8]]
-    assert np.isnan(reprojection_over_gap(wall_scene(), trajectory, gap=20, read_depth_m=read_wall).median_m)
+    assert np.isnan(reprojection_over_gap(wall_scene(), trajectory, gap=20, read_depth=read_wall).median_m)
 
 
 def test_given_poses_of_the_kitchen_drift_as_they_were_measured_to(real_data: Path) -> None:
     recording = open_scenes(real_data / "kitchen", "frames")[0]
     assert recording.trajectory is not None
-    found = reprojection_over_gap(recording.scene, recording.trajectory, gap=30, read_depth_m=read_depth_m)
+    found = reprojection_over_gap(
+        recording.scene, recording.trajectory, gap=30, read_depth=depth_reader(recording.scene)
+    )
     assert 0.008 < found.median_m < 0.016

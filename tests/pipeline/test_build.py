@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from rpl_data.clicks.log import clicks_from_csv
+from rpl_data.geometry import Sphere
 from rpl_data.pipeline import build as module
 from rpl_data.pipeline.build import Progress, build, recipe_of, stale_steps
 from rpl_data.pipeline.ledger import Ledger, Outcome, Step, stamps
@@ -17,7 +18,7 @@ from rpl_data.pipeline.pool import Pool
 from rpl_data.pipeline.recipe import LabelRecipe, ObjectRecipe, Recipe, SceneSource
 from rpl_data.pipeline.stages.quality import quality_rows
 from rpl_data.pipeline.stages.report import timings
-from rpl_data.pipeline.stages.surface import Sphere, joined_meshes, joined_spheres
+from rpl_data.pipeline.stages.surface import joined_meshes, joined_spheres
 from rpl_data.types import DataError, Mesh
 from rpl_data.workspace.workspace import Workspace
 

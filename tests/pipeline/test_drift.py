@@ -13,7 +13,7 @@ from rpl_data.drift import Drift, cut, drift_from_json, drift_to_json, measure_d
 from rpl_data.formats.recordings.pose_lines import read_pose_lines
 from rpl_data.formats.recordings.rpl import write_poses
 from rpl_data.geometry import from_rotvec, rays, rigid
-from rpl_data.images import read_depth_m
+from rpl_data.images import depth_reader
 from rpl_data.pipeline.build import build, context_of
 from rpl_data.pipeline.recipe import SceneSource
 from rpl_data.pipeline.stages.drift import choose_cut
@@ -68,7 +68,7 @@ def sunk(recording: Recording, depth_m: np.ndarray) -> Trajectory:
 
 
 def test_exact_poses_do_not_stray(recording: Recording) -> None:
-    drift = measure_drift(recording.scene, trajectory(recording), read_depth_m)
+    drift = measure_drift(recording.scene, trajectory(recording), depth_reader(recording.scene))
     assert 0.001 < drift.noise_m < 0.003  # the sensor's: differences of 2 mm noise, their median
     assert drift.whole_m < 0.002
     assert cut(drift, max_drift_m=0.01) == [(0, FRAMES - 1)]
@@ -76,7 +76,9 @@ def test_exact_poses_do_not_stray(recording: Recording) -> None:
 
 def test_a_slow_drift_is_measured(recording: Recording) -> None:
     """Poses that sink by 30 mm; the farthest pairs, one in eleven, are four fifths of it apart."""
-    drift = measure_drift(recording.scene, sunk(recording, np.linspace(0, 0.03, FRAMES)), read_depth_m)
+    drift = measure_drift(
+        recording.scene, sunk(recording, np.linspace(0, 0.03, FRAMES)), depth_reader(recording.scene)
+    )
     assert drift.whole_m == pytest.approx(0.8 * 0.03, rel=0.1)
     assert drift.noise_m < 0.003  # neighbours hardly notice
 
@@ -84,14 +86,14 @@ def test_a_slow_drift_is_measured(recording: Recording) -> None:
 def test_jitter_is_no_drift(recording: Recording) -> None:
     """Poses that are off by 10 mm from frame to frame are noise: cutting would not help."""
     jitter = np.random.default_rng(1).normal(0, 0.010, FRAMES)
-    drift = measure_drift(recording.scene, sunk(recording, jitter), read_depth_m)
+    drift = measure_drift(recording.scene, sunk(recording, jitter), depth_reader(recording.scene))
     assert drift.whole_m < 0.01 < drift.noise_m + drift.whole_m
     assert cut(drift, max_drift_m=0.015) == [(0, FRAMES - 1)]
 
 
 def test_a_jump_is_cut_where_it_is(recording: Recording) -> None:
     strayed = sunk(recording, np.where(np.arange(FRAMES) < 25, 0.0, 0.04))
-    found = cut(measure_drift(recording.scene, strayed, read_depth_m), max_drift_m=0.015)
+    found = cut(measure_drift(recording.scene, strayed, depth_reader(recording.scene)), max_drift_m=0.015)
     assert found is not None and len(found) == 2
     (first, last), (second, end) = found
     assert (first, second, end) == (0, last + 1, FRAMES - 1)
@@ -101,11 +103,17 @@ def test_a_jump_is_cut_where_it_is(recording: Recording) -> None:
 def test_frames_without_a_pose_or_depth_are_not_looked_at(recording: Recording) -> None:
     frames = tuple(replace(f, depth=None) if f.index == 3 else f for f in recording.scene.frames)
     known = Trajectory(np.arange(2, FRAMES), trajectory(recording).scene_from_camera[2:])
-    drift = measure_drift(replace(recording.scene, frames=frames), known, read_depth_m, most_frames=100)
+    drift = measure_drift(
+        replace(recording.scene, frames=frames), known, depth_reader(recording.scene), most_frames=100
+    )
     assert drift.frames.tolist() == [2, *range(4, FRAMES)]
-    alone = measure_drift(replace(recording.scene, frames=frames[:1]), trajectory(recording), read_depth_m)
+    alone = measure_drift(
+        replace(recording.scene, frames=frames[:1]), trajectory(recording), depth_reader(recording.scene)
+    )
     assert (alone.whole_m, cut(alone, max_drift_m=0.01)) == (0.0, [(0, 0)])
-    nothing = measure_drift(replace(recording.scene, frames=()), trajectory(recording), read_depth_m)
+    nothing = measure_drift(
+        replace(recording.scene, frames=()), trajectory(recording), depth_reader(recording.scene)
+    )
     assert cut(nothing, max_drift_m=0.01) == []
 
 

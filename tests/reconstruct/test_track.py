@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 
 import cv2
@@ -14,7 +13,7 @@ from rpl_data.drift import reprojection_over_gap
 from rpl_data.formats.recordings.camera_file import write_camera
 from rpl_data.formats.recordings.rpl import write_associations
 from rpl_data.geometry import from_rotvec
-from rpl_data.images import read_depth_m
+from rpl_data.images import depth_reader, read_depth_m
 from rpl_data.pipeline.build import build
 from rpl_data.pipeline.recipe import parse_recipe
 from rpl_data.pipeline.stages.track import decoded
@@ -73,12 +72,12 @@ def test_the_real_desk_is_tracked_better_than_its_given_poses(real_data: Path) -
     scene, given = recording.scene, recording.trajectory
     assert given is not None
     found = collected(
-        scene, track(scene, decoded(scene.frames, partial(read_depth_m, scene), lambda done, total: None))
+        scene, track(scene, decoded(scene.frames, depth_reader(scene), lambda done, total: None))
     )
     assert not found.lost
     for gap in (3, 9, 18):
-        ours = reprojection_over_gap(scene, found.trajectory, gap=gap, read_depth_m=read_depth_m)
-        theirs = reprojection_over_gap(scene, given, gap=gap, read_depth_m=read_depth_m)
+        ours = reprojection_over_gap(scene, found.trajectory, gap=gap, read_depth=depth_reader(scene))
+        theirs = reprojection_over_gap(scene, given, gap=gap, read_depth=depth_reader(scene))
         assert ours.median_m < theirs.median_m
 
 

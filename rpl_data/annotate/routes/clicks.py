@@ -6,9 +6,9 @@ from fastapi import APIRouter
 from fastapi.responses import PlainTextResponse, Response
 from pydantic import BaseModel
 
-from rpl_data.annotate.payload import Json
 from rpl_data.annotate.session import Session
 from rpl_data.clicks.log import clicks_from_csv, clicks_to_csv, events_to
+from rpl_data.json_arrays import Json
 
 
 class ClicksFile(BaseModel):

@@ -9,8 +9,8 @@ from fastapi.responses import Response
 from pydantic import BaseModel
 
 from rpl_data.annotate.contact import ContactSheet
-from rpl_data.annotate.payload import Json
 from rpl_data.annotate.session import Session
+from rpl_data.json_arrays import Json
 from rpl_data.types import DataError
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from typing import Any
 
 from fastapi import APIRouter
 from pydantic import BaseModel
@@ -11,8 +10,7 @@ from pydantic import BaseModel
 from rpl_data.annotate.jobs import Jobs
 from rpl_data.annotate.session import Session
 from rpl_data.annotate.work import Tell
-
-Json = dict[str, Any]
+from rpl_data.json_arrays import Json
 
 
 class Wanted(BaseModel):

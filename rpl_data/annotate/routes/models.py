@@ -10,10 +10,10 @@ from fastapi.responses import PlainTextResponse, Response
 from starlette.concurrency import run_in_threadpool
 
 from rpl_data.annotate.model import MESHES, given_mesh_payload, keep_mesh, read_known_points
-from rpl_data.annotate.payload import Json
 from rpl_data.annotate.session import Session
 from rpl_data.files import remove
 from rpl_data.formats.models.sparse_model import points_in_first_scene, write_sparse_model
+from rpl_data.json_arrays import Json
 from rpl_data.types import DataError
 
 

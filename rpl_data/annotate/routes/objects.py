@@ -8,8 +8,9 @@ from typing import Any
 from fastapi import FastAPI
 from pydantic import BaseModel
 
-from rpl_data.annotate.payload import Json, object_payload, result_payload
+from rpl_data.annotate.payload import object_payload, result_payload
 from rpl_data.annotate.session import Session
+from rpl_data.json_arrays import Json
 
 
 class Actions(BaseModel):

@@ -5,11 +5,12 @@ from __future__ import annotations
 from fastapi import FastAPI, Request
 from fastapi.responses import Response
 
-from rpl_data.annotate.payload import Json, scene_payload
+from rpl_data.annotate.payload import scene_payload
 from rpl_data.annotate.routes.page import KEEP
 from rpl_data.annotate.session import Session
 from rpl_data.annotate.stores.pictures import depth_tile
 from rpl_data.annotate.stores.scenes import poses_table
+from rpl_data.json_arrays import Json
 
 
 def add_scenes(app: FastAPI, session: Session) -> None:

@@ -6,12 +6,12 @@ from fastapi import APIRouter
 
 from rpl_data.annotate.session import Session
 from rpl_data.annotate.surfaces import (
-    Json,
     SurfaceStore,
     dense_payload,
     surface_payload,
     surroundings,
 )
+from rpl_data.json_arrays import Json
 
 
 def solid_routes(session: Session) -> APIRouter:

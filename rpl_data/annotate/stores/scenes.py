@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import Float32
 
 from rpl_data.geometry import to_quaternion_xyzw
-from rpl_data.images import read_depth_m
 from rpl_data.types import Click, DataError, DepthImage, Frame, Scene, Trajectory
 from rpl_data.workspace.workspace import Workspace
 
@@ -71,7 +70,7 @@ class SceneStore:
 
     def _read_depth(self, scene: str, frame: int) -> DepthImage:
         posed = self.get(scene)
-        return read_depth_m(posed.scene, posed.frame(frame))
+        return self.workspace.depth_reader(posed.scene)(posed.frame(frame))
 
     def refuse_outside(self, click: Click) -> None:
         """DataError when a click is in no frame of ours or outside its image."""

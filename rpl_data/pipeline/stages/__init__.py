@@ -1,1 +1,18 @@
 """The stages of a build, one module per command: each plans its steps and runs them."""
+
+ORDER = (
+    "twin",
+    "import",
+    "track",
+    "clicks",
+    "drift",
+    "cut",
+    "solve",
+    "surface",
+    "segment",
+    "label",
+    "export",
+    "quality",
+    "report",
+)
+"""Their names, in the order they run."""

@@ -12,6 +12,9 @@ from rpl_data.pipeline.recipe import ObjectRecipe
 from rpl_data.types import DataError
 from rpl_data.workspace.workspace import Workspace
 
+VERSION = 1
+"""Raised when the stage writes something else for the same input; its steps then run again."""
+
 # Recordings ---------------------------------------------------------------------------------------
 
 
@@ -37,7 +40,7 @@ def _clicks_step(context: Context, item: ObjectRecipe) -> Step:
         "clicks": None if item.clicks is None else str(item.clicks),
     }
     sources = stamps(item.clicks) if item.clicks else {}
-    return step("clicks", item.name, run, options=options, sources=sources)
+    return step("clicks", item.name, run, version=VERSION, options=options, sources=sources)
 
 
 def _name_keypoints(workspace: Workspace, item: ObjectRecipe) -> Outcome:

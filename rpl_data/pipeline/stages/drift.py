@@ -11,6 +11,12 @@ from rpl_data.pipeline.context import Context, step
 from rpl_data.pipeline.ledger import Advance, Outcome, Step
 from rpl_data.types import Click, DataError, Span
 
+VERSION = 1
+"""Raised when the stage writes something else for the same input; its steps then run again."""
+
+CUT_VERSION = 1
+"""The same of the stage `cut`."""
+
 FEWEST_KEYPOINTS = 4
 """Of an object, in every part, and clicked elsewhere too: three tie a part to the rest, one is spare."""
 
@@ -25,14 +31,20 @@ def _drift_step(context: Context, name: str) -> Step:
 
     def run(advance: Advance) -> Outcome:
         scene = workspace.load_scene(name)
-        read = workspace.depth_reader(scene)
         drift = measure_drift(
-            scene, workspace.load_trajectory(scene), lambda _, frame: read(frame), advance=advance
+            scene, workspace.load_trajectory(scene), workspace.depth_reader(scene), advance=advance
         )
         write_json(workspace.drift_file(name), drift_to_json(drift))
         return Outcome(len(drift.frames), details={"drift_mm": 1000 * drift.whole_m})
 
-    return step("drift", name, run, after=context.poses_of(name), outputs=[workspace.drift_file(name)])
+    return step(
+        "drift",
+        name,
+        run,
+        version=VERSION,
+        after=context.poses_of(name),
+        outputs=[workspace.drift_file(name)],
+    )
 
 
 def cut_steps(context: Context) -> list[Step]:
@@ -58,6 +70,7 @@ def cut_steps(context: Context) -> list[Step]:
             "cut",
             "",
             run,
+            version=CUT_VERSION,
             options={
                 "max_drift_mm": context.recipe.reconstruct.max_drift_mm,
                 "objects": context.object_names,

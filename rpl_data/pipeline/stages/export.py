@@ -5,18 +5,19 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
-from typing import Any
 
-from rpl_data.export import ExportScene, export_bop, export_coco, export_okt, export_yolo
+from rpl_data.export import ExportScene, ExportSummary, export_bop, export_coco, export_okt, export_yolo
+from rpl_data.export.dialect import DialectSummary
+from rpl_data.json_arrays import Json
 from rpl_data.pipeline.context import Context, step
-from rpl_data.pipeline.ledger import Advance, Json, Ledger, Outcome, Step
+from rpl_data.pipeline.ledger import Advance, Ledger, Outcome, Step
 from rpl_data.pipeline.stages.grasp import save_grasps
 from rpl_data.pipeline.stages.quality import finite_or_none, truth_workspace
 from rpl_data.types import DataError, FrameLabel
 from rpl_data.workspace.workspace import Workspace
 
-EXPORTS: dict[str, Callable[[Context], Any]] = {}
-"""By format name; filled below."""
+VERSION = 1
+"""Raised when the stage writes something else for the same input; its steps then run again."""
 
 
 # Export -------------------------------------------------------------------------------------------
@@ -54,6 +55,7 @@ def _export_step(context: Context, name: str) -> Step:
         "export",
         name,
         run,
+        version=VERSION,
         options=options | {key: value for key, value in chosen.items() if value},
         after=[f"label/{v}" for v in context.placed_videos()] if name == "coco" else ["export/coco"],
         outputs=[context.workspace.export(name)],
@@ -75,12 +77,12 @@ def refuse_unseen(context: Context) -> None:
         )
 
 
-def export_labels(context: Context) -> Any:
+def export_labels(context: Context) -> ExportSummary:
     """`export/coco` from the labels of the workspace."""
     return _export_coco(context, context.workspace, "coco", {})
 
 
-def export_truth(context: Context) -> Any:
+def export_truth(context: Context) -> ExportSummary:
     """`export/coco_truth`: the same images, ids and schema, with the labels of the truth."""
     truth = truth_workspace(context)
     if truth is None:
@@ -95,7 +97,7 @@ def export_truth(context: Context) -> Any:
     return _export_coco(context, truth, "coco_truth", {"as_in": coco})
 
 
-def _export_coco(context: Context, labels: Workspace, name: str, options: Json) -> Any:
+def _export_coco(context: Context, labels: Workspace, name: str, options: Json) -> ExportSummary:
     workspace = context.workspace
     scenes = []
     for scene_name in labels.labelled_scene_names():
@@ -125,21 +127,27 @@ def _kept(labels: Iterator[FrameLabel], left_out: frozenset[int]) -> Iterator[Fr
     return (label for label in labels if label.frame not in left_out)
 
 
-def _yolo(context: Context) -> Any:
+def _yolo(context: Context) -> DialectSummary:
     return export_yolo(context.workspace.export("yolo"), context.workspace.export("coco"))
 
 
-def _bop(context: Context) -> Any:
+def _bop(context: Context) -> DialectSummary:
     workspace = context.workspace
     units = {name: workspace.load_scene(name).metres_per_unit for name in workspace.labelled_scene_names()}
     return export_bop(workspace.export("bop"), workspace.export("coco"), units)
 
 
-def _okt(context: Context) -> Any:
+def _okt(context: Context) -> DialectSummary:
     return export_okt(context.workspace.export("okt"), context.workspace.export("coco"))
 
 
-EXPORTS |= {"coco": export_labels, "yolo": _yolo, "bop": _bop, "okt": _okt}
+EXPORTS: dict[str, Callable[[Context], ExportSummary | DialectSummary]] = {
+    "coco": export_labels,
+    "yolo": _yolo,
+    "bop": _bop,
+    "okt": _okt,
+}
+"""What writes each format, by its name in the recipe."""
 
 
 # Quality ------------------------------------------------------------------------------------------

@@ -5,7 +5,6 @@ from __future__ import annotations
 from rpl_data.clicks.grasp import grasp_frame
 from rpl_data.clicks.log import GraspClicks
 from rpl_data.geometry import Transform, invert
-from rpl_data.images import read_depth_m
 from rpl_data.types import DataError, Solution
 from rpl_data.workspace.workspace import Workspace
 
@@ -24,7 +23,7 @@ def object_from_grasp(workspace: Workspace, clicks: GraspClicks, solution: Solut
     scene = workspace.load_scene(clicks.scene)
     camera_from_grasp = grasp_frame(
         scene.intrinsics,
-        read_depth_m(scene, scene.frame(clicks.frame)),
+        workspace.depth_reader(scene)(scene.frame(clicks.frame)),
         (clicks.u_px, clicks.v_px),
         (clicks.toward_u_px, clicks.toward_v_px),
     )

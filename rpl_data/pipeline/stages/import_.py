@@ -8,12 +8,16 @@ from functools import partial
 from pathlib import Path
 
 from rpl_data.files import remove
+from rpl_data.json_arrays import Json
 from rpl_data.pipeline.context import Context, step
-from rpl_data.pipeline.ledger import Advance, Json, Outcome, Step, stamps
+from rpl_data.pipeline.ledger import Advance, Outcome, Step, stamps
 from rpl_data.pipeline.recipe import SceneSource
 from rpl_data.recordings.open import open_scenes
 from rpl_data.types import DataError, Recording
 from rpl_data.workspace.workspace import Workspace
+
+VERSION = 1
+"""Raised when the stage writes something else for the same input; its steps then run again."""
 
 
 def import_steps(context: Context) -> list[Step]:
@@ -45,7 +49,11 @@ def import_steps(context: Context) -> list[Step]:
     if context.tracks:
         options |= {"poses": "tracked"}
     outputs = [workspace.scene_file(name) for name in workspace.video_names()]
-    return [step("import", "", run, options=options, sources=seen, after=["twin"], outputs=outputs)]
+    return [
+        step(
+            "import", "", run, version=VERSION, options=options, sources=seen, after=["twin"], outputs=outputs
+        )
+    ]
 
 
 def _emptied(workspace: Workspace, scene: str) -> Path:

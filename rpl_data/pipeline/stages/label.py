@@ -16,12 +16,19 @@ from rpl_data.pipeline.ledger import Advance, Outcome, Step
 from rpl_data.types import FrameLabel
 from rpl_data.workspace.workspace import Workspace
 
+VERSION = 1
+"""Raised when the stage writes something else for the same input; its steps then run again."""
+
 
 def label_steps(context: Context) -> list[Step]:
-    """Dense models and poses -> labels of the chosen frames, a recording."""
+    """Plan the labels of the chosen frames, one step per recording."""
+    return [_label_step(context, name) for name in context.placed_videos()]
+
+
+def forget_labels(context: Context) -> None:
+    """Remove the labels of recordings in which no object is placed any more."""
     for gone in set(context.workspace.labelled_scene_names()) - set(context.placed_videos()):
         remove(context.workspace.labels_file(gone))
-    return [_label_step(context, name) for name in context.placed_videos()]
 
 
 def _label_step(context: Context, video: str) -> Step:
@@ -59,7 +66,13 @@ def _label_step(context: Context, video: str) -> Step:
     options = {"rate_hz": rate_hz} | {name: context.frames_of(name) for name in placed if name != video}
     output = workspace.labels_file(video)
     return step(
-        "label", video, run, options=options, after=[*context.poses_of(video), *before], outputs=[output]
+        "label",
+        video,
+        run,
+        version=VERSION,
+        options=options,
+        after=[*context.poses_of(video), *before],
+        outputs=[output],
     )
 
 

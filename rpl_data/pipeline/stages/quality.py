@@ -7,9 +7,12 @@ from dataclasses import asdict
 from typing import Any
 
 from rpl_data.pipeline.context import Context, step
-from rpl_data.pipeline.ledger import Advance, Json, Ledger, Outcome, Step, stamps
+from rpl_data.pipeline.ledger import Advance, Ledger, Outcome, Step, stamps
 from rpl_data.types import QualityRow
 from rpl_data.workspace.workspace import Workspace
+
+VERSION = 1
+"""Raised when the stage writes something else for the same input; its steps then run again."""
 
 
 def truth_workspace(context: Context) -> Workspace | None:
@@ -40,7 +43,7 @@ def quality_steps(context: Context) -> list[Step]:
 
     before = [f"label/{video}" for video in context.placed_videos()]
     sources = {} if recipe.truth is None else stamps(recipe.truth)
-    return [step("quality", "", run, options={}, sources=sources, after=["twin", *before])]
+    return [step("quality", "", run, version=VERSION, options={}, sources=sources, after=["twin", *before])]
 
 
 def quality_rows(ledger: Ledger) -> list[QualityRow]:
@@ -49,11 +52,6 @@ def quality_rows(ledger: Ledger) -> list[QualityRow]:
     rows: Any = [] if entry is None else entry.outcome.details["rows"]
     filled: list[dict[str, Any]] = [{k: math.nan if v is None else v for k, v in row.items()} for row in rows]
     return [QualityRow(**row) for row in filled]
-
-
-def _quality_row(row: Json) -> QualityRow:
-    numbers: Json = {name: math.nan if value is None else value for name, value in row.items()}
-    return QualityRow(**numbers)
 
 
 def finite_or_none(value: Any) -> Any:

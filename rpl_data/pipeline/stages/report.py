@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from rpl_data.pipeline.context import VERSIONS, Context, step
+from rpl_data.pipeline.context import Context, step
 from rpl_data.pipeline.ledger import Advance, Ledger, Outcome, Step
+from rpl_data.pipeline.stages import ORDER
 from rpl_data.pipeline.stages.quality import quality_rows
 from rpl_data.workspace.workspace import Workspace
+
+VERSION = 1
+"""Raised when the stage writes something else for the same input; its steps then run again."""
 
 
 def report_steps(context: Context) -> list[Step]:
@@ -33,7 +37,9 @@ def report_steps(context: Context) -> list[Step]:
 
     before = ["quality", *(f"export/{name}" for name in context.recipe.export)]
     options = {"name": context.recipe.name}
-    return [step("report", "", run, options=options, after=before, outputs=[workspace.report])]
+    return [
+        step("report", "", run, version=VERSION, options=options, after=before, outputs=[workspace.report])
+    ]
 
 
 def drift_remarks(workspace: Workspace, ledger: Ledger, video: str) -> list[str]:
@@ -66,7 +72,7 @@ def drift_remarks(workspace: Workspace, ledger: Ledger, video: str) -> list[str]
 def timings(ledger: Ledger) -> dict[str, dict[str, float | int]]:
     """Seconds and frames of every stage that ran, in order."""
     found: dict[str, dict[str, float | int]] = {}
-    for stage in VERSIONS:
+    for stage in ORDER:
         outcomes = ledger.of_stage(stage).values()
         if outcomes:
             seconds = sum(entry.seconds for entry in outcomes)

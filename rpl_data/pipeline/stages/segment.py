@@ -12,6 +12,9 @@ from rpl_data.pipeline.stages.solve import known_points
 from rpl_data.types import Mesh
 from rpl_data.workspace.workspace import Workspace
 
+VERSION = 1
+"""Raised when the stage writes something else for the same input; its steps then run again."""
+
 Box3 = tuple[tuple[float, float, float], tuple[float, float, float]]
 """Lowest and highest corner, metres."""
 
@@ -45,6 +48,7 @@ def _segment_step(context: Context, item: ObjectRecipe) -> Step:
         "segment",
         item.name,
         run,
+        version=VERSION,
         options={"voxel_m": voxel_m, "crop": crop},
         sources={} if given is None else stamps(workspace.given_mesh_file(item.name)),
         after=[f"solve/{item.name}", *(f"surface/{name}" for name in scenes)],

@@ -11,7 +11,6 @@ from jaxtyping import Float64
 from rpl_data.clicks.lift import lift_clicks
 from rpl_data.clicks.log import Annotation
 from rpl_data.geometry import Transform, transform
-from rpl_data.images import read_depth_m
 from rpl_data.pipeline.context import Context, step
 from rpl_data.pipeline.ledger import Advance, Outcome, Step
 from rpl_data.pipeline.recipe import ObjectRecipe
@@ -28,6 +27,9 @@ from rpl_data.types import (
     Trajectory,
 )
 from rpl_data.workspace.workspace import Workspace
+
+VERSION = 1
+"""Raised when the stage writes something else for the same input; its steps then run again."""
 
 
 def solve_steps(context: Context) -> list[Step]:
@@ -57,6 +59,7 @@ def _solve_step(context: Context, item: ObjectRecipe) -> Step:
         "solve",
         item.name,
         run,
+        version=VERSION,
         options=options
         | {"keypoints": list(item.keypoint_names), "skeleton": [list(e) for e in item.skeleton]}
         | {"parts": {video: list(map(list, spans)) for video, spans in workspace.parts().spans.items()}},
@@ -210,7 +213,7 @@ def observe(workspace: Workspace, object_name: str, *, scene: str | None = None)
             f"object {object_name}: all {len(clicks)} clicks{where} are in frames whose pose is not known; "
             "click in others"
         )
-    return lift_clicks(posed, scenes, trajectories, read_depth_m)
+    return lift_clicks(posed, scenes, trajectories, workspace.depth_reader)
 
 
 def _lost(click: Click, scene: Scene, trajectory: Trajectory) -> bool:

@@ -3,24 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
-from rpl_data.geometry import transform
+from rpl_data.geometry import Sphere, sphere_around, transform
 from rpl_data.images import read_color
 from rpl_data.meshes import save_mesh
 from rpl_data.pipeline.context import Context, posed_frames, step
 from rpl_data.pipeline.ledger import Advance, Outcome, Step
 from rpl_data.types import Frame, Mesh, Solution
 
-
-@dataclass(frozen=True)
-class Sphere:
-    """Where a surface is wanted, scene frame."""
-
-    centre_m: np.ndarray
-    radius_m: float
+VERSION = 1
+"""Raised when the stage writes something else for the same input; its steps then run again."""
 
 
 def surface_steps(context: Context) -> list[Step]:
@@ -61,6 +55,7 @@ def _surface_step(context: Context, name: str) -> Step:
         "surface",
         name,
         run,
+        version=VERSION,
         options={"voxel_m": voxel_m} | context.frames_of(name),
         after=[*context.poses_of(name), *before],
         outputs=[output],
@@ -75,11 +70,9 @@ def counted(frames: Sequence[Frame], advance: Advance, done: int, total: int) ->
 
 
 def sphere_of(solution: Solution, scene: str) -> Sphere:
-    """Around the keypoints of an object, with some of what it stands on."""
+    """The ball around the keypoints of an object in a scene that its surface is fused in, scene frame."""
     model = solution.model
-    points = transform(solution.scene_from_object[scene], model.points_object[model.known])
-    centre = points.mean(axis=0)
-    return Sphere(centre, 1.8 * float(np.linalg.norm(points - centre, axis=1).max()) + 0.06)
+    return sphere_around(transform(solution.scene_from_object[scene], model.points_object[model.known]))
 
 
 def joined_spheres(spheres: Sequence[Sphere]) -> list[Sphere]:

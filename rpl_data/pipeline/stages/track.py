@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 from rpl_data.images import read_grey
 from rpl_data.pipeline.context import Context, step
 from rpl_data.pipeline.ledger import Advance, Outcome, Step
-from rpl_data.types import DepthImage, Frame, GreyImage
+from rpl_data.types import DepthImage, Frame, GreyImage, ReadDepth
+
+VERSION = 1
+"""Raised when the stage writes something else for the same input; its steps then run again."""
 
 AHEAD = 8
 """Frames that are decoded while others are tracked."""
@@ -34,11 +37,13 @@ def _track_step(context: Context, name: str) -> Step:
         lines = [f"scene {name}: {line}" for line in losses(scene, found)]
         return Outcome(len(frames), tuple(lines), {"lost": len(found.lost)})
 
-    return step("track", name, run, after=["import"], outputs=[workspace.trajectory_file(name)])
+    return step(
+        "track", name, run, version=VERSION, after=["import"], outputs=[workspace.trajectory_file(name)]
+    )
 
 
 def decoded(
-    frames: Sequence[Frame], depths: Callable[[Frame], DepthImage], advance: Advance
+    frames: Sequence[Frame], depths: ReadDepth, advance: Advance
 ) -> Iterator[tuple[Frame, GreyImage, DepthImage]]:
     """Frames with small brightness and depth, decoded in a thread ahead of whoever uses them.
 

@@ -8,6 +8,9 @@ from dataclasses import asdict
 from rpl_data.pipeline.context import Context, step
 from rpl_data.pipeline.ledger import Advance, Outcome, Step, stamps
 
+VERSION = 4
+"""Raised when the stage writes something else for the same input; its steps then run again."""
+
 
 def twin_steps(context: Context) -> list[Step]:
     """A synthetic recording with truth, when the recipe asks for one."""
@@ -24,4 +27,4 @@ def twin_steps(context: Context) -> list[Step]:
     outputs = [workspace.recording / "camera.txt", workspace.recording / "clicks.csv"]
     options = json.loads(json.dumps(asdict(spec), default=str))  # paths of meshes
     meshes = stamps(*(thing.mesh for thing in spec.things if thing.mesh is not None))
-    return [step("twin", "", run, options=options, sources=meshes, outputs=outputs)]
+    return [step("twin", "", run, version=VERSION, options=options, sources=meshes, outputs=outputs)]
