@@ -33,7 +33,9 @@ from rpl_data.formats.recordings.frame_files import (
     Pair,
     chosen,
     examine,
+    folders_in,
     grouped,
+    scene_folders,
     with_poses,
     without_poses,
 )
@@ -72,10 +74,9 @@ def read_bop(
             whole.
     """
     path = path.absolute()
-    folders = sorted(p for p in path.iterdir() if p.is_dir()) if path.is_dir() else []
-    found = {folder.name: folder for folder in (path, *folders) if is_bop_scene(folder)}
+    found = scene_folders(path, is_bop_scene)
     if not found:
-        splits = [folder.name for folder in folders if any(map(is_bop_scene, folder.glob("*")))]
+        splits = [folder.name for folder in folders_in(path) if any(map(is_bop_scene, folder.glob("*")))]
         hint = f"; its splits are {', '.join(splits)}: give one of them" if splits else ""
         raise DataError(f"{path} has no scene_camera.json, nor has a folder in it{hint}")
     return [

@@ -27,6 +27,7 @@ from rpl_data.formats.recordings.frame_files import (
     Pair,
     chosen,
     examine,
+    scene_folders,
     with_poses,
     without_poses,
 )
@@ -62,17 +63,13 @@ def read_frames(
         DataError: there is no frame, no camera, none of the frames is whole, or the depth unit is wrong.
     """
     path = path.absolute()
-    found = {folder.name: folder for folder in (path, *_folders(path)) if has_frames(folder)}
+    found = scene_folders(path, has_frames)
     if not found:
         raise DataError(f"{path} has no frame-<number>.color.jpg (or .png), nor has a folder in it")
     return [
         _read_scene(name, folder, metres_per_unit, camera)
         for name, folder in chosen(found, names, path).items()
     ]
-
-
-def _folders(path: Path) -> list[Path]:
-    return sorted(folder for folder in path.iterdir() if folder.is_dir()) if path.is_dir() else []
 
 
 def has_frames(folder: Path) -> bool:

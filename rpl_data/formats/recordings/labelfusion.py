@@ -32,8 +32,10 @@ from rpl_data.formats.recordings.frame_files import (
     Pair,
     chosen,
     examine,
+    folders_in,
     grouped,
     match_poses,
+    scene_folders,
     with_poses,
     without_poses,
 )
@@ -73,10 +75,9 @@ def read_labelfusion(
         DataError: there is no log, its images were not extracted with depth, or no frame is whole.
     """
     path = path.absolute()
-    folders = sorted(p for p in path.iterdir() if p.is_dir()) if path.is_dir() else []
-    found = {folder.name: folder for folder in (path, *folders) if is_log(folder)}
+    found = scene_folders(path, is_log)
     if not found:
-        packed = any(any(folder.glob("*.lcmlog")) for folder in (path, *folders))
+        packed = any(any(folder.glob("*.lcmlog")) for folder in (path, *folders_in(path)))
         todo = "; extract them from the log with LabelFusion (run_create_data -d)" if packed else ""
         raise DataError(f"{path} has no images/<number>_rgb.png, nor has a folder in it{todo}")
     return [

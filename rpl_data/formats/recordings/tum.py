@@ -30,6 +30,7 @@ from rpl_data.formats.recordings.frame_files import (
     Pair,
     chosen,
     examine,
+    scene_folders,
     unlisted,
     with_poses,
     without_poses,
@@ -92,8 +93,7 @@ def read_tum(
             none has a pose.
     """
     path = path.absolute()
-    folders = sorted(p for p in path.iterdir() if p.is_dir()) if path.is_dir() else []
-    found = {folder.name: folder for folder in (path, *folders) if is_sequence(folder)}
+    found = scene_folders(path, is_sequence)
     if not found:
         raise DataError(f"{path} has no rgb.txt and depth.txt, nor has a folder in it")
     return [

@@ -31,6 +31,7 @@ from rpl_data.formats.recordings.frame_files import (
     chosen,
     examine,
     grouped,
+    scene_folders,
     with_poses,
     without_poses,
 )
@@ -75,8 +76,7 @@ def read_ycb_video(
     """
     path = path.absolute()
     root = path / "data" if (path / "data").is_dir() else path
-    folders = sorted(p for p in root.iterdir() if p.is_dir()) if root.is_dir() else []
-    found = {folder.name: folder for folder in (root, *folders) if is_ycb_sequence(folder)}
+    found = scene_folders(root, is_ycb_sequence)
     if not found:
         raise DataError(f"{path} has no <number>-color.png, nor has a folder in it or in data/")
     return [
