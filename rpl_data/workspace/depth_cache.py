@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 
-from rpl_data.types import DepthUnits
+from rpl_data.files import write_bytes
+from rpl_data.images import in_metres, read_depth_units
+from rpl_data.types import DepthImage, DepthUnits, Frame, ReadDepth, Scene
 
 LEVEL = 1
 """Of zstd; higher ones save a few per cent of the bytes and cost more than the reading gains."""
@@ -31,3 +35,31 @@ def unpack(packed: bytes, *, height: int, width: int) -> DepthUnits | None:
         return None
     units: DepthUnits = np.cumsum(steps.reshape(height, width), axis=1, dtype=np.uint16)
     return units
+
+
+def cached_reader(folder: Path, scene: Scene, *, keep: bool) -> ReadDepth:
+    """Reads depth images in metres: from the folder where they are in it, else from the recording.
+
+    Args:
+        folder: packed images by the number of their frame.
+        scene: whose frames are read.
+        keep: put what is not in the folder into it, for the next reader.
+    """
+
+    def read(frame: Frame) -> DepthImage:
+        path = folder / f"{frame.index:06d}.zst"
+        units = _kept_units(path, scene)
+        if units is None:
+            units = read_depth_units(scene, frame)
+            if keep:
+                write_bytes(path, pack(units))
+        return in_metres(scene, units)
+
+    return read
+
+
+def _kept_units(path: Path, scene: Scene) -> DepthUnits | None:
+    """A depth image of the cache; None where it is not there or broken, for it can be made again."""
+    if not path.exists():
+        return None
+    return unpack(path.read_bytes(), height=scene.intrinsics.height, width=scene.intrinsics.width)

@@ -6,11 +6,13 @@ names videos; everything else names the scenes they were cut into.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from rpl_data.types import Click, Span
+import numpy as np
+
+from rpl_data.types import Click, DataError, Recording, Span, Trajectory
 
 
 @dataclass(frozen=True)
@@ -62,6 +64,30 @@ class Parts:
 def part_name(video: str, number: int) -> str:
     """Name of a part, counted from 0: 00.1, 00.2, ..."""
     return f"{video}.{number + 1}"
+
+
+def recordings_of_parts(
+    recording: Recording, trajectory: Trajectory, spans: Sequence[Span]
+) -> list[Recording]:
+    """One recording per part, with its own frames and poses; the frames keep their numbers."""
+    video, parts = recording.scene.name, Parts({recording.scene.name: tuple(spans)})
+    found = []
+    for name in parts.scenes_of(video):
+        frames = tuple(f for f in recording.scene.frames if parts.scene_at(video, f.index) == name)
+        rows = np.array([parts.scene_at(video, int(index)) == name for index in trajectory.frames])
+        poses = Trajectory(trajectory.frames[rows], trajectory.scene_from_camera[rows])
+        found.append(Recording(replace(recording.scene, name=name, frames=frames), poses))
+    return found
+
+
+def refuse_taken_names(video: str, cut: Sequence[Recording], taken: Collection[str]) -> None:
+    """Raise DataError when another recording has the name of a part."""
+    names = [part.scene.name for part in cut]
+    if clash := sorted(set(names) & set(taken)):
+        raise DataError(
+            f"scene {video} is cut into {', '.join(names)}, but another recording is called "
+            f"{', '.join(clash)}; rename it"
+        )
 
 
 def _moved(event: Mapping[str, Any], scene_of: Callable[[str, int], str]) -> dict[str, Any]:
