@@ -166,7 +166,7 @@ class Recipe:
     truth: Path | None = None
 
 
-def load_recipe(path: Path, *, root: Path | None = None) -> Recipe:
+def load_recipe(path: str | Path, *, root: str | Path | None = None) -> Recipe:
     """The recipe of a YAML file, its relative paths made absolute.
 
     Args:
@@ -177,12 +177,14 @@ def load_recipe(path: Path, *, root: Path | None = None) -> Recipe:
         DataError: the file is missing, not YAML, has an unknown key, lacks one, or a value has the
             wrong type; the message names the key.
     """
+    path = Path(path).expanduser()
     try:
         data = yaml.safe_load(read_text(path))
     except yaml.YAMLError as error:
         raise DataError(f"{path} is not valid YAML: {' '.join(str(error).split())}") from error
     recipe = parse_recipe(data, source=str(path))
-    return resolve_paths(recipe, (root or path.parent).resolve())
+    start = path.parent if root is None else Path(root).expanduser()
+    return resolve_paths(recipe, start.resolve())
 
 
 def parse_recipe(data: object, *, source: str) -> Recipe:

@@ -13,7 +13,7 @@ from rpl_data.formats.recordings.elasticfusion import read_klg
 from rpl_data.formats.recordings.frame_files import Camera
 from rpl_data.formats.recordings.frames import has_frames, read_frames
 from rpl_data.formats.recordings.labelfusion import is_log, read_labelfusion
-from rpl_data.formats.recordings.rpl import read_rpl
+from rpl_data.formats.recordings.rpl import is_rpl_scene, read_rpl
 from rpl_data.formats.recordings.tum import is_sequence, read_tum
 from rpl_data.formats.recordings.ycb_video import is_ycb_sequence, read_ycb_video
 from rpl_data.recordings.mend import Mend, mended
@@ -39,7 +39,7 @@ UNPACKERS: dict[str, Callable[..., list[Recording]]] = {
 SOUND = Mend()
 
 _LOOKS_LIKE: dict[str, Callable[[Path], bool]] = {
-    "rpl": lambda folder: (folder / "camera.txt").exists() and any(folder.glob("*/associations.txt")),
+    "rpl": lambda folder: is_rpl_scene(folder) or any(map(is_rpl_scene, folder.glob("*"))),
     "frames": has_frames,
     "tum": is_sequence,
     "bop": lambda folder: any(map(is_bop_scene, (folder, *folder.glob("*")))),
@@ -51,6 +51,63 @@ _LOOKS_LIKE: dict[str, Callable[[Path], bool]] = {
     "realsense": lambda path: any(map(is_recording, (path, *path.glob("*")))),
 }
 """By format name: whether a path looks like that, for the message about a wrong `format`."""
+
+
+def open_recordings(
+    path: str | Path,
+    format: str | None = None,
+    *,
+    names: Sequence[str] | None = None,
+    metres_per_unit: float | None = None,
+    camera: Sequence[float] | None = None,
+    registered: bool | None = None,
+    unpack: str | Path | None = None,
+    mend: Mend = SOUND,
+) -> list[Recording]:
+    """The recordings found at a path, one per scene; images stay where they are.
+
+    Each `Recording` has a `scene` (camera, frames with their image files) and a `trajectory` (camera poses,
+    scene_from_camera), which is None where the recording has no poses.
+
+    Args:
+        path: a folder of scenes, one scene, or a file (.klg, .bag, .db3).
+        format: how they are stored: rpl, frames, tum, bop, ycb_video, labelfusion, klg, klg_bgr or realsense;
+            found out from the files when left out.
+        names: only these scenes; all of them when left out.
+        metres_per_unit: metres of one unit of the stored depth; what the format says when left out.
+        camera: fx, fy, cx, cy in pixels, then 0, 4, 5 or 8 numbers of OpenCV's lens distortion; what the
+            recording says when left out.
+        registered: whether depth lies on the pixels of the colour image; what the format says when left out.
+        unpack: a folder for the images of klg, klg_bgr and realsense, which keep them in one file; each
+            scene gets a folder in it.
+        mend: faults to put right while reading; `rpl check` names them.
+
+    Raises:
+        DataError: there is nothing at the path, its format is not known, or it cannot be read.
+    """
+    place = Path(path).expanduser()
+    folder = None if unpack is None else Path(unpack).expanduser()
+    return open_scenes(
+        place,
+        format or _only_format(place),
+        names=names,
+        metres_per_unit=metres_per_unit,
+        camera=None if camera is None else tuple(camera),
+        registered=registered,
+        unpack=None if folder is None else folder.joinpath,
+        mend=mend,
+    )
+
+
+def _only_format(path: Path) -> str:
+    """The format a path looks like; DataError when that is none or several."""
+    if not path.exists():
+        raise DataError(f"there is no recording {path}; check the path")
+    likely = likely_formats(path)
+    if len(likely) == 1:
+        return likely[0]
+    looks = f"looks like {' and like '.join(likely)}" if likely else "looks like no format that is known"
+    raise DataError(f"{path} {looks}; give `format`, one of {', '.join(sorted(READERS | UNPACKERS))}")
 
 
 def open_scenes(
@@ -84,7 +141,7 @@ def open_scenes(
     if format not in known:
         raise DataError(f"unknown format {format!r} for {path}; expected one of {', '.join(sorted(known))}")
     if format in UNPACKERS and unpack is None:
-        raise DataError(f"{path}: recordings of format {format} are unpacked; say where to")
+        raise DataError(f"{path}: recordings of format {format} are unpacked; say where to: `unpack`")
     reader = partial(known[format], unpack=unpack) if format in UNPACKERS else known[format]
     try:
         found = reader(path, names=names, metres_per_unit=metres_per_unit, camera=camera)

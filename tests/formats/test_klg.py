@@ -177,7 +177,7 @@ def test_wrong_files_are_refused(tmp_path: Path) -> None:
     raw = make_log(tmp_path / "raw.klg", packed=False)
     with pytest.raises(DataError, match=r"cannot tell the size .* 3072 depth pixels are none of 640x480"):
         read(raw)
-    with pytest.raises(DataError, match="are unpacked; say where to"):
+    with pytest.raises(DataError, match="are unpacked; say where to: `unpack`"):
         open_scenes(raw, "klg")
     with pytest.raises(DataError, match=r"It looks like `format: klg`"):
         open_scenes(tmp_path, "rpl")

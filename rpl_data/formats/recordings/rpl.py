@@ -100,6 +100,12 @@ def read_rpl(
     ]
 
 
+def is_rpl_scene(folder: Path) -> bool:
+    """Whether a folder looks like one scene of a RapidPoseLabels tree."""
+    camera_files = (folder / "camera.txt", folder.absolute().parent / "camera.txt")
+    return (folder / "associations.txt").exists() and any(path.exists() for path in camera_files)
+
+
 def _single_scene(path: Path, names: Sequence[str] | None) -> dict[str, Path]:
     if names is not None and len(names) != 1:
         raise DataError(f"{path} is one scene, but names has {len(names)} entries: {list(names)}; give one")
