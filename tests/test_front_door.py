@@ -18,7 +18,7 @@ from rpl_data.types import DataError
 from rpl_data.workspace.workspace import Workspace
 
 ROOT = Path(__file__).parents[1]
-DOORS = ["rpl_data"]
+DOORS = ["rpl_data", "rpl_data.torch"]
 
 
 @pytest.mark.parametrize("door", DOORS)

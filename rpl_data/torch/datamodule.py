@@ -15,7 +15,11 @@ from rpl_data.types import DataError
 
 
 class KeypointDataModule(LightningDataModule):
-    """train.json and val.json of a folder; images that cannot be read are left out of their batch.
+    """The train and val splits of an exported folder, for `Trainer.fit(model, data)`.
+
+    A batch is a pair: the collated samples of `KeypointDataset` (the same keys with a leading batch axis;
+    None when no image of the batch could be read), and a tuple of messages about images that could not be
+    read.
 
     Attributes:
         train: the training set.
@@ -24,7 +28,7 @@ class KeypointDataModule(LightningDataModule):
 
     def __init__(
         self,
-        folder: Path,
+        folder: str | Path,
         *,
         object: str | None = None,  # noqa: A002 (the recipe's and the CLI's word for it)
         input_px: int = 256,
@@ -50,7 +54,8 @@ class KeypointDataModule(LightningDataModule):
         super().__init__()
         sizes: dict[str, Any] = {"input_px": input_px, "heatmap_px": heatmap_px, "sigma_px": sigma_px}
         sizes |= {"object": object, "cache": cache}
-        self.train = KeypointDataset(folder / "train.json", augment=augment, **sizes)
+        folder = Path(folder).expanduser()
+        self.train = KeypointDataset(folder, split="train", augment=augment, **sizes)
         if not self.train.model.keypoints:
             raise DataError(
                 f"{folder / 'train.json'}: {self.train.model.name} has no keypoints; name them in the recipe "

@@ -13,6 +13,7 @@ from torch.utils.data import Dataset
 
 from rpl_data.formats.datasets.coco import read_coco
 from rpl_data.torch.images import read_image, to_unit_range
+from rpl_data.torch.splits import split_file
 from rpl_data.torch.transforms import Augmentation, jittered, moved, random_crop_from_square, warped
 from rpl_data.types import DataError
 
@@ -35,26 +36,44 @@ class DetectionTarget(TypedDict):
 
 
 class DetectionDataset(Dataset[tuple[Tensor, DetectionTarget]]):
-    """Every image of an exported COCO file at a small size, kept in memory once decoded.
+    """Every image of an exported dataset at a small size, kept in memory once decoded.
+
+    ::
+
+        image, target = DetectionDataset("my-workspace/export/coco", split="train")[0]
+
+    `image` is float32, 3 x height x width, RGB, 0 to 1. `target` has, for n instances (n may be 0): `boxes`
+    (float32, n x 4: x0 y0 x1 y1 in pixels of the small image, the paper's square boxes without their margin),
+    `labels` (int64, n: category ids from 1) and `image_id` (int, of the COCO file).
 
     Attributes:
         names: of the labels, `names[0]` is the background.
     """
 
-    def __init__(self, coco_json: Path, *, width_px: int = 256, augment: Augmentation | None = None) -> None:
+    def __init__(
+        self,
+        path: str | Path,
+        *,
+        split: str | None = None,
+        width_px: int = 256,
+        augment: Augmentation | None = None,
+    ) -> None:
         """Read the annotations; an image is decoded when it is first asked for.
 
         Args:
-            coco_json: a file that `rpl export` wrote.
+            path: the folder of an export (my-workspace/export/coco), or one of its JSON files.
+            split: train, val or test, when `path` is a folder.
             width_px: of the images; they keep their shape.
             augment: shifts (a share of the width), zooms and colours at random; boxes stay upright, so
                 `rotation_deg` must be 0.
 
         Raises:
-            DataError: the file is not ours, it has no image, or boxes would be turned.
+            DataError: there is no such split (the message says why), the file is not ours, it has no image,
+                or boxes would be turned.
         """
         if augment is not None and augment.rotation_deg:
             raise DataError(f"rotation_deg is {augment.rotation_deg}; a turned box is no box: give 0")
+        coco_json = split_file(path, split)
         data = read_coco(coco_json)
         if not data["images"]:
             raise DataError(f"{coco_json} has no image; train on another split")

@@ -15,22 +15,12 @@ from torchvision import tv_tensors
 
 from rpl_data.formats.datasets.coco import read_coco
 from rpl_data.torch.images import read_image, to_unit_range
+from rpl_data.torch.splits import split_file
 from rpl_data.torch.transforms import Image
 
 
 class InstanceTarget(TypedDict):
-    """What torchvision's detection models are trained with; n instances, n may be 0.
-
-    Attributes:
-        boxes: n x 4, float32, x0 y0 x1 y1 with COCO's edges (of the visible mask).
-        labels: n, int64, category ids from 1; 0 is the background.
-        masks: n x height x width, uint8, visible pixels.
-        image_id: of the COCO file.
-        area: n, float32, visible pixels.
-        iscrowd: n, int64, zeros.
-        keypoints: n x k x 3, float32, x y v in pixels (centre of the first pixel is 0); objects with fewer
-            keypoints than the largest have rows of zeros behind.
-    """
+    """What torchvision's detection models are trained with: `InstanceDataset` says what each key holds."""
 
     boxes: Tensor
     labels: Tensor
@@ -46,28 +36,60 @@ Json = dict[str, Any]
 
 
 class InstanceDataset(Dataset[InstanceSample]):
-    """Every image of an exported COCO file, those without an object too.
+    """Every image of an exported dataset, those without an object too: torchvision's detection targets.
+
+    ::
+
+        dataset = InstanceDataset("my-workspace/export/coco", split="train")
+        image, target = dataset[0]
+        DataLoader(dataset, batch_size=2, collate_fn=collate)    # images and targets as two lists
+
+    `image` is float32, 3 x height x width, RGB, 0 to 1. `target` is a dictionary; n instances, n may be 0:
+
+    ==========  =======  =================  ==============================================================
+    key         dtype    shape              what it is
+    ==========  =======  =================  ==============================================================
+    boxes       float32  n, 4               x0 y0 x1 y1 in px, COCO's edges, of the visible mask
+    labels      int64    n                  category ids from 1; 0 is the background
+    masks       uint8    n, height, width   1 = visible pixel of the object
+    image_id    int                         of the COCO file
+    area        float32  n                  visible pixels
+    iscrowd     int64    n                  zeros
+    keypoints   float32  n, k, 3            x y v in px; v: 0 never clicked, 1 hidden, 2 seen
+    ==========  =======  =================  ==============================================================
+
+    k is that of the object with most keypoints; others have rows of zeros behind. Keypoints count from the
+    centre of the first pixel, boxes from its edge.
 
     Attributes:
         names: of the labels, `names[0]` is the background.
     """
 
     def __init__(
-        self, coco_json: Path, transforms: Callable[[Tensor, InstanceTarget], InstanceSample] | None = None
+        self,
+        path: str | Path,
+        transforms: Callable[[Tensor, InstanceTarget], InstanceSample] | None = None,
+        *,
+        split: str | None = None,
     ) -> None:
         """Read the annotations; images stay on disk.
 
         Args:
-            coco_json: a file that `rpl export` wrote.
+            path: the folder of an export (my-workspace/export/coco), or one of its JSON files.
             transforms: called with the image (float32, 3 x height x width, 0 to 1) and its target, both made
                 of tv_tensors, so that torchvision.transforms.v2 can be given; or `RandomAffine`. Do not flip:
                 a mirrored object is another object.
+            split: train, val or test, when `path` is a folder.
+
+        Raises:
+            DataError: there is no such split (the message says why), or the file is not ours.
         """
-        data = read_coco(Path(coco_json))
+        coco_json = split_file(path, split)
+        data = read_coco(coco_json)
         by_id = sorted(data["categories"], key=lambda category: int(category["id"]))
         self.names = ["background", *(category["name"] for category in by_id)]
         self._most_keypoints = max((len(c["keypoints"]) for c in data["categories"]), default=0)
-        self._folder, self._transforms = Path(coco_json).parent, transforms
+        self._folder, self._transforms = coco_json.parent, transforms
         self._images: list[Json] = data["images"]
         self._annotations: dict[int, list[Json]] = {image["id"]: [] for image in self._images}
         for annotation in data["annotations"]:

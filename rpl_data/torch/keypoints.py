@@ -17,6 +17,7 @@ from rpl_data.formats.datasets.coco import objects_from_coco, read_coco
 from rpl_data.torch.heatmaps import draw_heatmaps
 from rpl_data.torch.images import read_image, to_unit_range
 from rpl_data.torch.regions import Region, RegionCache, region_around
+from rpl_data.torch.splits import split_file
 from rpl_data.torch.transforms import (
     Affine,
     Augmentation,
@@ -37,20 +38,9 @@ DISTORTION_LENGTH = 14
 
 
 class KeypointSample(TypedDict):
-    """One instance. A default-collated batch has the same keys with a leading batch axis.
+    """One instance: `KeypointDataset` says what each key holds.
 
-    Attributes:
-        image: 3 x input x input, RGB, 0 to 1.
-        heatmaps: K x heatmap x heatmap, a Gaussian of height 1 where the keypoint is.
-        weights: K; 1 where labelled (seen or hidden) and inside the crop, else 0.
-        keypoints_px: K x 2, full image; NaN where not labelled.
-        visibility: K; COCO's v.
-        crop_from_image: 2 x 3, full image to crop; holds the in-plane rotation too.
-        camera_matrix: 3 x 3, of the full image. distortion: OpenCV's coefficients, zeros behind.
-        camera_from_object: 4 x 4, metres.
-        points_object: K x 3, metres; NaN where never clicked.
-        square_box: cx, cy, side in pixels of the full image: the paper's box.
-        image_id, annotation_id: of the COCO file.
+    A default-collated batch has the same keys with a leading batch axis.
     """
 
     image: Tensor
@@ -88,7 +78,32 @@ class _Instances:
 
 
 class KeypointDataset(Dataset[KeypointSample]):
-    """Square crops of one object of an exported COCO file.
+    """Square crops of one object of an exported dataset, one item per instance.
+
+    ::
+
+        dataset = KeypointDataset("my-workspace/export/coco", split="train", object="cube")
+        sample = dataset[0]      # a dictionary, ready for torch's DataLoader
+
+    Its keys, k being the number of keypoints; pixels count from the centre of the top-left pixel:
+
+    ====================  =======  ======================  ==================================================
+    key                   dtype    shape                   what it is
+    ====================  =======  ======================  ==================================================
+    image                 float32  3, input, input         crop, RGB, 0 to 1
+    heatmaps              float32  k, heatmap, heatmap     Gaussian of height 1 at each keypoint
+    weights               float32  k                       1 where labelled and inside the crop, else 0
+    keypoints_px          float64  k, 2                    (u, v), px of the full image; NaN = not labelled
+    visibility            int64    k                       0 never clicked, 1 hidden, 2 seen
+    crop_from_image       float64  2, 3                    px of the full image -> px of the crop
+    camera_matrix         float64  3, 3                    K of the full image, px
+    distortion            float64  14                      OpenCV's lens coefficients
+    camera_from_object    float64  4, 4                    pose, metres; camera: x right, y down, z forward
+    points_object         float64  k, 3                    sparse model, metres; NaN = never clicked
+    square_box            float64  3                       cx, cy, side, px of the full image
+    image_id              int                              of the COCO file
+    annotation_id         int                              of the COCO file
+    ====================  =======  ======================  ==================================================
 
     Attributes:
         model: the sparse model of the object.
@@ -97,8 +112,9 @@ class KeypointDataset(Dataset[KeypointSample]):
 
     def __init__(
         self,
-        coco_json: Path,
+        path: str | Path,
         *,
+        split: str | None = None,
         object: str | None = None,  # noqa: A002 (the recipe's and the CLI's word for it)
         input_px: int = 256,
         heatmap_px: int = 64,
@@ -109,8 +125,9 @@ class KeypointDataset(Dataset[KeypointSample]):
         """Read the annotations; images stay on disk unless cached.
 
         Args:
-            coco_json: a file that `rpl export` wrote.
-            object: its name; may be left out when the file has one object.
+            path: the folder of an export (my-workspace/export/coco), or one of its JSON files.
+            split: train, val or test, when `path` is a folder.
+            object: its name; may be left out when there is one object.
             input_px: side of the crop.
             heatmap_px: side of the heatmaps.
             sigma_px: of the Gaussians, heatmap pixels.
@@ -120,14 +137,16 @@ class KeypointDataset(Dataset[KeypointSample]):
                 processes and runs. What comes out is the same, but for rounding to a grey level.
 
         Raises:
-            DataError: the file is not ours, or it has no such object, or no instance of it.
+            DataError: there is no such split (the message says why), the file is not ours, or it has no such
+                object, or no instance of it.
         """
-        data = read_coco(Path(coco_json))
+        coco_json = split_file(path, split)
+        data = read_coco(coco_json)
         self.model, category_id = _choose(data, object, coco_json)
         self.input_px, self.heatmap_px = input_px, heatmap_px
         self._sigma_px, self._augment = sigma_px, augment
         self._heatmap_from_crop = heatmap_from_crop(input_px=input_px, heatmap_px=heatmap_px)
-        self._rows = _instances(data, category_id, Path(coco_json).parent)
+        self._rows = _instances(data, category_id, coco_json.parent)
         if len(self._rows.files) == 0:
             raise DataError(f"{coco_json} has no instance of {self.model.name}; train on another split")
         self._points_object = torch.from_numpy(self.model.points_object.copy())
