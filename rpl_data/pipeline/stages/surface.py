@@ -13,7 +13,7 @@ from rpl_data.pipeline.context import Context, posed_frames, step
 from rpl_data.pipeline.ledger import Advance, Outcome, Step
 from rpl_data.types import Frame, Mesh, Solution
 
-VERSION = 1
+VERSION = 2
 """Raised when the stage writes something else for the same input; its steps then run again."""
 
 
