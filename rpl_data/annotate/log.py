@@ -68,7 +68,7 @@ class ObjectLog:
         with self._lock:
             before = self.now()
             known = {event["id"] for event in self._events[-500:] if "id" in event}
-            new = [action for action in actions if action.get("id") not in known]
+            new = [action for action in actions if _id_of(action) not in known]
             self._refuse_conflict(new, seen)
             for action in new:
                 self._append_one(action)
@@ -76,8 +76,8 @@ class ObjectLog:
 
     def _append_one(self, action: dict[str, object]) -> None:
         event = checked(action, self.now().annotation, self.scenes)
-        if action.get("id") is not None:
-            event["id"] = str(action["id"])[:60]
+        if (known_as := _id_of(action)) is not None:
+            event["id"] = known_as
         event["time_s"] = round(time.time(), 3)
         replay(self.name, [*self._events, event])  # an event that cannot be replayed never enters
         try:
@@ -113,3 +113,9 @@ class ObjectLog:
         except FileNotFoundError:
             return None
         return status.st_size, status.st_mtime_ns
+
+
+def _id_of(action: dict[str, object]) -> str | None:
+    """What a page calls an action, to know it again; None where it has no name that could be one."""
+    found = action.get("id")
+    return found[:60] if isinstance(found, str) else None

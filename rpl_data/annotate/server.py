@@ -6,6 +6,7 @@ from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 
 from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from starlette.middleware.gzip import GZipMiddleware
 
@@ -37,6 +38,7 @@ def make_app(session: Session, place: Place) -> FastAPI:
     app.add_middleware(Guard, place=place)
     for kind, status in ((Conflict, 409), (NotSaved, 507), (DataError, 422)):
         app.add_exception_handler(kind, _answer(status))
+    app.add_exception_handler(RequestValidationError, _name_fields)
     add_scenes(app, session)
     add_objects(app, session)
     app.include_router(solid_routes(session))
@@ -53,3 +55,10 @@ def _answer(status: int) -> Callable[[Request, Exception], JSONResponse]:
         return JSONResponse({"error": str(error)}, status)
 
     return answer
+
+
+def _name_fields(request: Request, error: Exception) -> JSONResponse:
+    """Which fields of a request are wrong, in words; what was sent is not sent back."""
+    assert isinstance(error, RequestValidationError)
+    faults = [f"{'.'.join(map(str, fault['loc'][1:]))}: {fault['msg']}" for fault in error.errors()[:5]]
+    return JSONResponse({"error": f"the request is wrong: {'; '.join(faults)}"}, 422)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from fastapi import APIRouter, Request
 from fastapi.responses import PlainTextResponse, Response
+from pydantic import FiniteFloat
 from starlette.concurrency import run_in_threadpool
 
 from rpl_data.annotate.model import MESHES, given_mesh_payload, keep_mesh, read_known_points
@@ -22,7 +23,7 @@ def model_routes(session: Session) -> APIRouter:
     routes = APIRouter()
 
     @routes.post("/api/objects/{name}/model")
-    async def load(request: Request, name: str, file: str, metres_per_unit: float = 1.0) -> Json:
+    async def load(request: Request, name: str, file: str, metres_per_unit: FiniteFloat = 1.0) -> Json:
         content = await request.body()
         return await run_in_threadpool(read, name, file, content, metres_per_unit)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from fastapi import FastAPI
+from fastapi import FastAPI, HTTPException
 from fastapi.responses import FileResponse, StreamingResponse
 from fastapi.staticfiles import StaticFiles
 
@@ -31,6 +31,8 @@ def add_page(app: FastAPI, session: Session) -> None:
 
     @app.get("/api/news")
     async def news() -> StreamingResponse:
+        if session.news.is_full:
+            raise HTTPException(503, "too many pages are open; close some of them")
         headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
         return StreamingResponse(session.news.stream(), media_type="text/event-stream", headers=headers)
 
