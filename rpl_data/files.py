@@ -5,7 +5,10 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import stat
+import struct
 import tempfile
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -84,8 +87,59 @@ def read_json(path: Path) -> Any:
     """The content of a JSON file; DataError when it is missing or broken."""
     try:
         return json.loads(read_text(path))
-    except json.JSONDecodeError as error:
+    except (ValueError, RecursionError) as error:  # also numbers of 5,000 digits and lists 5,000 deep
+        if isinstance(error, DataError):
+            raise
         raise DataError(f"{path} is not valid JSON: {error}; restore it or delete it") from error
+
+
+FAULTS = (
+    ArithmeticError, AttributeError, EOFError, LookupError, MemoryError, RecursionError, TypeError, ValueError
+)  # fmt: skip
+"""What Python raises where a file holds something else than the reader expects."""
+
+
+@contextmanager
+def decoding(source: Path | str, remedy: str) -> Iterator[None]:
+    """Turn any fault in decoding the content of a file into a DataError that names the file and the fault.
+
+    Args:
+        source: the file, with the line or record where that is known.
+        remedy: what to do, as an imperative.
+    """
+    try:
+        yield
+    except DataError:
+        raise
+    except KeyError as error:
+        raise DataError(f"{source} lacks {error.args[0]!r:.80}; {remedy}") from error
+    except (*FAULTS, struct.error, zlib.error) as error:
+        why = " ".join(str(error).split())[:200] or type(error).__name__
+        raise DataError(f"{source} is damaged or of another version: {why}; {remedy}") from error
+
+
+def refuse_special(path: Path) -> None:
+    """DataError when a path is a pipe, a device or a socket: reading it might never end.
+
+    A folder or a missing file is not refused: opening it says so.
+    """
+    try:
+        mode = path.stat().st_mode
+    except (OSError, ValueError):
+        return
+    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+        raise DataError(f"{path} is no file but a pipe, a device or a socket; give the file itself")
+
+
+def read_bytes(path: Path) -> bytes:
+    """The content of a file; DataError when it is missing or cannot be read."""
+    refuse_special(path)
+    try:
+        return path.read_bytes()
+    except FileNotFoundError as error:
+        raise DataError(f"{path} does not exist") from error
+    except (OSError, ValueError) as error:
+        raise DataError(f"cannot read {path}: {error}") from error
 
 
 def read_text(path: Path, *, errors: Literal["strict", "replace"] = "strict") -> str:
@@ -93,11 +147,12 @@ def read_text(path: Path, *, errors: Literal["strict", "replace"] = "strict") ->
 
     Bytes that are no text may be replaced instead, where the reader judges every line.
     """
+    refuse_special(path)
     try:
         return path.read_text(encoding="utf-8", errors=errors)
     except FileNotFoundError as error:
         raise DataError(f"{path} does not exist") from error
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, ValueError) as error:  # ValueError: no UTF-8, or a path with a zero byte
         raise DataError(f"cannot read {path}: {error}") from error
 
 

@@ -30,7 +30,7 @@ REDUCED_GREY = {
 
 def read_color(frame: Frame) -> ColorImage:
     """The colour image as RGB; DataError when it is missing or broken."""
-    image = cv2.imread(str(frame.color), cv2.IMREAD_COLOR_RGB) if frame.color.exists() else None
+    image = cv2.imread(str(frame.color), cv2.IMREAD_COLOR_RGB) if frame.color.is_file() else None
     if image is None:
         raise DataError(
             f"frame {frame.index}: cannot read the colour image {frame.color}; it is missing or broken"
@@ -45,7 +45,7 @@ def read_grey(frame: Frame, *, reduce: int) -> GreyImage:
 
     A JPEG is decoded at the small size, which takes a fraction of the time.
     """
-    image = cv2.imread(str(frame.color), REDUCED_GREY[reduce]) if frame.color.exists() else None
+    image = cv2.imread(str(frame.color), REDUCED_GREY[reduce]) if frame.color.is_file() else None
     if image is None:
         raise DataError(
             f"frame {frame.index}: cannot read the colour image {frame.color}; it is missing or broken"
@@ -72,7 +72,7 @@ def read_depth_units(scene: Scene, frame: Frame) -> UInt16[np.ndarray, "height w
     """The depth image as it is stored, on the colour image, 0 = none; DataError as `read_depth_m`."""
     if frame.depth is None:
         raise DataError(f"scene {scene.name}, frame {frame.index} has no depth image")
-    raw = cv2.imread(str(frame.depth), cv2.IMREAD_UNCHANGED) if frame.depth.exists() else None
+    raw = cv2.imread(str(frame.depth), cv2.IMREAD_UNCHANGED) if frame.depth.is_file() else None
     expected = (scene.intrinsics.height, scene.intrinsics.width)
     if raw is None or raw.dtype != np.uint16 or raw.shape != expected:
         found = "nothing readable" if raw is None else f"{raw.dtype} {raw.shape}"

@@ -1,4 +1,7 @@
-"""Meshes and clouds as files, written whole as PLY: Open3D's writer reports success on a full disk."""
+"""Meshes and clouds as files, written whole as PLY: Open3D's writer reports success on a full disk.
+
+PLY is read by our own reader, other formats by Open3D in a process of its own: damaged files end it.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,9 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64, UInt8
 from scipy.spatial import cKDTree
 
+from rpl_data.child import in_child
 from rpl_data.files import write_bytes
+from rpl_data.ply import Columns, read_ply
 from rpl_data.types import DataError, Mesh, PointCloud
 
 Floats = Float64[np.ndarray, "n 3"]
@@ -21,21 +26,58 @@ def save_mesh(path: Path, mesh: Mesh) -> None:
     write_bytes(path, mesh_to_ply(mesh))
 
 
+READING_S = 120
+"""CPU seconds for a mesh that Open3D reads; a scan of a million triangles takes ten."""
+
+
 def load_mesh(path: Path) -> Mesh:
-    """Triangles from PLY, OBJ or anything Open3D reads; DataError when there are none."""
+    """Triangles from PLY, OBJ or anything Open3D reads.
+
+    Raises:
+        DataError: the file is missing or damaged, holds no triangles, or has a vertex that is not finite.
+    """
+    if not path.is_file():
+        raise DataError(f"there is no mesh {path}")
+    if path.suffix.lower() != ".ply":
+        mesh = in_child(_read_by_open3d, path, file=path, limit_s=READING_S)
+    else:
+        ply = read_ply(path)
+        mesh = Mesh(_columns(path, ply.vertices, "x y z"), ply.triangles, _colors(ply.vertices))
+    if not len(mesh.triangles):
+        raise DataError(f"{path} holds no triangles; expected a mesh, not a point cloud")
+    if not np.isfinite(mesh.vertices).all():
+        raise DataError(f"{path} has a vertex that is not finite; save it again")
+    return mesh
+
+
+def _read_by_open3d(path: Path) -> Mesh:
     import open3d as o3d
 
-    if not path.exists():
-        raise DataError(f"there is no mesh {path}")
     legacy = o3d.io.read_triangle_mesh(str(path))
-    if not legacy.has_triangles():
-        raise DataError(f"{path} holds no triangles; expected a mesh, not a point cloud")
-    colors = (
-        (np.asarray(legacy.vertex_colors) * 255).round().astype(np.uint8)
-        if legacy.has_vertex_colors()
-        else None
-    )
-    return Mesh(np.asarray(legacy.vertices).copy(), np.asarray(legacy.triangles).astype(np.int64), colors)
+    colors = (np.asarray(legacy.vertex_colors) * 255).round().astype(np.uint8)
+    triangles = np.asarray(legacy.triangles).astype(np.int64)
+    vertices = np.asarray(legacy.vertices).copy()
+    if len(triangles) and not (triangles.min() >= 0 and triangles.max() < len(vertices)):
+        raise DataError(f"{path} has a triangle with a corner that is no vertex; save it again")
+    return Mesh(vertices, triangles, colors if legacy.has_vertex_colors() else None)
+
+
+def _columns(path: Path, vertices: Columns, names: str) -> Floats:
+    """Some properties of vertices side by side, such as "x y z"."""
+    missing = [name for name in names.split() if name not in vertices]
+    if missing:
+        raise DataError(f"{path} has no property {', '.join(missing)} for its vertices; save it again")
+    return np.column_stack([vertices[name].astype(np.float64) for name in names.split()])
+
+
+def _colors(vertices: Columns) -> Colors | None:
+    """RGB of vertices, stored as bytes or as fractions of 1; None where they have none."""
+    found = [vertices[name] for name in ("red", "green", "blue") if name in vertices]
+    if len(found) < 3:
+        return None
+    if found[0].dtype.kind == "f":
+        found = [np.nan_to_num(255 * values).clip(0, 255).round() for values in found]
+    return np.column_stack(found).clip(0, 255).astype(np.uint8)
 
 
 def save_cloud(path: Path, cloud: PointCloud) -> None:
@@ -44,16 +86,16 @@ def save_cloud(path: Path, cloud: PointCloud) -> None:
 
 
 def load_cloud(path: Path) -> PointCloud:
-    """Points with normals from PLY; DataError when there are none."""
-    import open3d as o3d
-
-    if not path.exists():
+    """Points with normals from PLY; DataError when there are none, or some are not finite."""
+    if not path.is_file():
         raise DataError(f"there is no point cloud {path}")
-    legacy = o3d.io.read_point_cloud(str(path))
-    if not legacy.has_points() or not legacy.has_normals():
+    vertices = read_ply(path).vertices
+    if not {"x", "nx"} <= vertices.keys() or not len(vertices["x"]):
         raise DataError(f"{path} should hold points with normals")
-    colors = (np.asarray(legacy.colors) * 255).round().astype(np.uint8) if legacy.has_colors() else None
-    return PointCloud(np.asarray(legacy.points).copy(), np.asarray(legacy.normals).copy(), colors)
+    points, normals = _columns(path, vertices, "x y z"), _columns(path, vertices, "nx ny nz")
+    if not (np.isfinite(points).all() and np.isfinite(normals).all()):
+        raise DataError(f"{path} has a point or a normal that is not finite; save it again")
+    return PointCloud(points, normals, _colors(vertices))
 
 
 def mesh_to_ply(mesh: Mesh) -> bytes:

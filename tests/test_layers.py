@@ -11,7 +11,8 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 LAYERS = [
     {"types"},
-    {"files", "geometry", "json_arrays"},
+    {"child", "files", "geometry", "json_arrays"},
+    {"ply"},
     {"images", "meshes", "raycast", "overlay", "drift"},
     {"formats", "clicks", "pose", "reconstruct", "workspace"},
     {"capture", "solve", "refine", "segment", "label", "export", "torch"},

@@ -62,7 +62,8 @@ def keep_mesh(
         try:
             mesh = load_mesh(path)
         except DataError as error:
-            raise DataError(f"{file_name} holds no triangles; choose a mesh: {', '.join(MESHES)}") from error
+            why = str(error).replace(str(path), file_name)
+            raise DataError(f"{why}. Choose a mesh: {', '.join(MESHES)}") from error
     vertices = mesh.vertices * metres_per_unit
     refuse_large(vertices, file_name)
     save_mesh(workspace.given_mesh_file(object_name), Mesh(vertices, mesh.triangles, mesh.colors))

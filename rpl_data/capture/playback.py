@@ -10,6 +10,7 @@ from typing import Any
 
 from rpl_data.capture.device import COLOR_FORMATS, choose, opened
 from rpl_data.capture.streams import Shot, Streams
+from rpl_data.child import in_child
 from rpl_data.formats.containers.db3 import repair_db3
 from rpl_data.formats.containers.rosbag import repair_bag
 from rpl_data.formats.recordings.frame_files import Camera, Listing, Pair, chosen, examine, without_poses
@@ -31,7 +32,8 @@ def read_realsense(
 ) -> list[Recording]:
     """The recordings of a folder, or one, unpacked; a scene is called as its file.
 
-    Depth is moved onto the colour pixels. Of a recording that was cut off or never closed, what is whole
+    Each file is read in a process of its own, since librealsense may end the process on a damaged one. Depth
+    is moved onto the colour pixels. Of a recording that was cut off or never closed, what is whole
     is kept and the loss is named in `Recording.skipped`.
 
     Args:
@@ -50,7 +52,8 @@ def read_realsense(
     if not recordings:
         raise DataError(f"{path} holds no {' or '.join(SUFFIXES)} file")
     return [
-        _read_file(name, found, unpack(name), metres_per_unit, camera) for name, found in recordings.items()
+        in_child(_read_file, name, found, unpack(name), metres_per_unit, camera, file=found)
+        for name, found in recordings.items()
     ]
 
 

@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 
 from rpl_data.capture.playback import is_recording, read_realsense
+from rpl_data.files import decoding
 from rpl_data.formats.recordings.bop import is_bop_scene, read_bop
 from rpl_data.formats.recordings.elasticfusion import read_klg
 from rpl_data.formats.recordings.frame_files import Camera
@@ -144,7 +145,10 @@ def open_scenes(
         raise DataError(f"{path}: recordings of format {format} are unpacked; say where to: `unpack`")
     reader = partial(known[format], unpack=unpack) if format in UNPACKERS else known[format]
     try:
-        found = reader(path, names=names, metres_per_unit=metres_per_unit, camera=camera)
+        with decoding(path, f"repair it, or check that its format is {format}; `rpl check` may say more"):
+            found = reader(path, names=names, metres_per_unit=metres_per_unit, camera=camera)
+    except OSError as error:
+        raise DataError(f"cannot read {error.filename or path}: {error.strerror or error}") from error
     except DataError as error:
         likely = likely_formats(path)
         if not likely or format.startswith(tuple(likely)):

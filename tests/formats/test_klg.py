@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import resource
 import struct
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -220,3 +222,14 @@ def test_a_recipe_unpacks_into_the_workspace(tmp_path: Path) -> None:
     assert loaded == recording.scene
     assert loaded.frames[0].color.is_relative_to(workspace.root / "scenes/cup")
     assert read_depth_m(loaded, loaded.frames[5])[0, 0] == pytest.approx(0.705)
+
+
+def test_depth_that_would_unpack_to_gigabytes_is_broken_and_takes_no_memory(tmp_path: Path) -> None:
+    packing = zlib.compressobj(9)
+    bomb = b"".join(packing.compress(bytes(2**20)) for _ in range(1024)) + packing.flush()
+    (tmp_path / "a.klg").write_bytes(struct.pack("<iqii", 1, 0, len(bomb), 0) + bomb)
+    index = index_klg(tmp_path / "a.klg")
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with (tmp_path / "a.klg").open("rb") as file:
+        assert klg_depth_mm(file, index.entries[0], (640, 480)) is None
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100_000, "kilobytes"

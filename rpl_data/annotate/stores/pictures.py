@@ -67,7 +67,7 @@ class PictureStore:
         posed = self._scenes.get(scene)
         source, full_px = posed.frame(frame), posed.scene.intrinsics.width
         width = next((w for w in WIDTHS if w >= width_px), full_px) if width_px else full_px
-        if width >= full_px and source.color.suffix.lower() in JPEG_SUFFIXES and source.color.exists():
+        if width >= full_px and source.color.suffix.lower() in JPEG_SUFFIXES and source.color.is_file():
             return source.color.read_bytes()
         return encoded(resized(_read(source, full_px, width), width))
 

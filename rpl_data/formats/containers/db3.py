@@ -12,6 +12,7 @@ from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
+from rpl_data.files import decoding, refuse_special
 from rpl_data.types import DataError
 
 _SCHEMA = """
@@ -47,6 +48,12 @@ def repair_db3(path: Path, repaired: Path) -> Db3Repair:
     Raises:
         DataError: no topic or no message can be read.
     """
+    refuse_special(path)
+    with decoding(path, "record it again"):
+        return _repaired(path, repaired)
+
+
+def _repaired(path: Path, repaired: Path) -> Db3Repair:
     times_ns: list[int] = []
     repaired.unlink(missing_ok=True)
     with closing(sqlite3.connect(_uri(path), uri=True)) as old, closing(sqlite3.connect(repaired)) as new:

@@ -26,14 +26,14 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8, UInt16
 
-from rpl_data.files import writing
+from rpl_data.files import refuse_special, writing
 from rpl_data.types import DataError
 
 METRES_PER_UNIT = 0.001
 _COUNT = struct.Struct("<i")
 _HEADER = struct.Struct("<qii")
 _LARGEST_BYTES = 100_000_000
-"""No image is larger; a greater size in a header is not one."""
+"""No image is larger, packed or unpacked; a greater size in a header is not one."""
 
 SIZES = ((640, 480), (320, 240), (160, 120), (848, 480), (1280, 720), (1920, 1080), (1280, 800), (512, 424))
 """Width and height of usual cameras, no two with the same number of pixels."""
@@ -74,6 +74,7 @@ def index_klg(path: Path) -> KlgIndex:
     Raises:
         DataError: the file is missing, or does not begin with a frame.
     """
+    refuse_special(path)
     try:
         with path.open("rb") as file:
             return _index(file, path)
@@ -144,8 +145,9 @@ def _depth_bytes(file: BinaryIO, entry: KlgEntry, pixels: int | None) -> bytes |
     stored = file.read(entry.depth_bytes)
     if pixels is not None and len(stored) == 2 * pixels:
         return stored
+    most = _LARGEST_BYTES if pixels is None else 2 * pixels + 1  # one more tells that it is too long
     try:
-        return zlib.decompress(stored)
+        return zlib.decompressobj().decompress(stored, most)  # a megabyte may unpack to gigabytes
     except zlib.error:
         return None
 

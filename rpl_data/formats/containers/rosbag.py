@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, BinaryIO
 
-from rpl_data.files import writing
+from rpl_data.files import decoding, refuse_special, writing
 from rpl_data.formats.containers.lz4 import unpack_lz4
 from rpl_data.types import DataError
 
@@ -69,6 +69,12 @@ def repair_bag(path: Path, repaired: Path) -> BagRepair:
     Raises:
         DataError: the file is no bag, or has no whole chunk.
     """
+    refuse_special(path)
+    with decoding(path, "record it again"):
+        return _repaired(path, repaired)
+
+
+def _repaired(path: Path, repaired: Path) -> BagRepair:
     with path.open("rb") as file:
         size = file.seek(0, 2)
         chunks, connections = _scan(file, path)

@@ -23,7 +23,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 from jaxtyping import Float64
 
-from rpl_data.files import read_text, write_text
+from rpl_data.files import decoding, read_text, write_text
 from rpl_data.types import DataError
 
 
@@ -54,7 +54,13 @@ def read_picked_points(path: Path, *, metres_per_unit: float = 1.0) -> PickedPoi
         DataError: no XML, no PickedPoints, no point, a coordinate that is no finite number, or a name
             used twice.
     """
-    points = _points(path)
+    with decoding(path, "pick the keypoints in MeshLab and save again"):
+        points = _points(path)
+        return _numbered(path, points, metres_per_unit)
+
+
+def _numbered(path: Path, points: dict[str, np.ndarray], metres_per_unit: float) -> PickedPoints:
+    """The points in the order of their numbers, where all names are numbers."""
     names = list(points)
     if all(name.isascii() and name.isdigit() for name in names):
         numbered = {int(name): point for name, point in points.items()}

@@ -13,6 +13,8 @@ Two older generations: one whose ``scenes`` leaves out the first scene, and one 
 
 from __future__ import annotations
 
+import io
+import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,10 +22,13 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 
-from rpl_data.files import writing
+from rpl_data.files import decoding, refuse_special, writing
 from rpl_data.formats.models.sparse_model import points_in_first_scene
 from rpl_data.geometry import Points, from_quaternion_xyzw, invert, to_quaternion_xyzw, transform
 from rpl_data.types import DataError, Observation, Solution
+
+LARGEST_BYTES = 256 * 2**20
+WRITE_AGAIN = "run RapidPoseLabels' process.py again"
 
 
 @dataclass(frozen=True)
@@ -47,7 +52,11 @@ def read_meta_data(path: Path) -> MetaData:
     Raises:
         DataError: the file is missing, none of these, or its arrays do not fit each other.
     """
-    arrays = _as_today(_load(path))
+    with decoding(path, WRITE_AGAIN):
+        return _meta_data(path, _as_today(_load(path)))
+
+
+def _meta_data(path: Path, arrays: Mapping[str, np.ndarray]) -> MetaData:
     missing = [key for key in ("model", "scenes", "ref", "sm") if key not in arrays]
     if missing:
         raise DataError(
@@ -66,13 +75,23 @@ def read_meta_data(path: Path) -> MetaData:
 
 
 def _load(path: Path) -> dict[str, np.ndarray]:
+    refuse_special(path)
     if not path.exists():
         raise DataError(f"{path} does not exist")
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            return {key: np.asarray(archive[key], dtype=float) for key in archive.files}
-    except (OSError, ValueError, EOFError) as error:
-        raise DataError(f"{path} is not an npz archive of numbers: {error}") from error
+        with zipfile.ZipFile(path) as archive, decoding(path, WRITE_AGAIN):
+            return {Path(name).stem: _array(archive, path, name) for name in archive.namelist()}
+    except (OSError, zipfile.BadZipFile, NotImplementedError, RuntimeError) as error:
+        raise DataError(f"{path} is not an npz archive of numbers: {error}; {WRITE_AGAIN}") from error
+
+
+def _array(archive: zipfile.ZipFile, path: Path, name: str) -> np.ndarray:
+    """One array of numbers; its size is looked at before it is unpacked."""
+    if archive.getinfo(name).file_size > LARGEST_BYTES:
+        raise DataError(f"{path}: {name} is larger than {LARGEST_BYTES // 2**20} MB; {WRITE_AGAIN}")
+    with archive.open(name) as file:
+        content = file.read(LARGEST_BYTES)
+    return np.asarray(np.lib.format.read_array(io.BytesIO(content), allow_pickle=False), dtype=float)
 
 
 def _as_today(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

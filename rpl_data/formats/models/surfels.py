@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 
-from rpl_data.files import write_bytes
+from rpl_data.files import decoding, read_bytes, write_bytes
 from rpl_data.types import DataError, PointCloud
 
 _FIELDS = [
@@ -49,17 +49,17 @@ def read_surfels(path: Path) -> Surfels:
     Raises:
         DataError: the file is missing, no such PLY, or holds no surfel.
     """
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise DataError(f"cannot read {path}: {error.strerror}") from error
-    promised, kind = _header(path, content[: content.find(_END)].decode("ascii", "replace").split("\n"))
+    content = read_bytes(path)
+    with decoding(path, "run ElasticFusion on the recording again"):
+        promised, kind = _header(path, content[: content.find(_END)].decode("ascii", "replace").split("\n"))
     body = content[content.find(_END) + len(_END) :]
     whole = min(promised, len(body) // kind.itemsize)
     if whole == 0:
         raise DataError(f"{path} holds no whole surfel; run ElasticFusion on the recording again")
     table = np.frombuffer(body, kind, whole)
     points, normals = (_columns(table, names) for names in ("x y z", "nx ny nz"))
+    if not (np.isfinite(points).all() and np.isfinite(normals).all()):
+        raise DataError(f"{path} has a surfel that is not finite; run ElasticFusion on the recording again")
     facing = np.einsum("ij,ij->i", normals, -points) > 0
     outwards = normals if facing.mean() >= 0.5 else -normals
     colors = np.stack([table[name] for name in ("red", "green", "blue")], axis=1)

@@ -68,7 +68,7 @@ def whole_frames(
 
 
 def _defect(kind: str, path: Path, headers: Headers, size: tuple[int, int]) -> str | None:
-    if not path.exists():
+    if not path.is_file():
         return f"without {kind} (no such file)"
     header = headers[path]
     if header is None:
@@ -156,7 +156,8 @@ def examine(listing: Listing) -> Recording:
             or depths are outside 0.1-10 m, so the depth unit must be wrong.
     """
     check_unit(listing.metres_per_unit)
-    headers = {path: probe(path) for pair in listing.pairs for path in (pair.color, pair.depth)}
+    images = [path for pair in listing.pairs for path in (pair.color, pair.depth)]
+    headers = {path: probe(path) if path.is_file() else None for path in images}
     width, height = _image_size(listing, headers)
     frames, skipped = whole_frames(listing.pairs, headers, width=width, height=height)
     intrinsics = intrinsics_of(listing.camera, width, height)

@@ -73,7 +73,9 @@ def _jpeg(file: BinaryIO) -> ImageHeader | None:
             if len(size) < 5:
                 return None
             return ImageHeader(int.from_bytes(size[3:5]), int.from_bytes(size[1:3]), is_depth=False)
-        file.seek(int.from_bytes(segment[2:4]) - 2, os.SEEK_CUR)
+        if (length := int.from_bytes(segment[2:4])) < 2:
+            return None
+        file.seek(length - 2, os.SEEK_CUR)
 
 
 def _decoded(path: Path) -> ImageHeader | None:

@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 
 from rpl_data.files import read_text
+from rpl_data.formats.containers.mat import read_mat
 from rpl_data.formats.recordings.frame_files import (
     Camera,
     Listing,
@@ -114,14 +115,10 @@ def _read_sequence(name: str, folder: Path, unit_m: float | None, camera: Camera
 
 def _read_meta(path: Path) -> Mapping[str, Any] | None:
     """What is needed of a meta.mat; None where it is missing or broken."""
-    from scipy.io import loadmat
-    from scipy.io.matlab import MatReadError
-
     try:
-        content: Mapping[str, Any] = loadmat(path, variable_names=_KEYS)
-    except (OSError, ValueError, TypeError, NotImplementedError, MatReadError):
-        return None  # SciPy raises each of these on broken files; the reader counts and names it
-    return content
+        return read_mat(path, _KEYS)
+    except DataError:
+        return None  # the reader counts and names it
 
 
 def _array(meta: Mapping[str, Any], key: str, source: Path) -> np.ndarray:
