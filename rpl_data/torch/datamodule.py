@@ -8,8 +8,9 @@ from typing import Any
 from pytorch_lightning import LightningDataModule
 from torch.utils.data import DataLoader
 
+from rpl_data.torch.epochs import training_batches, validation_batches
 from rpl_data.torch.keypoints import KeypointDataset
-from rpl_data.torch.readable import Readable, collate_readable
+from rpl_data.torch.readable import collate_readable
 from rpl_data.torch.transforms import Augmentation
 from rpl_data.types import DataError
 
@@ -38,6 +39,7 @@ class KeypointDataModule(LightningDataModule):
         augment: Augmentation | None = None,
         workers: int = 0,
         cache: bool = True,
+        seed: int = 0,
     ) -> None:
         """Read the annotations, and the pixels about the boxes when `cache`.
 
@@ -45,8 +47,10 @@ class KeypointDataModule(LightningDataModule):
             folder: of `rpl export`: export/coco or export/coco_truth.
             object: its name; may be left out when the dataset has one object.
             input_px, heatmap_px, sigma_px, augment, cache: of `KeypointDataset`; `augment` is for training.
-            batch: instances a step.
+            batch: instances per step.
             workers: processes that load; 0 = none, which suits cached crops.
+            seed: of the order of the training instances and of their augmentation, which depend on nothing
+                else but the epoch.
 
         Raises:
             DataError: there is no training split, the object is not in it, or it has no keypoints.
@@ -62,24 +66,20 @@ class KeypointDataModule(LightningDataModule):
                 "and click them"
             )
         self.val = _validation(folder / "val.json", sizes)
-        self._batch, self._workers = batch, workers
+        self._batch, self._workers, self._seed = batch, workers, seed
 
     def train_dataloader(self) -> DataLoader[Any]:
-        """Shuffled."""
-        return self._loader(self.train, shuffle=True)
+        """Shuffled anew in every epoch."""
+        return training_batches(
+            self.train, batch=self._batch, workers=self._workers, seed=self._seed, collate=collate_readable
+        )
 
-    def val_dataloader(self) -> DataLoader[Any] | list[Any]:
+    def val_dataloader(self) -> DataLoader[Any] | list[DataLoader[Any]]:
         """In order; empty without a validation set."""
-        return [] if self.val is None else self._loader(self.val, shuffle=False)
-
-    def _loader(self, dataset: KeypointDataset, *, shuffle: bool) -> DataLoader[Any]:
-        return DataLoader(
-            Readable(dataset),
-            batch_size=self._batch,
-            shuffle=shuffle,
-            num_workers=self._workers,
-            persistent_workers=self._workers > 0,
-            collate_fn=collate_readable,
+        if self.val is None:
+            return []
+        return validation_batches(
+            self.val, batch=self._batch, workers=self._workers, collate=collate_readable
         )
 
 

@@ -99,9 +99,9 @@ class InstanceDataset(Dataset[InstanceSample]):
         """How many images."""
         return len(self._images)
 
-    def file_name(self, image_id: int) -> str:
-        """The file of an image, for messages."""
-        return next(str(image["file_name"]) for image in self._images if image["id"] == image_id)
+    def image_id(self, row: int) -> int:
+        """The id that an image has in the COCO file."""
+        return int(self._images[row]["id"])
 
     def __getitem__(self, row: int) -> InstanceSample:
         """An image and its target."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections import Counter, OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
@@ -20,13 +19,13 @@ from torchvision.ops import box_iou
 
 from rpl_data.torch.detection import DetectionTarget, shrunk, square_from_box
 from rpl_data.torch.images import to_unit_range
-from rpl_data.torch.readable import Unreadable
 from training.keypoints.hourglass import Hourglass, Residual
 from training.runs.options import DetectorNetwork, Learning
-from training.runs.trainer import load_module, optimizer_of, stop_if_not_finite
+from training.runs.schedule import optimizer_of
+from training.runs.trainer import load_module, nothing_read, stop_if_not_finite
 
 Collated = tuple[list[Tensor], list[DetectionTarget], Sequence[str]]
-"""Of `collate_detection`."""
+"""What `collate_readable_lists` makes of a batch: images, targets, messages about unreadable images."""
 
 
 class HourglassBackbone(nn.Module):
@@ -51,34 +50,39 @@ class HourglassBackbone(nn.Module):
         return OrderedDict(p3=self.layers(images))
 
 
-def small_fcos(classes: int, network: DetectorNetwork) -> nn.Module:
+def small_fcos(classes: int, options: DetectorNetwork) -> nn.Module:
     """FCOS (Tian, Shen, Chen and He, ICCV 2019) on one map: objects of a few sizes need no pyramid."""
-    backbone = HourglassBackbone(network.features)
-    return FCOS(
+    backbone = HourglassBackbone(options.features)
+    network: nn.Module = FCOS(
         backbone,
         num_classes=classes,
         anchor_generator=AnchorGenerator(sizes=((8,),), aspect_ratios=((1.0,),)),
         head=FCOSHead(backbone.out_channels, 1, classes, num_convs=1),
         score_thresh=0.05,
-        **_size(network),
+        **_size(options),
     )
+    return network
 
 
-def fcos(classes: int, network: DetectorNetwork) -> nn.Module:
+def fcos(classes: int, options: DetectorNetwork) -> nn.Module:
     """Torchvision's, with batch normalisation that learns, since nothing is pretrained."""
-    return fcos_resnet50_fpn(
+    network: nn.Module = fcos_resnet50_fpn(
         weights=None,
         weights_backbone=None,
         num_classes=classes,
         norm_layer=nn.BatchNorm2d,
         trainable_backbone_layers=5,
-        **_size(network),
+        **_size(options),
     )
+    return network
 
 
-def ssdlite(classes: int, network: DetectorNetwork) -> nn.Module:
+def ssdlite(classes: int, options: DetectorNetwork) -> nn.Module:
     """Torchvision's; it resizes images to 320 x 320 whatever their size."""
-    return ssdlite320_mobilenet_v3_large(weights=None, weights_backbone=None, num_classes=classes)
+    network: nn.Module = ssdlite320_mobilenet_v3_large(
+        weights=None, weights_backbone=None, num_classes=classes
+    )
+    return network
 
 
 ARCHITECTURES: dict[str, Callable[[int, DetectorNetwork], nn.Module]] = {
@@ -88,9 +92,9 @@ ARCHITECTURES: dict[str, Callable[[int, DetectorNetwork], nn.Module]] = {
 }
 
 
-def _size(network: DetectorNetwork) -> dict[str, Any]:
+def _size(options: DetectorNetwork) -> dict[str, Any]:
     """Images of 4:3 come at their size and keep it; others are made to fit into that."""
-    return {"min_size": network.width_px * 3 // 4, "max_size": network.width_px}
+    return {"min_size": options.width_px * 3 // 4, "max_size": options.width_px}
 
 
 class Detection(NamedTuple):
@@ -121,6 +125,8 @@ class DetectorTraining(LightningModule):
         self.save_hyperparameters()
         self.names, self.options, self._learning = names, DetectorNetwork(**network), Learning(**learning)
         self.detector = ARCHITECTURES[self.options.architecture](len(names), self.options)
+        if self._learning.channels_last:
+            self.detector = self.detector.to(memory_format=torch.channels_last)
         self.unreadable: Counter[str] = Counter()
 
     def training_step(self, collated: Collated, number: int) -> Tensor | None:
@@ -128,10 +134,10 @@ class DetectorTraining(LightningModule):
         images, targets, messages = collated
         self.unreadable.update(messages)
         if not images:
-            return None
+            return nothing_read(self)
         losses: dict[str, Tensor] = self.detector(images, targets)
         loss = torch.stack(list(losses.values())).sum()
-        stop_if_not_finite(loss, self.current_epoch, number, [int(target["image_id"]) for target in targets])
+        stop_if_not_finite(losses, self.current_epoch, number, [target["image_id"] for target in targets])
         self.log("train_loss", loss, on_step=False, on_epoch=True, batch_size=len(images))
         return loss
 
@@ -143,11 +149,10 @@ class DetectorTraining(LightningModule):
         hits = [hit for output, target in zip(found, targets, strict=True) for hit in _hits(output, target)]
         if hits:
             self.log("val_found", sum(hits) / len(hits), batch_size=len(hits))
-            self.log("cpu_s", time.process_time(), batch_size=1, reduce_fx="max")
 
-    def configure_optimizers(self) -> Any:
-        """By the options."""
-        return optimizer_of(self, self._learning)
+    def configure_optimizers(self) -> torch.optim.Optimizer:
+        """The optimizer that the options name; `Steps` sets its rate."""
+        return optimizer_of(self, self._learning, fused=self.trainer.precision == "32-true")
 
     @torch.no_grad()
     def detect(self, image: np.ndarray) -> dict[str, Detection]:
@@ -176,13 +181,6 @@ def load_detector(checkpoint: Path) -> DetectorTraining:
         DataError: it is missing, or no checkpoint of `train_detector`.
     """
     return load_module(DetectorTraining, checkpoint, "training.train_detector")
-
-
-def collate_detection(samples: Sequence[Any]) -> Collated:
-    """Images and targets as lists, and why the others could not be read."""
-    read = [sample for sample in samples if not isinstance(sample, Unreadable)]
-    failed = tuple(sample.message for sample in samples if isinstance(sample, Unreadable))
-    return [image for image, _ in read], [target for _, target in read], failed
 
 
 def _hits(output: dict[str, Tensor], target: DetectionTarget) -> list[bool]:

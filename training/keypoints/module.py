@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -20,7 +19,8 @@ from rpl_data.torch.keypoints import KeypointSample
 from rpl_data.types import DataError, KeypointModel
 from training.keypoints.hourglass import StackedHourglass, cross_entropy, mean_squares
 from training.runs.options import Learning, Network
-from training.runs.trainer import load_module, optimizer_of, stop_if_not_finite
+from training.runs.schedule import optimizer_of
+from training.runs.trainer import load_module, nothing_read, stop_if_not_finite
 
 Collated = tuple[KeypointSample | None, Sequence[str]]
 """Of `collate_readable`."""
@@ -104,9 +104,9 @@ class KeypointTraining(LightningModule):
         """The loss; None when no image of the batch could be read."""
         batch = self._read(collated)
         if batch is None:
-            return None
+            return nothing_read(self)
         loss = self.loss_of(self.network(self._laid_out(batch["image"])), batch)
-        stop_if_not_finite(loss, self.current_epoch, number, batch["image_id"].tolist())
+        stop_if_not_finite({"the loss": loss}, self.current_epoch, number, _ids(batch))
         self.log("train_loss", loss, on_step=False, on_epoch=True, batch_size=len(batch["image"]))
         return loss
 
@@ -122,11 +122,10 @@ class KeypointTraining(LightningModule):
         distances = distances_by_box(found.positions, batch)
         self.log("val_pck", (distances < PCK_SHARE).double().mean(), batch_size=distances.numel())
         self.log("val_error", distances.clamp_max(1).mean(), batch_size=distances.numel())
-        self.log("cpu_s", time.process_time(), batch_size=size, reduce_fx="max")
 
-    def configure_optimizers(self) -> Any:
-        """By the options."""
-        return optimizer_of(self, self._learning)
+    def configure_optimizers(self) -> torch.optim.Optimizer:
+        """The optimizer that the options name; `Steps` sets its rate."""
+        return optimizer_of(self, self._learning, fused=self.trainer.precision == "32-true")
 
     def _read(self, collated: Collated) -> KeypointSample | None:
         """The samples that could be read; the others are counted by what is wrong with them."""
@@ -140,9 +139,15 @@ class KeypointTraining(LightningModule):
         return images
 
 
+def _ids(batch: KeypointSample) -> list[int]:
+    """The images of a batch, whose ids were collated to a tensor."""
+    ids: list[int] = torch.as_tensor(batch["image_id"]).tolist()
+    return ids
+
+
 def distances_by_box(positions_px: Tensor, batch: KeypointSample) -> Tensor:
     """Distance of every labelled keypoint inside its crop, as a share of the square box's side; flat."""
-    off = (positions_px - batch["keypoints_px"]).norm(dim=-1) / batch["square_box"][:, 2:]
+    off: Tensor = (positions_px - batch["keypoints_px"]).norm(dim=-1) / batch["square_box"][:, 2:]
     return off[batch["weights"] > 0]
 
 

@@ -7,8 +7,7 @@ frozen batch norm without trained weights starts with losses in the thousands.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import replace
 
 from torch import Tensor, nn
 from torch.nn.functional import interpolate
@@ -22,55 +21,20 @@ from torchvision.models.detection.rpn import RPNHead
 from torchvision.models.detection.transform import GeneralizedRCNNTransform
 from torchvision.ops import FrozenBatchNorm2d, MultiScaleRoIAlign
 
-from rpl_data.types import DataError
+from training.runs.options import MaskNetwork
 
 MEAN, STD = [0.485, 0.456, 0.406], [0.229, 0.224, 0.225]
 """Of ImageNet's colours: what trained ResNets expect."""
 
 
-@dataclass(frozen=True)
-class ModelConfig:
-    """What is needed to build the network again; the defaults are the paper's.
-
-    Attributes:
-        size_px: shorter side of the image as the network sees it; anchors are 1/16 to 1 of it.
-        stages: of the ResNet's four that are used; the last one's grid is too coarse for small images.
-        channels: of the feature pyramid and of the mask head.
-        hidden: width of the box head's two layers.
-        proposals: boxes of the first stage that the second may look at, an image.
-        rois: of these, how many the second stage trains on.
-        detections: most objects found in an image.
-        norm: of the ResNet; `auto` is frozen with trained weights and batch norm from scratch.
-    """
-
-    backbone: Literal["resnet18", "resnet34", "resnet50", "resnet101"] = "resnet101"
-    size_px: int = 512
-    stages: int = 4
-    channels: int = 256
-    hidden: int = 1024
-    proposals: int = 2000
-    rois: int = 512
-    detections: int = 100
-    norm: Literal["auto", "batch", "group", "frozen"] = "auto"
-
-    def __post_init__(self) -> None:
-        """Refuse what cannot be built."""
-        if self.size_px < 64 or self.size_px % 16:
-            raise DataError(f"model.size_px must be a multiple of 16 from 64 on, got {self.size_px}")
-        if not 2 <= self.stages <= 4:
-            raise DataError(f"model.stages must be 2, 3 or 4, got {self.stages}")
-        if min(self.channels, self.hidden, self.proposals, self.rois, self.detections) < 1:
-            raise DataError("model: channels, hidden, proposals, rois and detections must be at least 1")
-
-
-def with_norm(config: ModelConfig, weights: str) -> ModelConfig:
+def with_norm(config: MaskNetwork, weights: str) -> MaskNetwork:
     """The config with `auto` decided: frozen statistics make sense only when there are some."""
     if config.norm != "auto":
         return config
     return replace(config, norm="batch" if weights == "scratch" else "frozen")
 
 
-def build_model(config: ModelConfig, classes: int) -> MaskRCNN:
+def build_model(config: MaskNetwork, classes: int) -> MaskRCNN:
     """The network with random weights; `classes` is without the background."""
     size, channels = config.size_px, config.channels
     levels = [str(level) for level in range(config.stages)]
@@ -102,7 +66,7 @@ def build_model(config: ModelConfig, classes: int) -> MaskRCNN:
     return model
 
 
-def _backbone(config: ModelConfig) -> BackboneWithFPN:
+def _backbone(config: MaskNetwork) -> BackboneWithFPN:
     norms: dict[str, Callable[[int], nn.Module]] = {
         "batch": nn.BatchNorm2d,
         "group": lambda channels: nn.GroupNorm(32, channels),
@@ -116,8 +80,8 @@ def _backbone(config: ModelConfig) -> BackboneWithFPN:
     return BackboneWithFPN(body, layers, widths, config.channels, extra_blocks=LastLevelMaxPool())
 
 
-class SmoothResize(GeneralizedRCNNTransform):
-    """torchvision's resizing of whole images, without its aliasing: 640 px become 256 in the `cpu` preset."""
+class SmoothResize(GeneralizedRCNNTransform):  # type: ignore[misc]  # torchvision has no types
+    """torchvision's resizing of whole images, without its aliasing."""
 
     def resize(
         self, image: Tensor, target: dict[str, Tensor] | None = None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -49,14 +49,17 @@ class SplitScore:
     classes: tuple[ClassScore, ...]
 
 
-def score_split(coco_json: Path, results: Sequence[Json], *, threshold: float) -> SplitScore:
+def score_split(
+    coco_json: Path, results: Sequence[Json], *, threshold: float, left_out: Collection[int] = ()
+) -> SplitScore:
     """Predictions against the labels of a COCO file.
 
     Args:
         results: COCO results with masks.
         threshold: the least score of what counts for IoU, missed and false alarms; AP uses all of them.
+        left_out: ids of images that are not judged.
     """
-    truth = read_coco(coco_json)
+    truth = _without(read_coco(coco_json), left_out)
     names = {int(category["id"]): str(category["name"]) for category in truth["categories"]}
     boxes, shapes = (average_precision(truth, results, kind) for kind in ("bbox", "segm"))
     overlaps = class_overlaps(truth, [entry for entry in results if entry["score"] >= threshold])
@@ -78,6 +81,13 @@ def score_split(coco_json: Path, results: Sequence[Json], *, threshold: float) -
     mean_iou = _mean([c.mean_iou for c in classes if c.mean_iou is not None])
     aps = boxes.all, boxes.all50, shapes.all, shapes.all50
     return SplitScore(len(truth["images"]), mean_iou, *aps, tuple(classes))
+
+
+def _without(truth: Json, image_ids: Collection[int]) -> Json:
+    """A COCO file without some of its images."""
+    images = [image for image in truth["images"] if image["id"] not in image_ids]
+    annotations = [each for each in truth["annotations"] if each["image_id"] not in image_ids]
+    return {**truth, "images": images, "annotations": annotations}
 
 
 def class_overlaps(truth: Json, results: Sequence[Json]) -> dict[int, tuple[list[float], int]]:

@@ -5,20 +5,20 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from pickle import UnpicklingError
 from typing import Any
 from urllib.error import URLError
 
-import torch
 from torch import Tensor, nn
 from torchvision.models import get_model_weights
 from torchvision.models.detection import MaskRCNN
 
 from rpl_data.types import DataError
-from training.masks.mask_rcnn import ModelConfig, build_model
+from training.masks.mask_rcnn import build_model
+from training.runs.folder import read_checkpoint
+from training.runs.options import MaskNetwork
 
 
-def load_weights(model: MaskRCNN, config: ModelConfig, weights: str) -> str:
+def load_weights(model: MaskRCNN, config: MaskNetwork, weights: str) -> str:
     """Put trained weights into the network; a line saying what came from where.
 
     Args:
@@ -65,22 +65,9 @@ def _fetched(backbone: str) -> Mapping[str, Tensor]:
 
 def _read(path: Path) -> Mapping[str, Tensor]:
     """The state dict of a file: our own checkpoints hold it one level down, with a prefix."""
-    content = read_file(path)
+    content = read_checkpoint(path)
     if "state_dict" in content:
         return {key.removeprefix("model."): value for key, value in content["state_dict"].items()}
-    return content
-
-
-def read_file(path: Path) -> dict[str, Any]:
-    """A file that `torch.save` wrote, tensors and plain values only; DataError when it is anything else."""
-    if not path.is_file():
-        raise DataError(f"{path} does not exist; expected a file of weights")
-    try:
-        content = torch.load(path, map_location="cpu", weights_only=True)
-    except (UnpicklingError, RuntimeError, EOFError, KeyError, ValueError, OSError) as error:
-        raise DataError(f"cannot read {path} as weights: {str(error).splitlines()[0]}") from error
-    if not isinstance(content, dict):
-        raise DataError(f"{path} holds a {type(content).__name__}; expected a dictionary of tensors")
     return content
 
 
@@ -89,21 +76,21 @@ class Segmenter:
     """A trained network and what its labels mean: `names[0]` is the background."""
 
     model: MaskRCNN
-    config: ModelConfig
+    network: MaskNetwork
     names: tuple[str, ...]
 
 
-def description(config: ModelConfig, names: tuple[str, ...]) -> dict[str, Any]:
+def description(config: MaskNetwork, names: tuple[str, ...]) -> dict[str, Any]:
     """What a checkpoint says about its network, in plain values."""
     return {"model": asdict(config), "names": list(names)}
 
 
 def load_segmenter(checkpoint: Path) -> Segmenter:
     """The network of a checkpoint of `training.train_masks`, ready to predict."""
-    content = read_file(checkpoint)
+    content = read_checkpoint(checkpoint)
     if "masks" not in content:
         raise DataError(f"{checkpoint} is not a checkpoint of training.train_masks")
-    config, names = ModelConfig(**content["masks"]["model"]), tuple(content["masks"]["names"])
+    config, names = MaskNetwork(**content["masks"]["model"]), tuple(content["masks"]["names"])
     model = build_model(config, len(names) - 1)
     state = content["state_dict"]
     model.load_state_dict({key.removeprefix("model."): value for key, value in state.items()})

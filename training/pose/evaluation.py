@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -76,8 +77,9 @@ def evaluate(
     truth: Mapping[str, TrueObject],
     metres_per_unit: float | None = None,
     least_visible: float = 0.1,
+    unreadable: Counter[str] | None = None,
 ) -> Iterator[Judged]:
-    """Every true instance of the pipeline's objects, judged; a line an instance and method.
+    """Judge every true instance of the pipeline's objects, once per method.
 
     Args:
         pipeline: trained on any labels of the same keypoints; its object frames may differ from the truth's
@@ -88,6 +90,8 @@ def evaluate(
         truth: of `true_objects`.
         metres_per_unit: of the export's depth images; None leaves depth unused.
         least_visible: instances that show a smaller share of themselves are left out.
+        unreadable: counts the images that cannot be read, by message; they are left out. Without it the first
+            of them is a DataError.
     """
     data = read_coco(coco_json)
     if unknown := set(pipeline.networks) - set(truth):
@@ -104,7 +108,13 @@ def evaluate(
         labels = labels_of.get(image["id"], [])
         if not labels:
             continue
-        pixels = read_image(str(coco_json.parent / image["file_name"]))
+        try:
+            pixels = read_image(str(coco_json.parent / image["file_name"]))
+        except DataError as error:
+            if unreadable is None:
+                raise
+            unreadable[str(error)] += 1
+            continue
         squares = {label.object: _square(label) for label in labels} if crops == "given" else None
         seen = {each.object: each for each in pipeline.see(pixels, squares)}
         depth = None

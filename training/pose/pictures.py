@@ -52,8 +52,8 @@ def close_up(picture: np.ndarray, square_px: np.ndarray, *, side_px: int = 240) 
 
 def _draw_keypoints(picture: np.ndarray, seen: SeenKeypoints) -> None:
     cx, cy, side = seen.square_px
-    corners = [(round(cx - side / 2), round(cy - side / 2)), (round(cx + side / 2), round(cy + side / 2))]
-    cv2.rectangle(picture, *corners, (255, 200, 0), 1)
+    left, top, width = round(cx - side / 2), round(cy - side / 2), round(side)
+    cv2.rectangle(picture, (left, top), (left + width, top + width), (255, 200, 0), 1)
     for (u, v), confidence, covariance in zip(
         seen.positions_px, seen.confidence, seen.covariance_px, strict=True
     ):

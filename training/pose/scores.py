@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -107,14 +107,18 @@ def save_judged(path: Path, judged: Sequence[Judged]) -> None:
     write_json(path, finite([asdict(each) for each in judged]), indent=None)
 
 
+def _seen_from(row: Mapping[str, Any]) -> SeenKeypoints:
+    """Keypoints from their JSON values."""
+    arrays = {name: np.array(value) for name, value in row.items() if isinstance(value, list)}
+    return SeenKeypoints(object=str(row["object"]), score=float(row["score"]), **arrays)
+
+
 def load_judged(path: Path) -> list[Judged]:
     """What `save_judged` wrote."""
     judged = []
     for row in read_json(path):
         errors = PoseErrors(**{name: _or_infinite(value) for name, value in row["errors"].items()})
-        seen = row["seen"] and SeenKeypoints(
-            **{name: np.array(v) if isinstance(v, list) else v for name, v in row["seen"].items()}
-        )
+        seen = None if row["seen"] is None else _seen_from(row["seen"])
         off = np.array([_or_infinite(value) for value in row["keypoint_errors"]], dtype=float)
         pose = None if row["pose"] is None else np.array(row["pose"])
         judged.append(

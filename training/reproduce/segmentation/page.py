@@ -120,8 +120,8 @@ def _examples(coco_json: Path, arms: list[str], out: Path, count: int = 3) -> st
     import cv2
 
     from rpl_data.torch.images import read_image
-    from training.evaluate_masks import SCORE_THRESHOLD
     from training.masks.pictures import draw
+    from training.masks.settings import SCORE_THRESHOLD
 
     data = read_coco(coco_json)
     names = ["background", *(c["name"] for c in sorted(data["categories"], key=lambda c: int(c["id"])))]

@@ -10,7 +10,7 @@ from rpl_data.files import read_json
 from rpl_data.types import DataError
 
 if TYPE_CHECKING:
-    from training.masks.settings import Settings
+    from training.masks.settings import MaskSettings
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Progress:
     history: list[list[float | None]] = field(default_factory=list)
 
 
-def load_progress(out: Path, settings: Settings) -> Progress:
+def load_progress(out: Path, settings: MaskSettings) -> Progress:
     """Of the run in `out`, nothing when there is none; DataError when its settings were others."""
     from training.masks.settings import comparable
 

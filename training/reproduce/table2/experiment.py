@@ -44,7 +44,7 @@ def table2(
     """
     from training.reproduce.label_sources import exports_of
     from training.reproduce.table2.page import write_page
-    from training.runs.trainer import trained_epochs
+    from training.runs.folder import trained_epochs
     from training.train_detector import train_detector
     from training.train_keypoints import train_keypoints
 

@@ -83,8 +83,8 @@ def ratios(found: list[tuple[Cell, list[Judged]]], *, draws: int = 2000) -> list
     """OURS by MANUAL for every object, protocol and method; instances are resampled in pairs."""
     by_key = {(c.source, c.object, c.split, c.method): rows for c, rows in found}
     result = []
-    for (source, *rest), manual in by_key.items():
-        ours = by_key.get(("OURS", *rest))
+    for (source, name, split, method), manual in by_key.items():
+        ours = by_key.get(("OURS", name, split, method))
         if source != "MANUAL" or ours is None or len(ours) != len(manual) or not manual:
             continue
         picks = np.random.default_rng(0).integers(0, len(manual), (draws, len(manual)))
@@ -98,7 +98,7 @@ def ratios(found: list[tuple[Cell, list[Judged]]], *, draws: int = 2000) -> list
             low, high = (
                 np.percentile(known, [2.5, 97.5], method="nearest") if len(known) else (np.nan, np.nan)
             )
-            result.append(Ratio(*rest, figure, value, float(low), float(high)))
+            result.append(Ratio(name, split, method, figure, value, float(low), float(high)))
     return result
 
 
