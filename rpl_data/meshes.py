@@ -210,3 +210,18 @@ def simplified(mesh: Mesh, *, most_triangles: int) -> Mesh:
         np.asarray(small.triangles).astype(np.int64),
         colors if small.has_vertex_colors() else None,
     )
+
+
+def sampled(mesh: Mesh, *, count: int, seed: int = 0) -> Floats:
+    """Points spread evenly over the surface of a mesh, the same ones every time.
+
+    A triangle is drawn with a probability proportional to its area, a point within it uniformly (Osada et
+    al., "Shape distributions", ACM Transactions on Graphics 21, 2002, section 4.2).
+    """
+    generator = np.random.default_rng(seed)
+    a, b, c = (mesh.vertices[mesh.triangles[:, corner]] for corner in range(3))
+    areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    chosen = generator.choice(len(areas), size=count, p=areas / areas.sum())
+    along, across = np.sqrt(generator.random((count, 1))), generator.random((count, 1))
+    points: Floats = (1 - along) * a[chosen] + along * (1 - across) * b[chosen] + along * across * c[chosen]
+    return points

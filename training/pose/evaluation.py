@@ -18,6 +18,7 @@ from rpl_data.formats.datasets.coco import (
     read_coco,
 )
 from rpl_data.geometry import fit_rigid
+from rpl_data.meshes import load_mesh, sampled
 from rpl_data.pose.errors import INFINITE, pose_errors
 from rpl_data.pose.estimate import Method, PoseEstimate, PoseFailure
 from rpl_data.torch.images import read_image
@@ -53,19 +54,10 @@ def true_objects(coco_json: Path, *, points: int = 1000) -> dict[str, TrueObject
     for category, item in enumerate(objects_from_coco(read_coco(coco_json)), start=1):
         if item.mesh is None or not (coco_json.parent / item.mesh).exists():
             raise DataError(f"{coco_json}: {item.model.name} has no mesh; ADD needs one: export again")
-        surface = surface_points(coco_json.parent / item.mesh, points)
+        surface = sampled(load_mesh(coco_json.parent / item.mesh), count=points)
         centre = (surface.min(axis=0) + surface.max(axis=0)) / 2
         found[item.model.name] = TrueObject(category, item.model, surface, centre)
     return found
-
-
-def surface_points(mesh: Path, count: int) -> np.ndarray:
-    """Points spread evenly over a mesh file's surface, the same ones every time."""
-    import open3d
-
-    open3d.utility.random.seed(0)
-    triangles = open3d.io.read_triangle_mesh(str(mesh))
-    return np.asarray(triangles.sample_points_uniformly(count).points)
 
 
 def evaluate(
