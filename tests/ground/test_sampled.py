@@ -12,8 +12,8 @@ def test_points_lie_on_the_triangles_in_proportion_to_their_areas() -> None:
     """Two triangles in z = 0 and z = 1, the second with three times the area of the first."""
     vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [3, 0, 1], [0, 1, 1]], float)
     points = sampled(Mesh(vertices, np.array([[0, 1, 2], [3, 4, 5]])), count=4000)
-    upper = points[:, 2] == 1
-    assert set(points[:, 2]) == {0.0, 1.0}
+    upper = points[:, 2] > 0.5
+    np.testing.assert_allclose(points[:, 2], upper, atol=1e-12)
     assert abs(upper.mean() - 0.75) < 0.03
     u, v = points[upper, 0] / 3, points[upper, 1]
     assert (u >= 0).all() and (v >= 0).all() and (u + v <= 1 + 1e-12).all()

@@ -16,7 +16,8 @@ from labelled_scenes import BOX, CAMERA, exported
 
 from rpl_data.formats.datasets.coco import read_coco, write_coco
 from rpl_data.geometry import project
-from rpl_data.types import DataError, KeypointModel
+from rpl_data.meshes import save_mesh
+from rpl_data.types import DataError, KeypointModel, Mesh
 from training.evaluate_pose import evaluate_pose
 from training.keypoints.module import load_keypoints, untrained
 from training.pose.evaluation import evaluate
@@ -234,13 +235,11 @@ def test_predictions(coco, run, detector, tmp_path):
         predict(tmp_path / "out" / "overlays" / "none", [run / "last.ckpt"], detector, camera)
 
 
-def test_evaluation_counts_what_is_missing(coco, run, detector, tmp_path, monkeypatch):
-    import training.pose.evaluation as evaluation
-
-    points = np.random.default_rng(0).uniform(-0.1, 0.1, (50, 3))
-    monkeypatch.setattr(evaluation, "surface_points", lambda mesh, count: points)
+def test_evaluation_counts_what_is_missing(coco, run, detector, tmp_path):
+    corners = np.random.default_rng(0).uniform(-0.1, 0.1, (51, 3))
+    save_mesh(tmp_path / "mesh.ply", Mesh(corners, np.arange(51).reshape(-1, 3)))
     data = read_coco(coco / "train.json")
-    data["rpl"]["objects"][0]["mesh"] = "train.json"  # some file
+    data["rpl"]["objects"][0]["mesh"] = "mesh.ply"
     write_coco(tmp_path / "train.json", data)
     (tmp_path / "images").symlink_to(coco / "images")
     for crops in ("given", "detected"):
