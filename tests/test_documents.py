@@ -93,9 +93,9 @@ def test_the_readmes_python_runs(tiny_workspace: Workspace, tmp_path: Path) -> N
     with contextlib.chdir(tmp_path):
         for block in blocks:
             exec(block, names)  # noqa: S102
-    assert names["labels"].camera_from_object.shape[1:] == (4, 4) and len(names["labels"]) > 0
-    assert names["train"][0]["image"].shape == (3, 256, 256)
-    assert set(names["target"]) >= {"boxes", "masks"}
+        assert names["labels"].camera_from_object.shape[1:] == (4, 4) and len(names["labels"]) > 0
+        assert names["train"][0]["image"].shape == (3, 256, 256)
+        assert set(names["target"]) >= {"boxes", "masks"}
 
 
 def test_the_citation_is_the_papers() -> None:
