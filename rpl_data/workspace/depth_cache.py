@@ -1,4 +1,4 @@
-"""Depth images packed so that reading them again costs a third of a PNG: differences along rows, zstd."""
+"""Depth images packed as differences along rows, then zstd: reading one takes a third of a PNG's time."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from rpl_data.images import in_metres, read_depth_units
 from rpl_data.types import DepthImage, DepthUnits, Frame, ReadDepth, Scene
 
 LEVEL = 1
-"""Of zstd; higher ones save a few per cent of the bytes and cost more than the reading gains."""
+"""Compression level of zstd. Higher levels save a few per cent of the bytes but lose the time gained."""
 
 
 def pack(units: DepthUnits) -> bytes:
-    """A 16-bit image as bytes."""
+    """Pack a 16-bit depth image into bytes."""
     import zstandard
 
     steps = units.copy()
@@ -24,7 +24,7 @@ def pack(units: DepthUnits) -> bytes:
 
 
 def unpack(packed: bytes, *, height: int, width: int) -> DepthUnits | None:
-    """The image again; None where the bytes are broken or of an image of another size."""
+    """Unpack the image; None when the bytes are damaged or belong to an image of another size."""
     import zstandard
 
     try:
