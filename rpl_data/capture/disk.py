@@ -18,7 +18,7 @@ from types import TracebackType
 
 from rpl_data.capture.streams import Shot
 from rpl_data.formats.recordings.rpl import association_line
-from rpl_data.formats.recordings.scene_images import write_images
+from rpl_data.formats.recordings.saved_images import write_images
 from rpl_data.types import DataError
 
 QUEUE_BYTES = 256 * 2**20

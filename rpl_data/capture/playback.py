@@ -14,7 +14,7 @@ from rpl_data.child import in_child
 from rpl_data.formats.containers.db3 import repair_db3
 from rpl_data.formats.containers.rosbag import repair_bag
 from rpl_data.formats.recordings.frame_files import Camera, Listing, Pair, chosen, examine, without_poses
-from rpl_data.formats.recordings.scene_images import write_images
+from rpl_data.formats.recordings.saved_images import write_images
 from rpl_data.types import DataError, Recording
 
 SUFFIXES = (".db3", ".bag")

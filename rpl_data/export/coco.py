@@ -20,7 +20,7 @@ from rpl_data.export.split import FrameKey, SplitName, SplitRule, choose_splits
 from rpl_data.export.view_distances import View, ViewDistance, view_distances, view_of
 from rpl_data.files import read_json, write_bytes
 from rpl_data.formats.datasets.coco import CocoObject, image_to_coco, instance_to_coco, writing_coco
-from rpl_data.formats.recordings.scene_images import encoded
+from rpl_data.formats.recordings.saved_images import encoded
 from rpl_data.geometry import Transform
 from rpl_data.images import read_depth_units
 from rpl_data.types import DataError, Frame, FrameLabel, KeypointModel, Scene, Trajectory

@@ -29,7 +29,7 @@ from rpl_data.export.folder import link, replacing
 from rpl_data.files import write_bytes, write_text, writing
 from rpl_data.formats.datasets.coco import intrinsics_from_coco, objects_from_coco
 from rpl_data.formats.datasets.yolo import detect_line
-from rpl_data.formats.recordings.scene_images import encoded
+from rpl_data.formats.recordings.saved_images import encoded
 from rpl_data.types import DataError, KeypointModel
 
 LISTS = {"train": "train.txt", "val": "valid.txt", "test": "test.txt"}
