@@ -175,7 +175,7 @@ def test_models_of_bop_are_millimetres(coco: Path, tmp_path: Path) -> None:
 
 def test_an_okt_folder(coco: Path, tmp_path: Path) -> None:
     summary = export_okt(tmp_path / "okt", coco)
-    assert summary.messages == ("box: keypoints left out, they were never clicked: 1",)
+    assert summary.messages == ("box: keypoints left out, as they were never clicked: 1",)
     place = tmp_path / "okt/box"
     assert (place / "keypoints.txt").read_text().split() == ["a", "b", "c"]
     np.testing.assert_array_equal(np.load(place / "camera_matrix.npy"), PLAIN.matrix)
