@@ -10,7 +10,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 LAYERS = [
-    {"types"},
+    {"types", "wording"},
     {"child", "files", "geometry", "json_arrays"},
     {"ply"},
     {"images", "meshes", "raycast", "overlay", "drift"},

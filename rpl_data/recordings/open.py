@@ -1,4 +1,4 @@
-"""Any recording -> scenes: the readers by the name of their format, and which one a path looks like."""
+"""Open any recording as scenes: the readers by format name, and which formats a path looks like."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ READERS: dict[str, Callable[..., list[Recording]]] = {
     "ycb_video": read_ycb_video,
     "labelfusion": read_labelfusion,
 }
-"""Formats whose images are files, by name: ``reader(path, *, names, metres_per_unit, camera)``."""
+"""Readers of formats whose images are files: ``reader(path, *, names, metres_per_unit, camera)``."""
 
 UNPACKERS: dict[str, Callable[..., list[Recording]]] = {
     "klg": read_klg,
     "klg_bgr": partial(read_klg, bgr=True),
     "realsense": read_realsense,
 }
-"""Formats that keep all images in one file: the same, with ``unpack(scene) -> folder`` for the images."""
+"""Readers of formats that keep all images in one file; they also take ``unpack(scene) -> folder``."""
 
 SOUND = Mend()
 
@@ -51,7 +51,7 @@ _LOOKS_LIKE: dict[str, Callable[[Path], bool]] = {
     "klg": lambda path: path.suffix == ".klg" or any(path.glob("*.klg")),
     "realsense": lambda path: any(map(is_recording, (path, *path.glob("*")))),
 }
-"""By format name: whether a path looks like that, for the message about a wrong `format`."""
+"""Tests whether a path looks like a format, by format name; for the message about a wrong `format`."""
 
 
 def open_recordings(
@@ -122,17 +122,17 @@ def open_scenes(
     unpack: Callable[[str], Path] | None = None,
     mend: Mend = SOUND,
 ) -> list[Recording]:
-    """The recordings found at `path`, read as `format`, a key of `READERS` or `UNPACKERS`.
+    """Read the recordings at `path` as `format`, a key of `READERS` or `UNPACKERS`.
 
     Args:
         path: what the format's reader expects, usually a folder.
         format: name of the format.
-        names: which scenes to read; all where None.
-        metres_per_unit: of the depth images; the format's own where None.
-        camera: of the colour images; what the recording says where None.
-        registered: whether depth lies on the colour pixels; what the format says where None.
-        unpack: an empty folder for the images of a scene, by its name; the formats of `UNPACKERS` need it.
-        mend: what to put right.
+        names: which scenes to read; None for all.
+        metres_per_unit: unit of the depth images; None for the format's own.
+        camera: camera of the colour images; None for what the recording holds.
+        registered: whether depth is registered to colour; None for what the format implies.
+        unpack: returns an empty folder for the images of a scene, given its name; required by `UNPACKERS`.
+        mend: the faults to mend.
 
     Raises:
         DataError: the format is unknown, or the reader cannot read what is there; the message names the
@@ -160,5 +160,5 @@ def open_scenes(
 
 
 def likely_formats(path: Path) -> list[str]:
-    """The formats whose marks are found at a path; none for anything unknown."""
+    """Formats whose characteristic files are found at a path; empty for anything unknown."""
     return [name for name, looks_like_it in _LOOKS_LIKE.items() if looks_like_it(path)]

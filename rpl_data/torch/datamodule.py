@@ -1,4 +1,4 @@
-"""An exported dataset's splits as a Lightning DataModule of one object's crops."""
+"""Lightning DataModule over the training and validation splits of an export: crops of one object."""
 
 from __future__ import annotations
 
@@ -41,14 +41,14 @@ class KeypointDataModule(LightningDataModule):
         cache: bool = True,
         seed: int = 0,
     ) -> None:
-        """Read the annotations, and the pixels about the boxes when `cache`.
+        """Read the annotations, and the pixels around the boxes when `cache`.
 
         Args:
-            folder: of `rpl export`: export/coco or export/coco_truth.
-            object: its name; may be left out when the dataset has one object.
-            input_px, heatmap_px, sigma_px, augment, cache: of `KeypointDataset`; `augment` is for training.
+            folder: what `rpl export` wrote: export/coco or export/coco_truth.
+            object: name of the object; may be left out when the dataset has one object.
+            input_px, heatmap_px, sigma_px, cache: see `KeypointDataset`.
             batch: instances per step.
-            workers: processes that load; 0 = none, which suits cached crops.
+            workers: processes that load data; 0 loads in this process, which suits cached crops.
             seed: of the order of the training instances and of their augmentation, which depend on nothing
                 else but the epoch.
 
@@ -84,7 +84,7 @@ class KeypointDataModule(LightningDataModule):
 
 
 def _validation(coco_json: Path, sizes: dict[str, Any]) -> KeypointDataset | None:
-    """None where there is nothing to validate on; training goes on without."""
+    """Return the validation set; None when there is none, and training goes on without."""
     if not coco_json.exists():
         return None
     try:

@@ -1,4 +1,4 @@
-"""Whole images with boxes, labels and masks: torchvision's detection targets."""
+"""Dataset of whole images with boxes, labels and masks, as torchvision's detection models take them."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class InstanceDataset(Dataset[InstanceSample]):
     centre of the first pixel, boxes from its edge.
 
     Attributes:
-        names: of the labels, `names[0]` is the background.
+        names: name of each label; `names[0]` is the background.
     """
 
     def __init__(
@@ -77,7 +77,7 @@ class InstanceDataset(Dataset[InstanceSample]):
         Args:
             path: the folder of an export (my-workspace/export/coco), or one of its JSON files.
             transforms: called with the image (float32, 3 x height x width, 0 to 1) and its target, both made
-                of tv_tensors, so that torchvision.transforms.v2 can be given; or `RandomAffine`. Do not flip:
+                of tv_tensors, so torchvision.transforms.v2 works, and so does `RandomAffine`. Do not flip:
                 a mirrored object is another object.
             split: train, val or test, when `path` is a folder.
 
@@ -96,7 +96,7 @@ class InstanceDataset(Dataset[InstanceSample]):
             self._annotations[annotation["image_id"]].append(annotation)
 
     def __len__(self) -> int:
-        """How many images."""
+        """Number of images."""
         return len(self._images)
 
     def image_id(self, row: int) -> int:
@@ -104,26 +104,26 @@ class InstanceDataset(Dataset[InstanceSample]):
         return int(self._images[row]["id"])
 
     def __getitem__(self, row: int) -> InstanceSample:
-        """An image and its target."""
+        """Return an image and its target."""
         pixels, target = self.read(row)
         image = tv_tensors.Image(to_unit_range(pixels))
         return (image, target) if self._transforms is None else self._transforms(image, target)
 
     def size(self, row: int) -> tuple[int, int]:
-        """Width and height of an image, pixels."""
+        """Return the width and height of an image in pixels."""
         return self._images[row]["width"], self._images[row]["height"]
 
     def read(self, row: int, *, halved: bool = False) -> tuple[Image, InstanceTarget]:
-        """An image as in its file (RGB), or `halved`, and the target of the whole one; no transforms."""
+        """Return an image (RGB; at half its size if `halved`) and the target at full size, untransformed."""
         if get_worker_info() is not None:
-            cv2.setNumThreads(0)  # as in KeypointDataset
+            cv2.setNumThreads(0)  # see KeypointDataset.__getitem__
         entry = self._images[row]
         target = _target(entry, self._annotations[entry["id"]], self._most_keypoints)
         return read_image(str(self._folder / entry["file_name"]), halved=halved), target
 
 
 def collate(batch: Sequence[InstanceSample]) -> tuple[list[Tensor], list[InstanceTarget]]:
-    """Images and targets as two lists, as torchvision's detection models take them."""
+    """Return images and targets as two lists, as torchvision's detection models take them."""
     return [image for image, _ in batch], [target for _, target in batch]
 
 
@@ -147,7 +147,7 @@ def _target(image: Json, annotations: Sequence[Json], most_keypoints: int) -> In
 
 
 def _masks(annotations: Sequence[Json], size: tuple[int, int]) -> Tensor:
-    """N x height x width, uint8."""
+    """Decode the masks: n x height x width, uint8."""
     from pycocotools import mask as masks
 
     if not annotations:

@@ -1,4 +1,4 @@
-"""One object's crops with keypoint heatmaps: what the paper's hourglass is trained on."""
+"""Dataset of one object's crops with keypoint heatmaps, which the paper's hourglass is trained on."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from torch.utils.data import Dataset, get_worker_info
 from rpl_data.formats.datasets.coco import objects_from_coco, read_coco
 from rpl_data.torch.heatmaps import draw_heatmaps
 from rpl_data.torch.images import read_image, to_unit_range
-from rpl_data.torch.regions import Region, RegionCache, region_around
+from rpl_data.torch.pixel_cache import PixelCache, Rectangle, rectangle_around
 from rpl_data.torch.splits import split_file
 from rpl_data.torch.transforms import (
     Affine,
@@ -34,7 +34,7 @@ from rpl_data.torch.transforms import (
 from rpl_data.types import DataError, KeypointModel
 
 DISTORTION_LENGTH = 14
-"""OpenCV's longest list of coefficients; shorter ones mean the same with zeros behind."""
+"""Length of OpenCV's longest list of distortion coefficients; shorter lists are padded with zeros."""
 
 
 class KeypointSample(TypedDict):
@@ -60,10 +60,10 @@ class KeypointSample(TypedDict):
 
 @dataclass(frozen=True)
 class _Instances:
-    """The annotations of one object as arrays, a row an instance.
+    """The annotations of one object as arrays, one row per instance.
 
-    Arrays, not dictionaries: worker processes share them, and a list of dictionaries would be copied by
-    touching its reference counts.
+    Arrays, not dictionaries: worker processes share their memory, while a list of dictionaries would be
+    copied as soon as reference counts change.
     """
 
     files: np.ndarray
@@ -106,8 +106,8 @@ class KeypointDataset(Dataset[KeypointSample]):
     ====================  =======  ======================  ==================================================
 
     Attributes:
-        model: the sparse model of the object.
-        input_px, heatmap_px: sides of crops and heatmaps.
+        model: the keypoint model of the object.
+        input_px, heatmap_px: side of the crops and of the heatmaps.
     """
 
     def __init__(
@@ -130,11 +130,11 @@ class KeypointDataset(Dataset[KeypointSample]):
             object: its name; may be left out when there is one object.
             input_px: side of the crop.
             heatmap_px: side of the heatmaps.
-            sigma_px: of the Gaussians, heatmap pixels.
-            augment: shifts, scales, turns and colours at random; None for evaluation. Draws from torch's
-                random state, so `torch.manual_seed` and DataLoader workers do the right thing.
-            cache: keep the decoded pixels around each box: True in memory, a folder to share them between
-                processes and runs. What comes out is the same, but for rounding to a grey level.
+            sigma_px: sigma of the Gaussians, in heatmap pixels.
+            augment: random shifts, scales, rotations and colours; None for evaluation. Draws from torch's
+                random state, so `torch.manual_seed` and DataLoader workers behave as usual.
+            cache: keep the decoded pixels around each box: True for memory; a folder shares them between
+                processes and runs. Samples stay the same up to rounding to a grey level.
 
         Raises:
             DataError: there is no such split (the message says why), the file is not ours, or it has no such
@@ -150,18 +150,18 @@ class KeypointDataset(Dataset[KeypointSample]):
         if len(self._rows.files) == 0:
             raise DataError(f"{coco_json} has no instance of {self.model.name}; train on another split")
         self._points_object = torch.from_numpy(self.model.points_object.copy())
-        self._cache = RegionCache(self._rows.files.tolist(), self._regions(), cache) if cache else None
+        self._cache = PixelCache(self._rows.files.tolist(), self._rectangles(), cache) if cache else None
 
     def __len__(self) -> int:
-        """How many instances."""
+        """Number of instances."""
         return len(self._rows.files)
 
     def __getitem__(self, row: int) -> KeypointSample:
-        """The sample of an instance; IndexError past the last."""
+        """Return the sample of an instance; IndexError past the last."""
         if not -len(self) <= row < len(self):
             raise IndexError(f"instance {row} of {len(self)}")
         if get_worker_info() is not None:
-            # OpenCV's threads do not survive the fork of a DataLoader worker, and one core a worker is right.
+            # OpenCV's threads do not survive the fork of a DataLoader worker, and each worker needs one core.
             cv2.setNumThreads(0)
         rng = None
         if self._augment is not None:
@@ -183,10 +183,10 @@ class KeypointDataset(Dataset[KeypointSample]):
             return warped(
                 read_image(self._rows.files[row]), crop_from_image, size=(self.input_px, self.input_px)
             )
-        pixels, region = self._cache[row]
-        image_from_region = np.array([[1.0, 0, region.left], [0, 1, region.top]])
+        pixels, rectangle = self._cache[row]
+        image_from_cached = np.array([[1.0, 0, rectangle.left], [0, 1, rectangle.top]])
         return warped(
-            pixels, chained(crop_from_image, image_from_region), size=(self.input_px, self.input_px)
+            pixels, chained(crop_from_image, image_from_cached), size=(self.input_px, self.input_px)
         )
 
     def _sample(self, row: int, crop: Image, crop_from_image: Affine) -> KeypointSample:
@@ -194,7 +194,7 @@ class KeypointDataset(Dataset[KeypointSample]):
         visibility = rows.keypoints[row, :, 2]
         keypoints_px = np.where(visibility[:, None] > 0, rows.keypoints[row, :, :2], np.nan)
         on_crop = moved(crop_from_image, keypoints_px)
-        # Edges of the crop; False for NaN.
+        # Within the edges of the crop; False for NaN.
         inside = np.all((on_crop >= -0.5) & (on_crop < self.input_px - 0.5), axis=1)
         on_heatmap = np.where(inside[:, None], moved(self._heatmap_from_crop, on_crop), np.nan)
         return {
@@ -215,17 +215,17 @@ class KeypointDataset(Dataset[KeypointSample]):
             "annotation_id": int(rows.annotation_ids[row]),
         }
 
-    def _regions(self) -> list[Region]:
-        """The pixels that a crop may need, an instance."""
+    def _rectangles(self) -> list[Rectangle]:
+        """The pixels that the crops of each instance may need."""
         half = reach(self._augment)
         return [
-            region_around(box, half=half, width=int(width), height=int(height))
+            rectangle_around(box, half=half, width=int(width), height=int(height))
             for box, (width, height) in zip(self._rows.square_boxes, self._rows.sizes, strict=True)
         ]
 
 
 def _choose(data: dict[str, Any], name: str | None, source: Path) -> tuple[KeypointModel, int]:
-    """The model and category id of the object asked for."""
+    """Return the model and category id of the object asked for."""
     models = [item.model for item in objects_from_coco(data)]
     names = [model.name for model in models]
     if name is None and len(models) == 1:

@@ -42,7 +42,7 @@ def read_events(path: Path) -> list[Event]:
         try:
             events.append(json.loads(line))
         except json.JSONDecodeError as error:
-            if number == len(lines):  # no newline at its end: never acknowledged
+            if number == len(lines):  # it has no newline, so it was never confirmed
                 continue
             raise DataError(f"{path} line {number} is broken: {error}; delete that line") from error
     return events

@@ -59,7 +59,7 @@ def cached_reader(folder: Path, scene: Scene, *, keep: bool) -> ReadDepth:
 
 
 def _kept_units(path: Path, scene: Scene) -> DepthUnits | None:
-    """A depth image of the cache; None where it is not there or broken, for it can be made again."""
+    """Read a depth image from the cache; None when it is missing or damaged, since it can be rebuilt."""
     if not path.exists():
         return None
     return unpack(path.read_bytes(), height=scene.intrinsics.height, width=scene.intrinsics.width)

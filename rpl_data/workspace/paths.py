@@ -13,14 +13,14 @@ class Paths:
     ::
 
         recipe.yaml                   the resolved recipe that built it
-        stages.json                   what each stage ran with
-        build.lock                    held while a build is at work
-        recording/                    the synthetic recording of a twin, with recording/truth/
+        stages.json                   the options and inputs that each stage ran with
+        build.lock                    held while a build runs
+        recording/                    recording rendered from a twin (a synthetic scene), with truth/
         scenes/<scene>/               scene.json  trajectory.txt  drift.json  surface.ply  cache/  images/
                                       parts.json, where it was cut into scenes/<scene>.1/, <scene>.2/, ...
         objects/<object>/             clicks.jsonl  solution.json  mesh.ply  cloud.ply  given.ply  grasp.json
         labels/<scene>.jsonl          one line per frame
-        labels/<scene>.left_out.json  frames that a person keeps out of exports
+        labels/<scene>.left_out.json  frames that the user excluded from exports
         export/<format>/              coco, coco_truth, ...
         report/index.html
     """
@@ -37,27 +37,27 @@ class Paths:
 
     @property
     def stages_file(self) -> Path:
-        """What each stage ran with."""
+        """The options and inputs that each stage ran with."""
         return self.root / "stages.json"
 
     @property
     def build_lock(self) -> Path:
-        """Held while a build is at work."""
+        """The lock file that a running build holds."""
         return self.root / "build.lock"
 
     @property
     def recording(self) -> Path:
-        """Where a twin writes its recording."""
+        """The folder that a twin writes its recording to."""
         return self.root / "recording"
 
     @property
     def truth(self) -> Path:
-        """The truth workspace of the recording: a twin's, or made from true poses."""
+        """The workspace with the recording's ground truth: the twin's, or made from given true poses."""
         return self.recording / "truth"
 
     @property
     def report(self) -> Path:
-        """The page a person looks at."""
+        """The report: a page to read in a browser."""
         return self.root / "report" / "index.html"
 
     def export(self, name: str) -> Path:
@@ -65,51 +65,51 @@ class Paths:
         return self.root / "export" / name
 
     def scene_file(self, scene: str) -> Path:
-        """Intrinsics and frames of a scene."""
+        """The file with the intrinsics and frames of a scene."""
         return self.root / "scenes" / scene / "scene.json"
 
     def trajectory_file(self, scene: str) -> Path:
-        """TUM lines, scene_from_camera."""
+        """The poses `scene_from_camera`, in TUM lines."""
         return self.root / "scenes" / scene / "trajectory.txt"
 
     def surface_file(self, scene: str) -> Path:
-        """Surface near the objects, in the scene frame."""
+        """The surface near the objects, in the scene frame."""
         return self.root / "scenes" / scene / "surface.ply"
 
     def drift_file(self, scene: str) -> Path:
-        """How far the poses of a recording stray."""
+        """The measured drift of a recording's poses."""
         return self.root / "scenes" / scene / "drift.json"
 
     def parts_file(self, scene: str) -> Path:
-        """The scenes a recording was cut into; none while it is whole."""
+        """The spans that a recording was cut into; the file is absent while the recording is whole."""
         return self.root / "scenes" / scene / "parts.json"
 
     def cache(self, scene: str) -> Path:
-        """Decoded depth and other things that can be rebuilt at any time."""
+        """The folder of decoded depth, which can be deleted and rebuilt at any time."""
         return self.root / "scenes" / scene / "cache"
 
     def images(self, scene: str) -> Path:
-        """Images of a recording that is one file (.klg, .bag, .db3)."""
+        """The folder of images unpacked from a recording that is a single file (.klg, .bag, .db3)."""
         return self.root / "scenes" / scene / "images"
 
     def clicks_file(self, object_name: str) -> Path:
-        """The log of clicks."""
+        """The log of clicks on an object."""
         return self.root / "objects" / object_name / "clicks.jsonl"
 
     def solution_file(self, object_name: str) -> Path:
-        """The sparse model and the scene transforms."""
+        """The solved keypoint model and `scene_from_object` per scene."""
         return self.root / "objects" / object_name / "solution.json"
 
     def mesh_file(self, object_name: str) -> Path:
-        """The dense model as triangles, object frame."""
+        """The dense model as triangles, in the object frame, metres."""
         return self.root / "objects" / object_name / "mesh.ply"
 
     def cloud_file(self, object_name: str) -> Path:
-        """The dense model as points, object frame."""
+        """The dense model as points, in the object frame, metres."""
         return self.root / "objects" / object_name / "cloud.ply"
 
     def given_mesh_file(self, object_name: str) -> Path:
-        """A mesh a person has of the object, in the frame of its known keypoints, metres."""
+        """The mesh that the user supplied for the object, in the frame of its known keypoints, metres."""
         return self.root / "objects" / object_name / "given.ply"
 
     def grasp_file(self, object_name: str) -> Path:
@@ -117,9 +117,9 @@ class Paths:
         return self.root / "objects" / object_name / "grasp.json"
 
     def labels_file(self, scene: str) -> Path:
-        """Labels of a scene, a line a frame."""
+        """The labels of a scene, one line per frame."""
         return self.root / "labels" / f"{scene}.jsonl"
 
     def left_out_file(self, scene: str) -> Path:
-        """Frames of a scene that a person keeps out of exports."""
+        """The frames of a scene that the user excluded from exports."""
         return self.root / "labels" / f"{scene}.left_out.json"

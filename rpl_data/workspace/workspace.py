@@ -62,54 +62,54 @@ class Workspace(Paths):
     # Names ----------------------------------------------------------------------------------------
 
     def scene_names(self) -> list[str]:
-        """Scenes of the workspace, sorted; of a recording that was cut its parts."""
-        return sorted(self._all_scenes() - self.parts().spans.keys())
+        """Names of the scenes, sorted; a recording that was cut is listed as its parts."""
+        return sorted(self._stored_scenes() - self.parts().spans.keys())
 
     def video_names(self) -> list[str]:
-        """Recordings of the workspace as they were read, sorted; labels are kept by these."""
+        """Names of the recordings as they were read, sorted; labels are stored under these names."""
         parts = self.parts()
-        return sorted({parts.video_of(name) for name in self._all_scenes()})
+        return sorted({parts.video_of(name) for name in self._stored_scenes()})
 
-    def _all_scenes(self) -> set[str]:
+    def _stored_scenes(self) -> set[str]:
         return {path.parent.name for path in self.root.glob("scenes/*/scene.json")}
 
     def object_names(self) -> list[str]:
-        """Objects that have clicks or a solution, sorted."""
+        """Names of the objects that have clicks or a solution, sorted."""
         folders = [*self.root.glob("objects/*/clicks.jsonl"), *self.root.glob("objects/*/solution.json")]
         return sorted({path.parent.name for path in folders})
 
     def labelled_scene_names(self) -> list[str]:
-        """Recordings with labels, sorted."""
+        """Names of the recordings that have labels, sorted."""
         return sorted(path.stem for path in self.root.glob("labels/*.jsonl"))
 
     # Scenes ---------------------------------------------------------------------------------------
 
     def save_recording(self, recording: Recording) -> None:
-        """Write scene.json, and trajectory.txt when the recording has poses."""
+        """Write `scene.json`, and `trajectory.txt` when the recording has poses."""
         write_json(self.scene_file(recording.scene.name), records.recording_to_json(recording), indent=None)
         if recording.trajectory is not None:
             self.save_trajectory(recording.scene, recording.trajectory)
 
     def load_recording(self, scene: str) -> Recording:
-        """The scene as it was read, without its trajectory."""
+        """Load the recording of a scene, without its trajectory."""
         if not self.scene_file(scene).exists():
             raise DataError(f"the workspace {self.root} has no scene {scene!r}; it has {self.scene_names()}")
         return records.recording_from_json(read_json(self.scene_file(scene)))
 
     def load_scene(self, scene: str) -> Scene:
-        """The scene alone."""
+        """Load the scene alone, without what was noted when it was read."""
         return self.load_recording(scene).scene
 
     def parts(self) -> Parts:
-        """How recordings were cut."""
+        """Load how the recordings were cut into scenes."""
         spans = {path.parent.name: read_json(path) for path in self.root.glob("scenes/*/parts.json")}
         return Parts({name: tuple((first, last) for first, last in found) for name, found in spans.items()})
 
     def cut_scene(self, video: str, spans: Sequence[Span]) -> None:
-        """Make the parts of a recording scenes of their own; a single one makes it whole again.
+        """Cut a recording into one scene per span; a single span makes it whole again.
 
         Raises:
-            DataError: another recording has the name of a part.
+            DataError: another recording already has the name of a part.
         """
         for old in set(self.parts().scenes_of(video)) - {video}:
             remove(self.scene_file(old).parent)
@@ -118,17 +118,17 @@ class Workspace(Paths):
             return
         recording = self.load_recording(video)
         cut = recordings_of_parts(recording, self.load_trajectory(recording.scene), spans)
-        refuse_taken_names(video, cut, self._all_scenes())
+        refuse_taken_names(video, cut, self._stored_scenes())
         for part in cut:
             self.save_recording(part)
         write_json(self.parts_file(video), [list(span) for span in spans])
 
     def save_trajectory(self, scene: Scene, trajectory: Trajectory) -> None:
-        """Write TUM lines `t tx ty tz qx qy qz qw`, scene_from_camera, in full precision."""
+        """Write the poses `scene_from_camera` as TUM lines `t tx ty tz qx qy qz qw`, in full precision."""
         write_text(self.trajectory_file(scene.name), trajectory_to_text(scene, trajectory))
 
     def load_trajectory(self, scene: Scene) -> Trajectory:
-        """The poses of a scene; DataError when it has none yet."""
+        """Load the poses of a scene; DataError when it has none yet."""
         path = self.trajectory_file(scene.name)
         if not path.exists():
             raise DataError(f"scene {scene.name} has no trajectory yet; run the reconstruct stage first")
@@ -137,42 +137,42 @@ class Workspace(Paths):
     # Decoded depth --------------------------------------------------------------------------------
 
     def depth_reader(self, scene: Scene, *, keep: bool = False) -> ReadDepth:
-        """Reads depth images in metres: from the cache where they are in it, else from the recording.
+        """Return a function that reads a frame's depth in metres, from the cache where it is there.
 
         Args:
-            keep: put what is not in the cache into it, for the next reader.
+            keep: add images that are missing from the cache to it, for the next reader.
         """
         return cached_reader(self.cache(self.parts().video_of(scene.name)) / "depth", scene, keep=keep)
 
     # Objects --------------------------------------------------------------------------------------
 
     def append_events(self, object_name: str, events: Iterable[Event]) -> None:
-        """Add events to the log of clicks, all or none; they are on the disk when this returns."""
+        """Append events to the click log, all or none; they are safely on disk when this returns."""
         parts = self.parts()
         click_files.append_events(self.clicks_file(object_name), map(parts.event_in_video, events))
 
     def load_events(self, object_name: str) -> list[Event]:
-        """The log; a last line cut off by a crash is left out."""
+        """Load the events of the click log, ignoring a last line that a crash cut off."""
         parts = self.parts()
         events = click_files.read_events(self.clicks_file(object_name))
         return [parts.event_in_scene(event) for event in events]
 
     def load_annotation(self, object_name: str) -> Annotation:
-        """Keypoint names and clicks of an object."""
+        """Load the keypoint names and clicks of an object."""
         return replay(object_name, self.load_events(object_name))
 
     def save_solution(self, solution: Solution) -> None:
-        """Write solution.json."""
+        """Write `solution.json`."""
         write_json(self.solution_file(solution.model.name), records.solution_to_json(solution))
 
     def load_solution(self, object_name: str) -> Solution:
-        """The solution of an object; DataError when there is none yet."""
+        """Load the solution of an object; DataError when there is none yet."""
         if not self.solution_file(object_name).exists():
             raise DataError(f"object {object_name} has no solution yet; run `rpl solve` on {self.root}")
         return records.solution_from_json(read_json(self.solution_file(object_name)))
 
     def save_grasp(self, object_name: str, object_from_grasp: Transform | None) -> None:
-        """Write grasp.json; None deletes it."""
+        """Write `grasp.json`; None deletes it."""
         if object_from_grasp is None:
             remove(self.grasp_file(object_name))
         else:
@@ -182,7 +182,7 @@ class Workspace(Paths):
     # Labels ---------------------------------------------------------------------------------------
 
     def save_labels(self, scene: str, labels: Iterable[FrameLabel]) -> int:
-        """Write the labels of a scene as they come, in constant memory; returns how many frames."""
+        """Write the labels of a scene one by one, in constant memory, and return the number of frames."""
         count = 0
         with writing(self.labels_file(scene)) as file:
             for label in labels:
@@ -191,16 +191,16 @@ class Workspace(Paths):
         return count
 
     def save_left_out(self, scene: str, frames: Iterable[int]) -> None:
-        """Write which frames stay out of exports; they stay out when the labels are made again."""
+        """Write which frames stay out of exports; the choice survives when labels are made again."""
         write_json(self.left_out_file(scene), sorted(frames), indent=None)
 
     def load_left_out(self, scene: str) -> frozenset[int]:
-        """Frames that stay out of exports; none where nobody chose any."""
+        """Load the frames that stay out of exports; empty when none were chosen."""
         path = self.left_out_file(scene)
         return frozenset(read_json(path) if path.exists() else ())
 
     def load_labels(self, scene: str) -> Iterator[FrameLabel]:
-        """The labels of a scene, one at a time."""
+        """Load the labels of a scene, one frame at a time."""
         path = self.labels_file(scene)
         if not path.exists():
             raise DataError(

@@ -7,7 +7,7 @@
     </SparseObjectPoints>
     <GraspPoint> four rows of a matrix, [0.1, 0.2, 0.3, 0.4] each </GraspPoint>
 
-The file looks like XML and is none (two roots); the original's reader loses exponents and signs.
+The file looks like XML but is not (it has two roots); the original's reader loses exponents and signs.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ MOST_POINTS = 10_000
 
 
 def read_sparse_model(path: Path) -> Points:
-    """A row a keypoint, metres, first scene's frame; NaN for a number the file leaves out.
+    """Read the keypoints: one row each, metres, first scene's frame; NaN for a number the file leaves out.
 
-    Of a file that was appended to, the last model counts; a grasp point is passed over.
+    When a file was appended to, the last model counts; a grasp point is ignored.
 
     Raises:
         DataError: there is no model, or a point without finite x, y, z or with a name used twice.
@@ -56,7 +56,7 @@ def read_sparse_model(path: Path) -> Points:
             )
         points[number] = xyz
     if not points:
-        raise DataError(f"{path}: the last <SparseObjectPoints> block has no point")
+        raise DataError(f"{path}: the last <SparseObjectPoints> block has no points")
     model = np.full((max(points) + 1, 3), np.nan)
     model[list(points)] = list(points.values())
     return model
