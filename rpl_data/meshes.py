@@ -22,7 +22,7 @@ Colors = UInt8[np.ndarray, "n 3"]
 
 
 def save_mesh(path: Path, mesh: Mesh) -> None:
-    """Write triangles as binary PLY, whole or not at all."""
+    """Write triangles as binary PLY, completely or not at all."""
     write_bytes(path, mesh_to_ply(mesh))
 
 
@@ -81,7 +81,7 @@ def _colors(vertices: Columns) -> Colors | None:
 
 
 def save_cloud(path: Path, cloud: PointCloud) -> None:
-    """Write points with normals as binary PLY, whole or not at all."""
+    """Write points with normals as binary PLY, completely or not at all."""
     write_bytes(path, cloud_to_ply(cloud))
 
 
@@ -99,14 +99,14 @@ def load_cloud(path: Path) -> PointCloud:
 
 
 def mesh_to_ply(mesh: Mesh) -> bytes:
-    """Vertices, with colours where known, and triangles."""
+    """Encode vertices (with colours where known) and triangles as PLY."""
     header, vertices = _vertices([("xyz", mesh.vertices)], mesh.colors)
     faces = f"element face {len(mesh.triangles)}\nproperty list uchar int vertex_indices\n"
     return _file(header + faces, vertices + _faces(mesh.triangles))
 
 
 def cloud_to_ply(cloud: PointCloud) -> bytes:
-    """Points with normals, and with colours where known."""
+    """Encode points with normals (and colours where known) as PLY."""
     return _file(*_vertices([("xyz", cloud.points), (("nx", "ny", "nz"), cloud.normals)], cloud.colors))
 
 
@@ -135,7 +135,7 @@ def _faces(triangles: Int64[np.ndarray, "m 3"]) -> bytes:
 
 
 def oriented_points(mesh: Mesh) -> PointCloud:
-    """The vertices of a mesh with normals from its triangles (area-weighted), so they point outwards."""
+    """Vertices of a mesh with normals from its triangles (area-weighted), which point outwards."""
     corners = mesh.vertices[mesh.triangles]
     area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals = np.zeros_like(mesh.vertices)
@@ -148,13 +148,13 @@ def oriented_points(mesh: Mesh) -> PointCloud:
 
 
 def select(cloud: PointCloud, chosen: Bool[np.ndarray, " n"] | Int64[np.ndarray, " m"]) -> PointCloud:
-    """Some of the points."""
+    """Select some of the points."""
     colors = None if cloud.colors is None else cloud.colors[chosen]
     return PointCloud(cloud.points[chosen], cloud.normals[chosen], colors)
 
 
 def smoothed_normals(cloud: PointCloud, *, radius_m: float) -> PointCloud:
-    """The cloud with every normal replaced by the mean of its neighbourhood's."""
+    """Replace every normal by the mean of its neighbourhood's normals."""
     pairs = cKDTree(cloud.points).query_pairs(radius_m, output_type="ndarray")
     mean = cloud.normals.copy()
     for a, b in ((0, 1), (1, 0)):
@@ -167,7 +167,7 @@ def smoothed_normals(cloud: PointCloud, *, radius_m: float) -> PointCloud:
 
 
 def thinned(cloud: PointCloud, *, voxel_m: float) -> PointCloud:
-    """One point a voxel: the mean of its points, normals and colours."""
+    """Reduce to one point per voxel: the mean of its points, normals and colours."""
     _, cell = np.unique(np.floor(cloud.points / voxel_m).astype(np.int64), axis=0, return_inverse=True)
     cell = cell.ravel()
     count = np.bincount(cell)
@@ -183,7 +183,7 @@ def thinned(cloud: PointCloud, *, voxel_m: float) -> PointCloud:
 
 
 def joined(clouds: list[PointCloud]) -> PointCloud:
-    """All points of several clouds; colours only when all have them."""
+    """Join the points of several clouds; colours are kept only when all have them."""
     colors = [cloud.colors for cloud in clouds if cloud.colors is not None]
     return PointCloud(
         np.concatenate([cloud.points for cloud in clouds]),
@@ -193,7 +193,7 @@ def joined(clouds: list[PointCloud]) -> PointCloud:
 
 
 def simplified(mesh: Mesh, *, most_triangles: int) -> Mesh:
-    """The mesh with no more triangles than that, its shape kept by quadric error (Garland, Heckbert 1997)."""
+    """Reduce a mesh to so many triangles at most, by quadric error (Garland, Heckbert 1997)."""
     if len(mesh.triangles) <= most_triangles:
         return mesh
     import open3d as o3d

@@ -10,7 +10,8 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 LAYERS = [
-    {"types", "wording"},
+    {"wording"},
+    {"types"},
     {"child", "files", "geometry", "json_arrays"},
     {"ply"},
     {"images", "meshes", "raycast", "overlay", "drift"},

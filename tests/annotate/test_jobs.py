@@ -162,4 +162,4 @@ def test_two_builds_never_run_in_one_workspace(root: Path) -> None:
     with locked(Workspace(root).build_lock, "held"):
         client.post("/api/jobs", json={"stage": "export"})
         state = wait(client)
-    assert state["job"]["state"] == "failed" and "another build is at work" in state["job"]["error"]
+    assert state["job"]["state"] == "failed" and "another build is running" in state["job"]["error"]

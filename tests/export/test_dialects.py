@@ -215,7 +215,7 @@ def test_a_lens_with_distortion_is_refused_and_nothing_stays(tmp_path: Path) -> 
 
 def test_dialects_are_made_of_coco() -> None:
     refuse_unknown_exports(["yolo", "coco", "bop"])
-    with pytest.raises(DataError, match=r"is made of `coco`; write `export: \[coco, yolo\]`"):
+    with pytest.raises(DataError, match=r"is made from `coco`; write `export: \[coco, yolo\]`"):
         refuse_unknown_exports(["yolo"])
     with pytest.raises(DataError, match="unknown export 'voc'"):
         refuse_unknown_exports(["coco", "voc"])

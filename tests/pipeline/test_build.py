@@ -78,7 +78,7 @@ def test_everything_is_there(tiny_workspace: Workspace) -> None:
     assert table["label"]["frames"] == 18
     assert all(row["seconds"] >= 0 for row in table.values())
     report = tiny_workspace.report.read_text()
-    assert report.count("poses stray by") == 3
+    assert report.count("poses drift by") == 3
     assert report.count("clicks of a keypoint are") == 3
 
 
