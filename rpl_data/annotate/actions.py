@@ -1,4 +1,4 @@
-"""Actions of a page: checked before they enter the log, so that the log can always be replayed."""
+"""Check the actions of a page before they enter the log, so that the log can always be replayed."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ MOST_NAME = 40
 MOST_EVENTS = 20_000
 """In a batch: the clicks of a file."""
 LOCAL = {"click", "move", "delete", "skip", "unskip", "grasp", "crop"}
-"""What stays right when another person did something of the same kind meanwhile."""
+"""Actions that remain valid when another person did something of the same kind meanwhile."""
 
 
 def checked(action: dict[str, Any], annotation: Annotation, scenes: SceneStore) -> Event:
-    """The event of an action, with nothing else in it.
+    """Check an action and return its event, with nothing else in it.
 
     Raises:
-        DataError: it is none, or names a keypoint, scene, frame or pixel that is not there.
+        DataError: it is not an action, or names a keypoint, scene, frame or pixel that does not exist.
     """
     op = action.get("op")
     if not isinstance(op, str):
@@ -36,12 +36,12 @@ def checked(action: dict[str, Any], annotation: Annotation, scenes: SceneStore) 
 
 
 def _click(action: dict[str, Any], annotation: Annotation, scenes: SceneStore) -> Event:
-    place = _delete(action, annotation, scenes)
+    where = _delete(action, annotation, scenes)
     u_px, v_px = _finite(action["u_px"]), _finite(action["v_px"])
     scenes.refuse_outside(
-        Click(annotation.object, place["keypoint"], place["scene"], place["frame"], u_px, v_px)
+        Click(annotation.object, where["keypoint"], where["scene"], where["frame"], u_px, v_px)
     )
-    return {**place, "u_px": u_px, "v_px": v_px}
+    return {**where, "u_px": u_px, "v_px": v_px}
 
 
 def _delete(action: dict[str, Any], annotation: Annotation, scenes: SceneStore) -> Event:
@@ -97,11 +97,11 @@ def _crop(action: dict[str, Any], annotation: Annotation, scenes: SceneStore) ->
 
 
 def _batch(action: dict[str, Any], annotation: Annotation, scenes: SceneStore) -> Event:
-    """Checked one after another; a list of names counts for what follows it."""
+    """Check the actions one after another; a list of names applies to those after it."""
     events: list[Event] = []
     for inner in _list(action["events"], MOST_EVENTS):
         if not isinstance(inner, dict) or inner.get("op") in ("undo", "redo", "batch"):
-            raise DataError("a batch holds no undo, redo or batch")
+            raise DataError("a batch cannot contain undo, redo or another batch")
         event = checked(inner, annotation, scenes)
         if event["op"] == "keypoints":
             annotation = Annotation(annotation.object, tuple(event["names"]), annotation.clicks)
@@ -125,13 +125,13 @@ _CHECKS = {
 
 
 def checked_names(names: Any) -> list[str]:
-    """Names of keypoints, trimmed; DataError when empty, too long, too many or twice the same."""
+    """Trim the names of keypoints; DataError for names that are empty, too long, too many or equal."""
     found = [_text(name).strip() for name in _list(names, MOST_KEYPOINTS)]
     if not 1 <= len(found) <= MOST_KEYPOINTS:
         raise DataError(f"an object has 1 to {MOST_KEYPOINTS} keypoints, not {len(found)}")
     for name in found:
         if not name or len(name) > MOST_NAME or not name.isprintable():
-            raise DataError(f"{name!r} is no name for a keypoint: 1 to {MOST_NAME} printable characters")
+            raise DataError(f"{name!r} cannot name a keypoint: use 1 to {MOST_NAME} printable characters")
     if len(set(found)) < len(found):
         double = next(name for name in found if found.count(name) > 1)
         raise DataError(f"two keypoints would be called {double!r}; choose another name")

@@ -17,7 +17,7 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from rpl_data.annotate.work import Place
+from rpl_data.annotate.work import Address
 
 COOKIE = "rpl_token"
 MOST_BYTES = 64 * 2**20
@@ -34,12 +34,12 @@ POLICY = (
 class Guard:
     """ASGI middleware that lets only the page itself through."""
 
-    def __init__(self, app: ASGIApp, place: Place) -> None:
+    def __init__(self, app: ASGIApp, address: Address) -> None:
         self.app = app
-        self.place = place
-        port = place.port
-        names = {place.host} if place.token else {"127.0.0.1", "localhost", "[::1]"}
-        anywhere = place.host in ("0.0.0.0", "::")  # then the token alone decides
+        self.address = address
+        port = address.port
+        names = {address.host} if address.token else {"127.0.0.1", "localhost", "[::1]"}
+        anywhere = address.host in ("0.0.0.0", "::")  # then the token alone decides
         self.hosts = None if anywhere else {f"{name}:{port}" for name in names}
         self.bytes_at_once = 0
 
@@ -69,7 +69,7 @@ class Guard:
     def _refusal(self, scope: Scope, headers: Headers) -> Response | None:
         host, origin = headers.get("host", ""), headers.get("origin")
         if self.hosts is not None and host not in self.hosts:
-            return _no(403, f"this page is not served as {host!r}; open {self.place.url}")
+            return _no(403, f"this page is not served as {host!r}; open {self.address.url}")
         if origin is not None and origin != f"http://{host}":
             return _no(403, f"a page of {origin!r} may not use this one")
         if headers.get("sec-fetch-site") in ("cross-site", "same-site") and not _opens_the_page(
@@ -83,7 +83,7 @@ class Guard:
 
     def _without_token(self, scope: Scope, headers: Headers) -> Response | None:
         """The refusal when the token is wrong; the first visit trades it for a cookie."""
-        token = self.place.token
+        token = self.address.token
         if token is None:
             return None
         shown = parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[0]

@@ -1,4 +1,4 @@
-"""The log of one object as the server sees it: revisions, conflicts, and nothing acknowledged unsaved."""
+"""The server's log of one object: revisions and conflicts; nothing is confirmed before it is saved."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from rpl_data.workspace.workspace import Workspace
 
 
 class Conflict(DataError):
-    """Somebody else changed what this action relies on; it was not saved."""
+    """Another page changed what this action relies on, so it was not saved."""
 
 
 class NotSaved(DataError):
-    """The disk did not take the action."""
+    """The action could not be written to disk."""
 
 
 @dataclass(frozen=True)
 class Revision:
-    """The state of a log after so many events.
+    """The state of a log after a number of events.
 
     Attributes:
-        number: events in the log.
-        undo, redo: what the next undo takes back and the next redo brings back; None = nothing.
+        number: number of events in the log.
+        undo, redo: events that the next undo takes back and the next redo restores; None = nothing.
     """
 
     number: int
@@ -48,7 +48,7 @@ class ObjectLog:
         self._current = Revision(0, Annotation(name, (), ()), None, None)
 
     def now(self) -> Revision:
-        """The state of the log on the disk."""
+        """The state of the log on disk."""
         with self._lock:
             stamp = self._stamp_now()
             if stamp != self._stamp:
@@ -57,13 +57,14 @@ class ObjectLog:
             return self._current
 
     def append(self, actions: Sequence[dict[str, object]], *, seen: int) -> Revision:
-        """Save actions of a page that last saw revision `seen`; they are on the disk when this returns.
+        """Save actions of a page that last saw revision `seen`; they are safely on disk on return.
 
-        An action that is in the log already (its answer was lost, so it was sent again) is passed over.
+        An action that is already in the log (its answer was lost, so it was sent again) is skipped.
 
         Raises:
-            Conflict: what they rely on has changed since. NotSaved: the disk refused.
-            DataError: an action that means nothing here.
+            Conflict: what they rely on has changed since.
+            NotSaved: the log could not be written.
+            DataError: an action is not valid here.
         """
         with self._lock:
             before = self.now()
@@ -88,12 +89,12 @@ class ObjectLog:
         self._stamp = self._stamp_now()
 
     def _refuse_conflict(self, actions: Sequence[dict[str, object]], seen: int) -> None:
-        """Clicks may cross clicks; undo, and what renumbers keypoints, must have seen everything."""
+        """Clicks may overlap with other clicks; undo and renumbering must have seen everything."""
         since = self._events[seen:] if seen <= len(self._events) else [{"op": "?"}]
         both = [event.get("op") for event in (*since, *actions)]
         if since and actions and any(op not in LOCAL for op in both):
             raise Conflict(
-                f"{self.name} was changed elsewhere meanwhile; this was not saved. "
+                f"{self.name} was changed elsewhere in the meantime; this was not saved. "
                 "Look at what is there now, and do it again if you still want it"
             )
 

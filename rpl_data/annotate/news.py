@@ -1,4 +1,4 @@
-"""Changes, told to all open pages as server-sent events."""
+"""Report changes to all open pages as server-sent events."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import json
 from collections.abc import AsyncIterator
 
 HEARTBEAT_S = 10.0
-"""A page that hears nothing for longer knows that the connection is gone."""
+"""Interval of the heartbeat: a page that hears nothing for longer has lost the connection."""
 MOST_LISTENERS = 64
 """Every one costs a little of every click; no person has so many pages open."""
 MOST_WAITING = 500
@@ -15,13 +15,13 @@ MOST_WAITING = 500
 
 
 class News:
-    """Told from any thread, heard in the event loop of the server."""
+    """Messages that any thread can send; pages receive them in the server's event loop."""
 
     def __init__(self) -> None:
         self._listeners: dict[asyncio.Queue[str | None], asyncio.AbstractEventLoop] = {}
 
     def tell(self, kind: str, *what: object) -> None:
-        """Tell all pages; slow ones are not waited for."""
+        """Send a message to all pages, without waiting for slow ones."""
         message = f"data: {json.dumps([kind, *what])}\n\n"
         for queue, loop in list(self._listeners.items()):
             loop.call_soon_threadsafe(_put, queue, message)
@@ -37,7 +37,7 @@ class News:
             loop.call_soon_threadsafe(_put, queue, None)
 
     async def stream(self) -> AsyncIterator[str]:
-        """What is told from now on, with a heartbeat."""
+        """Yield the messages sent from now on, with a heartbeat."""
         queue: asyncio.Queue[str | None] = asyncio.Queue(MOST_WAITING)
         self._listeners[queue] = asyncio.get_running_loop()
         try:

@@ -1,4 +1,4 @@
-"""The web server of the annotation page: routes only. What they do is in the modules beside it."""
+"""The web server of the annotation page: it only wires up the routes and the guard."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from rpl_data.annotate.routes.page import add_page
 from rpl_data.annotate.routes.scenes import add_scenes
 from rpl_data.annotate.routes.solid import solid_routes
 from rpl_data.annotate.session import Session
-from rpl_data.annotate.work import Place
+from rpl_data.annotate.work import Address
 from rpl_data.types import DataError
 
 
-def make_app(session: Session, place: Place) -> FastAPI:
-    """The application of one workspace, behind its guard."""
+def make_app(session: Session, address: Address) -> FastAPI:
+    """Make the application of one workspace, behind its guard."""
 
     @asynccontextmanager
     async def life(app: FastAPI) -> AsyncIterator[None]:
@@ -35,7 +35,7 @@ def make_app(session: Session, place: Place) -> FastAPI:
 
     app = FastAPI(lifespan=life, openapi_url=None, docs_url=None, redoc_url=None)
     app.add_middleware(GZipMiddleware, minimum_size=800, compresslevel=5)
-    app.add_middleware(Guard, place=place)
+    app.add_middleware(Guard, address=address)
     for kind, status in ((Conflict, 409), (NotSaved, 507), (DataError, 422)):
         app.add_exception_handler(kind, _answer(status))
     app.add_exception_handler(RequestValidationError, _name_fields)

@@ -270,10 +270,10 @@ def annotate(
             URL.
         port: where the page is served.
     """
-    from rpl_data.cli.annotate import place_of, serve
+    from rpl_data.cli.annotate import address_of, serve
     from rpl_data.pipeline.recipe import load_recipe
 
-    place = place_of(host, port)
+    place = address_of(host, port)
     if recipe is not None:
         run_build(load_recipe(recipe, root=root), workspace, "clicks", None)
     print(f"open {place.url}\nend with Ctrl-C", flush=True)

@@ -13,7 +13,7 @@ from rpl_data.annotate.session import Session
 STATIC = Path(__file__).parents[1] / "static"
 
 KEEP = {"Cache-Control": "private, max-age=3600"}
-"""Pictures of a recording do not change while one looks at it; afterwards their stamp is compared."""
+"""A recording's pictures do not change during a session; later, their stamp is compared."""
 
 
 def add_page(app: FastAPI, session: Session) -> None:

@@ -1,4 +1,4 @@
-"""Scenes of the workspace: their frames, depth, poses and masks."""
+"""Routes of scenes: their frames, depth, poses and masks."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rpl_data.json_arrays import Json
 
 
 def add_scenes(app: FastAPI, session: Session) -> None:
-    """Routes of the scenes: what there is, poses, pictures, depth and masks."""
+    """Routes of the scenes: their list, poses, pictures, depth and masks."""
 
     @app.get("/api/workspace")
     def workspace() -> Json:
