@@ -11,7 +11,7 @@ from training.masks.settings import SCORE_THRESHOLD
 
 def evaluate_masks(
     coco: Path,
-    masks: Path,
+    masks: Path | None = None,
     split: str = "test",
     out: Path | None = None,
     threshold: float = SCORE_THRESHOLD,
@@ -31,13 +31,13 @@ def evaluate_masks(
         threads: processor threads of torch; None leaves the number to torch.
     """
     from training.masks.evaluation import evaluate, table
-    from training.masks.weights import load_segmenter
+    from training.masks.weights import checkpoint_of, load_segmenter
     from training.runs.program import say_left_out, split_file, use_threads
 
     use_threads(threads)
     unreadable: Counter[str] = Counter()
     coco_json = split_file(coco, split)
-    segmenter = load_segmenter(masks)
+    segmenter = load_segmenter(checkpoint_of(masks))
     print(table(evaluate(segmenter, coco_json, out, threshold=threshold, unreadable=unreadable)))
     say_left_out(unreadable)
 

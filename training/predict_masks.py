@@ -12,7 +12,7 @@ from training.masks.settings import SCORE_THRESHOLD
 
 def predict_masks(
     images: Path,
-    masks: Path,
+    masks: Path | None = None,
     out: Path = Path("runs/predicted_masks"),
     threshold: float = SCORE_THRESHOLD,
     threads: int | None = None,
@@ -31,14 +31,16 @@ def predict_masks(
         threads: processor threads of torch; None leaves the number to torch.
     """
     from training.masks.prediction import predict_to
-    from training.masks.weights import load_segmenter
+    from training.masks.weights import checkpoint_of, load_segmenter
     from training.runs.program import say_left_out, use_threads
 
     use_threads(threads)
     if out.resolve() in {images.resolve(), images.resolve().parent}:
         raise DataError(f"the overlays would replace the images of {out}; choose another --out")
     unreadable: Counter[str] = Counter()
-    count, drawn = predict_to(load_segmenter(masks), images, out, threshold=threshold, unreadable=unreadable)
+    count, drawn = predict_to(
+        load_segmenter(checkpoint_of(masks)), images, out, threshold=threshold, unreadable=unreadable
+    )
     print(f"{out}: {count} images, {drawn} objects with a score of {threshold:g} or more")
     say_left_out(unreadable)
 

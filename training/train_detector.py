@@ -53,7 +53,7 @@ def train_detector(
     from rpl_data.torch.readable import collate_readable_lists
     from training.detection.module import load_detector, untrained_detector
     from training.runs.folder import check_same_network
-    from training.runs.trainer import Lesson, fit, start
+    from training.runs.trainer import Lesson, fit, say, start
 
     run = Run(out, learning, machine, validate_every, seed, resume, overwrite, until)
     resumed = start(run)
@@ -63,7 +63,7 @@ def train_detector(
     if resumed is not None:
         trained = load_detector(resumed)
         check_same_network(resumed, (trained.names, trained.options), (module.names, network))
-    print(f"{', '.join(train.names[1:])}: {len(train)} images to train on, {len(val or [])} to validate on")
+    say(f"{', '.join(train.names[1:])}: {len(train)} images to train on, {len(val or [])} to validate on")
     lesson = Lesson(
         module,
         module.unreadable,

@@ -54,7 +54,7 @@ def train_keypoints(
     from rpl_data.torch.datamodule import KeypointDataModule
     from rpl_data.torch.readable import collate_readable
     from training.keypoints.module import untrained
-    from training.runs.trainer import Lesson, fit, start
+    from training.runs.trainer import Lesson, fit, say, start
 
     run = Run(out, learning, machine, validate_every, seed, resume, overwrite, until)
     resumed = start(run)
@@ -71,7 +71,7 @@ def train_keypoints(
     if resumed is not None:
         check_resumable(resumed, module)
     name = data.train.model.name
-    print(f"{name}: {len(data.train)} instances to train on, {len(data.val or [])} to validate on")
+    say(f"{name}: {len(data.train)} instances to train on, {len(data.val or [])} to validate on")
     lesson = Lesson(
         module,
         module.unreadable,

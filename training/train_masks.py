@@ -59,7 +59,7 @@ def train_masks(
     from training.masks.mask_rcnn import with_norm
     from training.masks.module import MaskTraining
     from training.masks.weights import load_weights
-    from training.runs.trainer import Lesson, fit, start
+    from training.runs.trainer import Lesson, fit, say, start
 
     MaskSettings(learning=learning, head_epochs=head_epochs)  # refuses stages that do not fit
     run = Run(out, learning, machine, validate_every, seed, resume, overwrite, until)
@@ -68,10 +68,10 @@ def train_masks(
     train, val = SquareCrops(coco / "train.json", network.size_px, augment), _validation(coco / "val.json")
     module = MaskTraining(train.names, network, learning, head_epochs=head_epochs)
     if resumed is None:
-        print(load_weights(module.model, network, weights))
+        say(load_weights(module.model, network, weights))
     else:
         check_resumable(resumed, module)
-    print(f"{', '.join(train.names[1:])}: {len(train)} images to train on, {len(val or [])} to validate on")
+    say(f"{', '.join(train.names[1:])}: {len(train)} images to train on, {len(val or [])} to validate on")
     lesson = Lesson(
         module,
         module.unreadable,

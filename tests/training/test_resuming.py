@@ -147,7 +147,7 @@ def test_more_epochs_go_on_where_the_run_ended(finished, coco, tmp_path, capsys)
     train(coco, tmp_path, learning=replace(learning, epochs=1), **_heads(train))
     train(coco, tmp_path, learning=replace(learning, epochs=2), resume=True, **_heads(train))
     assert trained_epochs(tmp_path / "last.ckpt") == 2
-    assert "goes on after epoch 1 with learning.epochs: 1, now 2" in capsys.readouterr().out
+    assert "goes on after epoch 1; learning.epochs: 1, now 2" in capsys.readouterr().out
     rows = list(csv.DictReader((tmp_path / "logs1" / "metrics.csv").read_text().splitlines()))
     rates = [float(row["rate"]) for row in rows if row["rate"]]
     expected = [learning_rate(replace(learning, epochs=2), step, 3) for step in (3, 4, 5)]

@@ -29,6 +29,9 @@ from training.runs.program import say_left_out, use_threads
 
 Module = TypeVar("Module", bound=LightningModule)
 
+say = rank_zero_only(print)
+"""Print once, also where several processes train together."""
+
 
 @dataclass(frozen=True)
 class Lesson:
@@ -86,10 +89,10 @@ def fit(lesson: Lesson, run: Run, *, resumed: Path | None) -> Path:
     settings = {"seed": run.seed, "learning": asdict(run.learning), **lesson.settings}
     last = run.out / LAST
     done = 0 if resumed is None else trained_epochs(resumed)
-    for change in [] if resumed is None else changes(resumed, settings):
-        print(f"goes on after epoch {done} with {change}")
+    if resumed is not None:
+        say("; ".join([f"goes on after epoch {done}", *changes(resumed, settings)]))
     if done >= (run.until or run.learning.epochs):
-        print(f"{last} was trained for {done} epochs already; ask for more with --learning.epochs")
+        say(f"{last} was trained for {done} epochs already; ask for more with --learning.epochs")
         return last
     if resumed is None:
         rank_zero_only(delete_run)(run.out)
@@ -101,8 +104,7 @@ def fit(lesson: Lesson, run: Run, *, resumed: Path | None) -> Path:
     _fit(trainer, lesson.module, train, val, resumed, last)
     cpu_s, wall_s = time.process_time() - started[0], time.perf_counter() - started[1]
     waiting = f"{steps.waiting_s / wall_s:.0%} of {wall_s:.0f} s spent waiting for images"
-    if trainer.is_global_zero:
-        print(f"{last}: {cpu_s:.0f} s of CPU time, {waiting}")
+    say(f"{last}: {cpu_s:.0f} s of CPU time, {waiting}")
     say_left_out(lesson.unreadable)  # each process says its own, where several train
     return last
 
@@ -159,6 +161,7 @@ def _quieten() -> None:
         ".*exists and is not empty.*",
         ".*LeafSpec.*is deprecated.*",
         ".*callbacks used to create the checkpoint.*",  # of version 0.1
+        ".*sync_dist=True.*",  # every process validates everything, and the first one's loss is shown
         ".*find_unused_parameters=True was specified.*",
         ".*validation_step. but have no .val_dataloader.*",
     ):
