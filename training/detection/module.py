@@ -1,4 +1,4 @@
-"""The detector in front of the hourglass, in the role the paper gives YOLO: torchvision's, from scratch."""
+"""The detector in front of the hourglass, as a Lightning module. The paper uses YOLO, we torchvision's."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Collated = tuple[list[Tensor], list[DetectionTarget], Sequence[str]]
 
 
 class HourglassBackbone(nn.Module):
-    """One feature map of stride 8, with an hourglass for context."""
+    """A backbone with one feature map of stride 8, and an hourglass that gives it context."""
 
     def __init__(self, features: int) -> None:
         super().__init__()
@@ -46,12 +46,12 @@ class HourglassBackbone(nn.Module):
         )
 
     def forward(self, images: Tensor) -> OrderedDict[str, Tensor]:
-        """The map, under the name torchvision looks for."""
+        """The feature map, under the name that torchvision looks for."""
         return OrderedDict(p3=self.layers(images))
 
 
 def small_fcos(classes: int, options: DetectorNetwork) -> nn.Module:
-    """FCOS (Tian, Shen, Chen and He, ICCV 2019) on one map: objects of a few sizes need no pyramid."""
+    """FCOS (Tian, Shen, Chen and He, ICCV 2019) on one feature map; a few sizes need no pyramid."""
     backbone = HourglassBackbone(options.features)
     network: nn.Module = FCOS(
         backbone,
@@ -65,7 +65,7 @@ def small_fcos(classes: int, options: DetectorNetwork) -> nn.Module:
 
 
 def fcos(classes: int, options: DetectorNetwork) -> nn.Module:
-    """Torchvision's, with batch normalisation that learns, since nothing is pretrained."""
+    """Torchvision's FCOS. Its batch normalisation learns, since nothing is pretrained."""
     network: nn.Module = fcos_resnet50_fpn(
         weights=None,
         weights_backbone=None,
@@ -78,7 +78,7 @@ def fcos(classes: int, options: DetectorNetwork) -> nn.Module:
 
 
 def ssdlite(classes: int, options: DetectorNetwork) -> nn.Module:
-    """Torchvision's; it resizes images to 320 x 320 whatever their size."""
+    """Torchvision's SSDLite, which resizes every image to 320 x 320 px."""
     network: nn.Module = ssdlite320_mobilenet_v3_large(
         weights=None, weights_backbone=None, num_classes=classes
     )
@@ -93,7 +93,7 @@ ARCHITECTURES: dict[str, Callable[[int, DetectorNetwork], nn.Module]] = {
 
 
 def _size(options: DetectorNetwork) -> dict[str, Any]:
-    """Images of 4:3 come at their size and keep it; others are made to fit into that."""
+    """The size of the network's images: 4:3 images keep theirs, others are made to fit into it."""
     return {"min_size": options.width_px * 3 // 4, "max_size": options.width_px}
 
 
@@ -105,19 +105,19 @@ class Detection(NamedTuple):
 
 
 class DetectorTraining(LightningModule):
-    """One detector of all objects of a label source.
+    """One detector for all objects of a dataset.
 
     Attributes:
-        names: of the labels, `names[0]` is the background.
-        network: its options.
-        unreadable: how often an image could not be read, by message.
+        names: of the labels; `names[0]` is the background.
+        options: the options of the network.
+        unreadable: how often images could not be read, by message.
     """
 
     def __init__(self, names: list[str], network: dict[str, Any], learning: dict[str, Any]) -> None:
-        """An untrained detector.
+        """Build a detector with random weights.
 
         Args:
-            names: of the labels.
+            names: of the labels, the background first.
             network: fields of `DetectorNetwork`.
             learning: fields of `Learning`.
         """
@@ -142,7 +142,7 @@ class DetectorTraining(LightningModule):
         return loss
 
     def validation_step(self, collated: Collated, _: int) -> None:
-        """Share of the objects whose best detection overlaps them by half or more."""
+        """Log the share of objects whose best detection overlaps them with an IoU of at least 0.5."""
         images, targets, messages = collated
         self.unreadable.update(messages)
         found = self.detector(images) if images else []
@@ -156,7 +156,7 @@ class DetectorTraining(LightningModule):
 
     @torch.no_grad()
     def detect(self, image: np.ndarray) -> dict[str, Detection]:
-        """The best detection of every object that is found in an RGB image of any size."""
+        """Detect objects in an RGB image of any size; the best detection of each that is found, by name."""
         small = shrunk(image, self.options.width_px)
         output = self.detector([to_unit_range(small).to(self.device)])[0]
         zoom = image.shape[1] / self.options.width_px
@@ -170,21 +170,21 @@ class DetectorTraining(LightningModule):
 
 
 def untrained_detector(names: list[str], network: DetectorNetwork, learning: Learning) -> DetectorTraining:
-    """A new detector."""
+    """Build a new detector."""
     return DetectorTraining(names, asdict(network), asdict(learning))
 
 
 def load_detector(checkpoint: Path) -> DetectorTraining:
-    """The trained detector of a checkpoint, ready to detect.
+    """Load the trained detector of a checkpoint, ready to detect.
 
     Raises:
-        DataError: it is missing, or no checkpoint of `train_detector`.
+        DataError: the checkpoint is missing, or another program wrote it.
     """
     return load_module(DetectorTraining, checkpoint, "training.train_detector")
 
 
 def _hits(output: dict[str, Tensor], target: DetectionTarget) -> list[bool]:
-    """For every object of an image, whether its label's best detection overlaps it by half or more."""
+    """Whether the best detection of an object's label overlaps it with an IoU of at least 0.5, per object."""
     hits = []
     for box, label in zip(target["boxes"], target["labels"], strict=True):
         mine = output["boxes"][output["labels"] == label]  # best score first

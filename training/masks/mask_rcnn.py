@@ -1,7 +1,7 @@
 """Mask R-CNN (He et al., ICCV 2017) with a ResNet and a feature pyramid, made of torchvision's parts.
 
-Built here instead of by torchvision's own constructors because those know one width only, and because their
-frozen batch norm without trained weights starts with losses in the thousands.
+Torchvision's own constructors are not used: they know one width only, and their frozen batch norm without
+trained weights starts with losses in the thousands.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ from torchvision.ops import FrozenBatchNorm2d, MultiScaleRoIAlign
 from training.runs.options import MaskNetwork
 
 MEAN, STD = [0.485, 0.456, 0.406], [0.229, 0.224, 0.225]
-"""Of ImageNet's colours: what trained ResNets expect."""
+"""Mean and standard deviation of ImageNet's colours, which trained ResNets expect."""
 
 
 def with_norm(config: MaskNetwork, weights: str) -> MaskNetwork:
-    """The config with `auto` decided: frozen statistics make sense only when there are some."""
+    """Decide an `auto` norm: frozen statistics make sense only with trained weights."""
     if config.norm != "auto":
         return config
     return replace(config, norm="batch" if weights == "scratch" else "frozen")
 
 
 def build_model(config: MaskNetwork, classes: int) -> MaskRCNN:
-    """The network with random weights; `classes` is without the background."""
+    """Build the network with random weights; `classes` does not count the background."""
     size, channels = config.size_px, config.channels
     levels = [str(level) for level in range(config.stages)]
     model = MaskRCNN(
@@ -86,7 +86,7 @@ class SmoothResize(GeneralizedRCNNTransform):  # type: ignore[misc]  # torchvisi
     def resize(
         self, image: Tensor, target: dict[str, Tensor] | None = None
     ) -> tuple[Tensor, dict[str, Tensor] | None]:
-        """An image alone is smoothed as it shrinks; training crops come in the right size."""
+        """Resize an image; training crops, which have a target, have the right size already."""
         height, width = image.shape[-2:]
         zoom = min(self.min_size[-1] / min(height, width), self.max_size / max(height, width))
         if target is not None or zoom >= 1:
@@ -98,5 +98,5 @@ class SmoothResize(GeneralizedRCNNTransform):  # type: ignore[misc]  # torchvisi
 
 
 def train_body(model: MaskRCNN, trained: bool) -> None:
-    """Freeze or free the ResNet alone: the pyramid, part of `backbone` too, is one of the paper's heads."""
+    """Freeze or free the ResNet alone. The pyramid, also part of `backbone`, is one of the paper's heads."""
     model.backbone.body.requires_grad_(trained)

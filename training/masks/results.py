@@ -19,12 +19,12 @@ from training.masks.weights import Segmenter
 
 Json = dict[str, Any]
 MASK_THRESHOLD = 0.5
-"""A pixel belongs to the object when the network gives it more than this."""
+"""A pixel belongs to the object when the network gives it a higher probability than this."""
 
 
 @torch.no_grad()
 def predict(segmenter: Segmenter, image: Tensor, image_id: int) -> list[Json]:
-    """COCO results of an image (float32, 3 x height x width, 0 to 1), best first.
+    """Find objects in an image (float32, 3 x height x width, 0 to 1) as COCO results, best first.
 
     Masks are visible pixels of the whole image; instances without a pixel are left out.
     """
@@ -49,7 +49,7 @@ def _result(image_id: int, pixels: np.ndarray, label: int, score: float) -> Json
 def predict_split(
     segmenter: Segmenter, coco_json: Path, *, unreadable: Counter[str] | None = None
 ) -> tuple[list[Json], set[int]]:
-    """The results of every image of a COCO file, and the ids of the images that could not be read.
+    """Find objects in every image of a COCO file; results, and the ids of images that could not be read.
 
     A bar on a terminal shows how far it is.
 

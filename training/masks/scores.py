@@ -16,13 +16,15 @@ from training.masks.results import Json
 
 @dataclass(frozen=True)
 class ClassScore:
-    """One class on one split; None where nothing could be measured: the truth does not have the class.
+    """The scores of one class on one split; None where the truth does not have the class.
 
     Attributes:
-        images: that show the class.
-        mean_iou: over these images, of all its predicted pixels with all its true ones; 0 where it is missed.
-        missed: images that show it where nothing of it was found.
-        false_alarms: images that do not show it where it was found.
+        name: of the class.
+        images: how many images show the class.
+        mean_iou: mean, over these images, of the IoU of all its predicted with all its true pixels; an image
+            where it is missed counts as 0.
+        missed: how many of these images have no detection of it.
+        false_alarms: how many other images have one.
         box_ap, mask_ap, mask_ap50: COCO's average precision, 0 to 1.
     """
 
@@ -38,7 +40,7 @@ class ClassScore:
 
 @dataclass(frozen=True)
 class SplitScore:
-    """All classes on one split; means are over the classes that the truth has."""
+    """The scores of all classes on one split; means are taken over the classes that the truth has."""
 
     images: int
     mean_iou: float | None
@@ -52,7 +54,7 @@ class SplitScore:
 def score_split(
     coco_json: Path, results: Sequence[Json], *, threshold: float, left_out: Collection[int] = ()
 ) -> SplitScore:
-    """Predictions against the labels of a COCO file.
+    """Score predictions against the labels of a COCO file.
 
     Args:
         results: COCO results with masks.
@@ -91,7 +93,7 @@ def _without(truth: Json, image_ids: Collection[int]) -> Json:
 
 
 def class_overlaps(truth: Json, results: Sequence[Json]) -> dict[int, tuple[list[float], int]]:
-    """For each category: the IoU in every image that shows it, and how many others it was found in.
+    """For each category, the IoU in every image that shows it, and in how many other images it was found.
 
     All instances of a category in an image count as one set of pixels, as in the paper's figure.
     """
@@ -107,7 +109,7 @@ def class_overlaps(truth: Json, results: Sequence[Json]) -> dict[int, tuple[list
 
 
 def _united(entries: Sequence[Json]) -> dict[tuple[int, int], Json]:
-    """The union of the masks of each image and category."""
+    """Unite the masks of each image and category."""
     groups: dict[tuple[int, int], list[Json]] = defaultdict(list)
     for entry in entries:
         groups[entry["image_id"], entry["category_id"]].append(entry["segmentation"])
@@ -124,7 +126,7 @@ def _mean(values: Sequence[float]) -> float | None:
 
 @dataclass(frozen=True)
 class Precision:
-    """Average precision over IoU 0.5 to 0.95, and at 0.5; a category the truth lacks has none."""
+    """Average precision over IoU 0.5 to 0.95 and at IoU 0.5; none for categories that the truth lacks."""
 
     all: float | None
     all50: float | None

@@ -1,4 +1,4 @@
-"""Weights of a Mask R-CNN: where training starts from, and what it leaves behind."""
+"""Weights of a Mask R-CNN: those that training starts from, and those in its checkpoints."""
 
 from __future__ import annotations
 
@@ -19,11 +19,13 @@ from training.runs.options import MaskNetwork
 
 
 def load_weights(model: MaskRCNN, config: MaskNetwork, weights: str) -> str:
-    """Put trained weights into the network; a line saying what came from where.
+    """Put trained weights into the network; a line comes back that says what came from where.
 
     Args:
+        model: the network.
+        config: its options, with the norm decided.
         weights: `scratch`; `imagenet`, which torchvision fetches; or the path of a file with a ResNet, a
-            torchvision Mask R-CNN (other classes than ours: the layers that name them stay random) or one of
+            torchvision Mask R-CNN (layers that depend on its classes stay random where ours differ) or one of
             our checkpoints.
 
     Raises:
@@ -64,7 +66,7 @@ def _fetched(backbone: str) -> Mapping[str, Tensor]:
 
 
 def _read(path: Path) -> Mapping[str, Tensor]:
-    """The state dict of a file: our own checkpoints hold it one level down, with a prefix."""
+    """Read the state dict of a file. Our own checkpoints hold it one level down, with a prefix."""
     content = read_checkpoint(path)
     if "state_dict" in content:
         return {key.removeprefix("model."): value for key, value in content["state_dict"].items()}
@@ -73,7 +75,7 @@ def _read(path: Path) -> Mapping[str, Tensor]:
 
 @dataclass(frozen=True)
 class Segmenter:
-    """A trained network and what its labels mean: `names[0]` is the background."""
+    """A trained network, its options, and the names of its labels; `names[0]` is the background."""
 
     model: MaskRCNN
     network: MaskNetwork
@@ -81,7 +83,7 @@ class Segmenter:
 
 
 def description(config: MaskNetwork, names: tuple[str, ...]) -> dict[str, Any]:
-    """What a checkpoint says about its network, in plain values."""
+    """Describe a network in plain values, for its checkpoint."""
     return {"model": asdict(config), "names": list(names)}
 
 
@@ -97,7 +99,7 @@ def checkpoint_of(masks: Path | None) -> Path:
 
 
 def load_segmenter(checkpoint: Path) -> Segmenter:
-    """The network of a checkpoint of `training.train_masks`, ready to predict."""
+    """Load the network of a checkpoint of `training.train_masks`, ready to predict."""
     content = read_checkpoint(checkpoint)
     if "masks" not in content:
         raise DataError(f"{checkpoint} is not a checkpoint of training.train_masks")

@@ -30,12 +30,13 @@ from training.runs.options import Crops
 
 @dataclass(frozen=True)
 class TrueObject:
-    """An object as the truth has it.
+    """An object as the true labels describe it.
 
     Attributes:
-        category: its category id in the file.
-        surface: points of its surface, n x 3, metres, the truth's object frame.
-        centre: of the surface's bounding box: where position errors are taken.
+        category: its category id in the COCO file.
+        model: its keypoints.
+        surface: points of its surface, n x 3, metres, in the truth's object frame.
+        centre: centre of the surface's bounding box, where position errors are measured.
     """
 
     category: int
@@ -45,7 +46,7 @@ class TrueObject:
 
 
 def true_objects(coco_json: Path, *, points: int = 1000) -> dict[str, TrueObject]:
-    """The objects of a true export, with points of their meshes, by name.
+    """Read the objects of a true export, with points on their meshes, by name.
 
     Raises:
         DataError: the export has no mesh of an object.
@@ -74,13 +75,13 @@ def evaluate(
     """Judge every true instance of the pipeline's objects, once per method.
 
     Args:
-        pipeline: trained on any labels of the same keypoints; its object frames may differ from the truth's
-            by one rigid transform an object, which the two sparse models give.
+        pipeline: trained on any labels of the same keypoints. Its object frames may differ from the truth's
+            by one rigid transform per object, which the two sparse models give.
         coco_json: a split of the true export.
         crops: the true boxes, or what the detector finds.
-        methods: of PnP.
-        truth: of `true_objects`.
-        metres_per_unit: of the export's depth images; None leaves depth unused.
+        methods: methods of PnP.
+        truth: what `true_objects` read.
+        metres_per_unit: unit of the export's depth images; None leaves depth unused.
         least_visible: instances that show a smaller share of themselves are left out.
         unreadable: counts the images that cannot be read, by message; they are left out. Without it the first
             of them is a DataError.
@@ -131,7 +132,7 @@ def evaluate(
 def _labels(
     data: Mapping[str, Any], names: Mapping[int, str], least_visible: float
 ) -> dict[int, list[InstanceLabel]]:
-    """Labels of the named categories that show enough of themselves, by image id."""
+    """Labels of the named categories of which enough is visible, by image id."""
     found: dict[int, list[InstanceLabel]] = {}
     for annotation in data["annotations"]:
         name = names.get(annotation["category_id"])
@@ -141,7 +142,7 @@ def _labels(
 
 
 def aligned(true: KeypointModel, trained: KeypointModel, *, source: str) -> np.ndarray:
-    """``truth_from_trained``: the one rigid transform between the object frames of two label sources."""
+    """The rigid transform ``truth_from_trained`` between the object frames of two label sources, 4 x 4."""
     if true.keypoints != trained.keypoints:
         raise DataError(
             f"{source}: {true.name} has the keypoints {', '.join(true.keypoints)}, the checkpoint "
@@ -161,7 +162,7 @@ def _judged(
     truth: TrueObject,
     truth_from_trained: np.ndarray,
 ) -> Judged:
-    """What was seen and solved against a true label."""
+    """Compare the predicted keypoints and pose with a true label."""
     known = label.visibility > 0
     if seen is None or solved is None:
         missed = np.full(int(known.sum()), np.inf)

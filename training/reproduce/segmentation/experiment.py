@@ -34,15 +34,16 @@ def segmentation(
     """Mean IoU per class of Mask R-CNN trained on OURS and on MANUAL labels (the paper's figure).
 
     Both are trained on the same images for the same number of epochs, in turns, and tested on the true masks
-    of val (random frames, as in the paper) and of test (scenes that training never saw). Interrupt it when
-    you like and run it again: it goes on. After every round the figure is drawn from what there is.
+    of val (random frames, as in the paper) and of test (scenes that training never saw). An interrupted
+    experiment goes on when the same command is given again. After every round the figure is drawn from what
+    there is.
 
     Args:
         workspace: a built workspace whose truth is known.
         out: folder for segmentation.json, segmentation.html, the figure and both runs.
-        preset: settings of the training, as training/configs/masks_cpu.yaml and masks_paper.yaml hold them.
-        epochs: of each source, whatever else the machine is doing; those of the preset when left out.
-        threads: processor cores to use; as many as there are when left out.
+        preset: options of the training, such as training/configs/masks_cpu.yaml or masks_paper.yaml.
+        epochs: of each source; those of the preset when left out.
+        threads: processor threads of torch; those of the preset when left out.
     """
     from rpl_data.formats.datasets.coco import read_coco
     from training.masks.settings import load_settings
@@ -63,7 +64,7 @@ def segmentation(
 
 
 def sources_of(workspace: Path) -> dict[str, Path]:
-    """Folders of the COCO files of both sources; the true ones are made when they are not there.
+    """Find the export folders of both sources; the true labels are exported when they are not there.
 
     Raises:
         DataError: the truth is not known, or the two do not have the same training images.
@@ -96,7 +97,7 @@ def sources_of(workspace: Path) -> dict[str, Path]:
 def train_round(
     sources: Mapping[str, Path], settings: MaskSettings, progress: Progress, out: Path
 ) -> Progress:
-    """A few more epochs of both sources, their scores on val, and the figure as it stands."""
+    """Train both sources for a few more epochs, score them on val, and draw the figure as it stands."""
     from training.train_masks import train_masks
 
     clock, cpu = time.perf_counter(), _cpu_s()
@@ -124,7 +125,7 @@ def given(settings: MaskSettings) -> dict[str, Any]:
 
 
 def _cpu_s() -> float:
-    """Of this process and of those it has started and seen end."""
+    """CPU seconds of this process and of its finished child processes."""
     return sum(os.times()[:4])
 
 
@@ -142,7 +143,7 @@ def _line(progress: Progress, settings: MaskSettings) -> str:
 def score_sources(
     sources: Mapping[str, Path], out: Path, splits: list[str]
 ) -> dict[str, dict[str, SplitScore]]:
-    """For each split the scores of both networks, against the true masks."""
+    """Score both networks on each split, against the true masks."""
     from training.masks.evaluation import evaluate
     from training.masks.weights import load_segmenter
     from training.runs.folder import LAST
@@ -163,7 +164,7 @@ def write_figure(
     settings: MaskSettings,
     out: Path,
 ) -> Path:
-    """segmentation.json, segmentation.html and segmentation.png; the path of the page comes back."""
+    """Write segmentation.json, segmentation.html and segmentation.png; the path of the page comes back."""
     from rpl_data.formats.datasets.coco import read_coco
     from training.reproduce.results import write_results
     from training.reproduce.segmentation.page import bars, sections, verdict
