@@ -37,10 +37,17 @@ class Start(NamedTuple):
     fragments: Fragments
 
 
-def join_scenes(scenes: Sequence[Hypotheses], keypoints: int, *, samples: int = 400) -> Start:
-    """Join all scenes that share at least three keypoints with the model grown so far."""
+def join_scenes(
+    scenes: Sequence[Hypotheses], keypoints: int, *, samples: int = 400, first_rank: int = 0
+) -> Start:
+    """Join all scenes that share at least three keypoints with the model grown so far.
+
+    Args:
+        samples: triples of keypoints drawn for each scene.
+        first_rank: which scene to begin with: 0 the best connected, 1 the next, ...
+    """
     random = np.random.default_rng(0)
-    first = max(range(len(scenes)), key=lambda s: _connectedness(scenes, s))
+    first = sorted(range(len(scenes)), key=lambda s: _connectedness(scenes, s), reverse=True)[first_rank]
     model: Hypotheses = dict(scenes[first])
     transforms: list[Float64[np.ndarray, "4 4"] | None] = [None] * len(scenes)
     transforms[first] = np.eye(4)
@@ -91,17 +98,30 @@ def match(
     if len(shared) < 3:
         return None
     padded_model, padded_scene = _padded(model, shared), _padded(scene, shared)
+    poses = kabsch_of_triples(model, scene, shared, samples=samples, random=random)
+    if not len(poses):
+        return None
+    distances = _best_pair_distances(poses, padded_model, padded_scene)
+    best = int(np.minimum(distances / AGREE_M, 1).sum(axis=1).argmin())
+    return _polish(poses[best], padded_model, padded_scene)
+
+
+def kabsch_of_triples(
+    model: Hypotheses,
+    scene: Hypotheses,
+    shared: list[int],
+    *,
+    samples: int,
+    random: np.random.Generator,
+) -> Float64[np.ndarray, "b 4 4"]:
+    """`scene_from_model` of random triples of shared keypoints whose triangles are congruent."""
+    padded_model, padded_scene = _padded(model, shared), _padded(scene, shared)
     triples, picks_model, picks_scene = _draw_triples(padded_model, padded_scene, samples, random)
     corners_model = padded_model[triples, picks_model]
     corners_scene = padded_scene[triples, picks_scene]
     usable = _congruent(corners_model, corners_scene)
-    if not usable.any():
-        return None
     corners_model, corners_scene = corners_model[usable], corners_scene[usable]
-    candidates = kabsch_stack(corners_model, corners_scene, np.ones(corners_model.shape[:2]))
-    distances = _best_pair_distances(candidates, padded_model, padded_scene)
-    best = int(np.minimum(distances / AGREE_M, 1).sum(axis=1).argmin())
-    return _polish(candidates[best], padded_model, padded_scene)
+    return kabsch_stack(corners_model, corners_scene, np.ones(corners_model.shape[:2]))
 
 
 def _padded(hypotheses: Hypotheses, shared: list[int]) -> Float64[np.ndarray, "_ _ 3"]:
