@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from rpl_data.clicks.lift import (
+    EDGE_SIGMA_M,
     LIFT_SIGMA_M,
     SLOPE_SIGMA_PX,
     STEEPEST,
@@ -127,7 +128,7 @@ def test_a_far_surface_is_less_sure_and_continued_as_a_plane():
     assert depths == pytest.approx([0.7], abs=1e-3)
     slope_m = SLOPE_SIGMA_PX * 0.0005 * 0.7**2  # metres over so many pixels
     assert sigmas[0] == pytest.approx(
-        np.sqrt(0.0015**2 + LIFT_SIGMA_M**2 + slope_m**2 + (5 * 0.7 / 600) ** 2), rel=0.01
+        np.sqrt(0.0015**2 + LIFT_SIGMA_M**2 + EDGE_SIGMA_M**2 + slope_m**2 + (5 * 0.7 / 600) ** 2), rel=0.01
     )
 
 
@@ -157,3 +158,11 @@ def test_slopes_that_cannot_be_are_cut_off():
     image = (0.7 + 0.006 * (columns - 320)).astype(np.float32)  # 6 mm per pixel: 79 degrees
     slopes = candidate_surfaces(image, 320.0, 240.0, pixel_rad=1 / 600).slopes_m
     assert np.hypot(*slopes[0]) <= STEEPEST * 0.7 * (1 + 1e-6)
+
+
+def test_a_surface_that_ends_near_the_click_is_less_sure():
+    sigmas = [
+        candidate_surfaces(edge_image(0.9, 0.7), u_px, 50.0, pixel_rad=1 / 600).sigmas_m[0]
+        for u_px in (130.0, 110.0, 100.0)
+    ]
+    assert sigmas[0] < sigmas[1] < sigmas[2]
