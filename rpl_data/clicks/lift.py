@@ -86,7 +86,7 @@ def _pose(click: Click, trajectory: Trajectory) -> Float64[np.ndarray, "4 4"]:
 def lift(
     click: Click, intrinsics: Intrinsics, scene_from_camera: Float64[np.ndarray, "4 4"], depth_m: DepthImage
 ) -> Observation:
-    """One click as a ray with candidate depths.
+    """One click as a ray with candidate surfaces.
 
     Raises:
         DataError: the click lies outside the image.

@@ -18,16 +18,16 @@ from rpl_data.geometry import fit_rigid, invert, spread_m, transform
 from rpl_data.solve.procrustes import Fragments, kabsch_stack
 
 Hypotheses = dict[int, Float64[np.ndarray, "_ 3"]]
-"""Keypoint -> places where it may be, most likely first."""
+"""By keypoint, candidate positions of it, most likely first."""
 
 AGREE_M = 0.015
-"""Two hypotheses closer than this are the same place."""
+"""Two hypotheses closer than this are the same position."""
 LINE_M = 0.004
 """Points whose spread across their main direction is less lie on a line."""
 
 
 class Start(NamedTuple):
-    """What the start found: a transform a joined scene, and one point per scene and keypoint.
+    """What the start found: one transform per joined scene, and one point per scene and keypoint.
 
     Attributes:
         scene_from_model: None for a scene that could not be joined by itself.
@@ -191,8 +191,8 @@ def _polish(
 def _merge(model: Hypotheses, scene: Hypotheses, model_from_scene: Float64[np.ndarray, "4 4"]) -> Hypotheses:
     """Where both agree, their mean comes first; all other hypotheses are kept behind."""
     merged = dict(model)
-    for keypoint, places in scene.items():
-        moved = transform(model_from_scene, places)
+    for keypoint, positions in scene.items():
+        moved = transform(model_from_scene, positions)
         if keypoint not in model:
             merged[keypoint] = moved
             continue
@@ -216,11 +216,11 @@ def choose_fragments(
     points = np.zeros((len(scenes), keypoints, 3))
     clicked = np.zeros((len(scenes), keypoints))
     for s, (scene, scene_from_model) in enumerate(zip(scenes, transforms, strict=True)):
-        for keypoint, places in scene.items():
+        for keypoint, positions in scene.items():
             choice = 0
             if scene_from_model is not None and keypoint in model:
                 expected = transform(scene_from_model, model[keypoint][0])
-                choice = int(np.linalg.norm(places - expected, axis=1).argmin())
-            points[s, keypoint] = places[choice]
+                choice = int(np.linalg.norm(positions - expected, axis=1).argmin())
+            points[s, keypoint] = positions[choice]
             clicked[s, keypoint] = 1
     return Fragments(points, clicked)

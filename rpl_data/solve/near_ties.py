@@ -1,8 +1,8 @@
-"""Answers that the clicks cannot rule out: said in words, and as a wider covariance."""
+"""What the clicks leave open: said in words, and as a wider covariance."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float64
@@ -13,6 +13,8 @@ from rpl_data.solve.search import Alternative
 
 SAID_BELOW = 8.0
 """Excess cost (squared standard deviations) below which another answer is mentioned: odds of 1 in 50."""
+UNSURE_BEYOND_M = 0.015
+"""Standard deviation per axis of the keypoints in a scene above which it is mentioned."""
 SAID_BEYOND_M = 0.01
 """Answers that put the keypoints nearer than this (mean over the keypoints) need not be mentioned."""
 
@@ -35,6 +37,21 @@ def describe_near_ties(
             "degrees; click one more keypoint there, or one of them again in a frame seen from another side"
         )
     return tuple(lines[scene] for scene in sorted(lines))
+
+
+def describe_unsure_scenes(
+    covariance_in_scene: Mapping[str, Float64[np.ndarray, "k 3 3"]], known: Bool[np.ndarray, " k"]
+) -> tuple[str, ...]:
+    """One line for each scene in which the clicks leave open where the object is."""
+    lines = []
+    for scene, covariance in covariance_in_scene.items():
+        sigma_m = float(np.sqrt(np.trace(covariance[known], axis1=1, axis2=2).mean() / 3))
+        if sigma_m > UNSURE_BEYOND_M:
+            lines.append(
+                f"scene {scene}: its clicks tell where the object is to {1000 * sigma_m:.0f} mm only "
+                "(standard deviation per axis); click one more keypoint there, or mend the clicks that do not fit"
+            )
+    return tuple(lines)
 
 
 def widened_for_near_ties(

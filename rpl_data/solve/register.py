@@ -13,7 +13,7 @@ from rpl_data.solve.bundle_adjustment import State, cross_matrices, linearise
 from rpl_data.solve.click_rays import Noise, Rays, rays_of
 from rpl_data.solve.hypotheses import hypotheses_of_scene
 from rpl_data.solve.initial_guess import LINE_M
-from rpl_data.solve.near_ties import describe_near_ties, widened_for_near_ties
+from rpl_data.solve.near_ties import describe_near_ties, describe_unsure_scenes, widened_for_near_ties
 from rpl_data.solve.noise import (
     USUAL,
     adjust_with_noise,
@@ -92,19 +92,22 @@ def register_scene(
     state, noise = adjust_with_noise(rays, states[0], prior=prior, hold_points=True)
     excess = poses.cost - poses.cost[0]
     others = [Alternative(0, other, e) for other, e in zip(states[1:], excess[1:], strict=True)]
+    in_scene = widened_for_near_ties(
+        _covariance_in_scene(rays, state, noise, model, covariance), others, state, 0
+    ) + trajectory_sigma_m**2 * np.eye(3)
     fitted = iter(click_residuals(usable, click_fit(rays, state, noise), model.keypoints))
     return Registration(
         scene_from_object=state.scene_from_model[0],
         residuals=tuple(
             next(fitted) if model.known[o.click.keypoint] else _not_in_model(o, model) for o in observations
         ),
-        covariance_in_scene=widened_for_near_ties(
-            _covariance_in_scene(rays, state, noise, model, covariance), others, state, 0
-        )
-        + trajectory_sigma_m**2 * np.eye(3),
+        covariance_in_scene=in_scene,
         click_sigma_px=noise.click_px,
         depth_sigma_ratio=noise.depth_ratio,
-        warnings=describe_near_ties(others, state, [scene], model.known),
+        warnings=(
+            *describe_near_ties(others, state, [scene], model.known),
+            *describe_unsure_scenes({scene: in_scene}, model.known),
+        ),
     )
 
 

@@ -137,7 +137,7 @@ def click_spreads_m(
     """How far the clicks of a keypoint lie apart over the frames of a scene, seen through its poses.
 
     Every click's ray misses the keypoint's place by a vector; the spread is the standard deviation of
-    those, on an axis. It holds the hand's error (2 px are 2 mm at 0.6 m) and the drift of the poses.
+    those, per axis. It holds the hand's error (2 px are 2 mm at 0.6 m) and the drift of the poses.
 
     Args:
         points_scene: places of the keypoints by scene, scene frame; NaN where not known.

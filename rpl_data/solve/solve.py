@@ -27,7 +27,7 @@ from rpl_data.solve.bundle_adjustment import State
 from rpl_data.solve.click_rays import Noise, Rays, rays_of
 from rpl_data.solve.hypotheses import hypotheses_of_scene
 from rpl_data.solve.initial_guess import Hypotheses, Start, join_clean, join_scenes
-from rpl_data.solve.near_ties import describe_near_ties, widened_for_near_ties
+from rpl_data.solve.near_ties import describe_near_ties, describe_unsure_scenes, widened_for_near_ties
 from rpl_data.solve.noise import (
     adjust_with_noise,
     estimate_noise,
@@ -211,7 +211,15 @@ def _solution(
     points = np.where(known[:, None], transform(invert(first_from_object), in_first), np.nan)
     turn = model_from_object[:3, :3]
     joint = joint_covariance(answer.rays, state, noise=answer.noise)
+    in_scene = {
+        name: widened_for_near_ties(
+            points_in_scene_covariance(joint, state, s, known), answer.alternatives, state, s
+        )
+        + trajectory_sigma_m.get(name, 0.0) ** 2 * np.eye(3)
+        for s, name in enumerate(answer.scenes)
+    }
     ties = describe_near_ties(answer.alternatives, state, answer.scenes, known)
+    unsure = describe_unsure_scenes(in_scene, known)
     return Solution(
         model=KeypointModel(object_name, tuple(keypoints), points, tuple(skeleton)),
         covariance=turn.T @ shape_covariance(joint, state, known) @ turn,
@@ -220,14 +228,8 @@ def _solution(
             for name, scene_from_model in zip(answer.scenes, state.scene_from_model, strict=True)
         },
         residuals=click_residuals(observations, click_fit(answer.rays, state, answer.noise), keypoints),
-        warnings=(*describe_keypoints(keypoints, observations, known), *ties),
-        covariance_in_scene={
-            name: widened_for_near_ties(
-                points_in_scene_covariance(joint, state, s, known), answer.alternatives, state, s
-            )
-            + trajectory_sigma_m.get(name, 0.0) ** 2 * np.eye(3)
-            for s, name in enumerate(answer.scenes)
-        },
+        warnings=(*describe_keypoints(keypoints, observations, known), *ties, *unsure),
+        covariance_in_scene=in_scene,
         click_sigma_px=answer.noise.click_px,
         depth_sigma_ratio=answer.noise.depth_ratio,
     )
