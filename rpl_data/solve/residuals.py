@@ -136,26 +136,26 @@ def click_spreads_m(
 ) -> dict[tuple[str, int], float]:
     """How far the clicks of a keypoint lie apart over the frames of a scene, seen through its poses.
 
-    Every click's ray misses the keypoint's place by a vector; the spread is the standard deviation of
+    Every click's ray misses the keypoint's position by a vector; the spread is the standard deviation of
     those, per axis. It holds the hand's error (2 px are 2 mm at 0.6 m) and the drift of the poses.
 
     Args:
-        points_scene: places of the keypoints by scene, scene frame; NaN where not known.
+        points_scene: positions of the keypoints by scene, scene frame; NaN where not known.
 
     Returns:
         By scene and keypoint, of those with clicks in two frames or more.
     """
     misses: dict[tuple[str, int], list[np.ndarray]] = {}
     for o in observations:
-        place = (o.click.scene, o.click.keypoint)
-        if o.click.scene not in points_scene or not np.isfinite(points_scene[place[0]][place[1]]).all():
+        scene, keypoint = o.click.scene, o.click.keypoint
+        if scene not in points_scene or not np.isfinite(points_scene[scene][keypoint]).all():
             continue
         ray = o.scene_from_camera[:3, :3] @ o.ray_camera
         ray = ray / np.linalg.norm(ray)
-        toward = points_scene[place[0]][place[1]] - o.scene_from_camera[:3, 3]
-        misses.setdefault(place, []).append(toward - (toward @ ray) * ray)
+        toward = points_scene[scene][keypoint] - o.scene_from_camera[:3, 3]
+        misses.setdefault((scene, keypoint), []).append(toward - (toward @ ray) * ray)
     return {
-        place: float(np.sqrt(np.var(found, axis=0, ddof=1).sum() / 2))
-        for place, found in misses.items()
+        clicked: float(np.sqrt(np.var(found, axis=0, ddof=1).sum() / 2))
+        for clicked, found in misses.items()
         if len(found) > 1
     }

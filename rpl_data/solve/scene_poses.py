@@ -158,11 +158,11 @@ def _best(
     most: int,
 ) -> ScenePoses:
     """The cheapest pose of every group that puts the points at the same positions, at most so many groups."""
-    places = points_model @ np.swapaxes(poses[:, :3, :3], 1, 2) + poses[:, None, :3, 3]
+    positions = points_model @ np.swapaxes(poses[:, :3, :3], 1, 2) + poses[:, None, :3, 3]
     kept: list[int] = []
     left = np.argsort(costs, kind="stable")
     while len(left) and len(kept) < most:
         kept.append(int(left[0]))
-        apart_m = np.linalg.norm(places[left] - places[left[0]], axis=2).mean(axis=1)
+        apart_m = np.linalg.norm(positions[left] - positions[left[0]], axis=2).mean(axis=1)
         left = left[apart_m > DISTINCT_M]
     return ScenePoses(poses[kept], costs[kept])
