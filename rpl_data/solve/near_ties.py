@@ -49,7 +49,8 @@ def describe_unsure_scenes(
         if sigma_m > UNSURE_BEYOND_M:
             lines.append(
                 f"scene {scene}: its clicks tell where the object is to {1000 * sigma_m:.0f} mm only "
-                "(standard deviation per axis); click one more keypoint there, or mend the clicks that do not fit"
+                "(standard deviation per axis); click one more keypoint there, or mend the clicks that "
+                "do not fit"
             )
     return tuple(lines)
 
