@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64
 
-from rpl_data.geometry import fit_rigid, invert, spread_m, transform
+from rpl_data.geometry import fit_rigid, invert, is_collinear, transform
 from rpl_data.solve.procrustes import Fragments, kabsch_stack
 
 Hypotheses = dict[int, Float64[np.ndarray, "_ 3"]]
@@ -76,7 +76,7 @@ def join_clean(fragments: Fragments) -> list[Float64[np.ndarray, "4 4"] | None]:
         scene = max(waiting, key=lambda s: int((seen[s] & known).sum()))
         waiting.remove(scene)
         both = seen[scene] & known
-        if both.sum() < 3 or spread_m(points[scene][both])[1] < LINE_M:
+        if both.sum() < 3 or is_collinear(points[scene][both], tolerance_m=LINE_M):
             continue
         joined = fit_rigid(points[scene][both], model[both])
         transforms[scene] = joined
@@ -182,7 +182,7 @@ def _polish(
         agree = flat[np.arange(len(flat)), best] < AGREE_M
         pairs_model = model[np.arange(len(flat)), best // scene.shape[1]][agree]
         pairs_scene = scene[np.arange(len(flat)), best % scene.shape[1]][agree]
-        if len(pairs_model) < 3 or spread_m(pairs_scene)[1] < LINE_M:
+        if len(pairs_model) < 3 or is_collinear(pairs_scene, tolerance_m=LINE_M):
             return None
         scene_from_model = fit_rigid(pairs_scene, pairs_model)
     return scene_from_model

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64
 
-from rpl_data.geometry import spread_m
+from rpl_data.geometry import is_collinear
 from rpl_data.solve.bundle_adjustment import State, cross_matrices, linearise
 from rpl_data.solve.click_rays import Noise, Rays, rays_of
 from rpl_data.solve.hypotheses import hypotheses_of_scene
@@ -118,7 +118,7 @@ def _refuse_few(model: KeypointModel, scene: str, clicked: Sequence[int]) -> Non
             f"object {model.name}, scene {scene}: {len(clicked)} usable keypoints clicked, at least 3 "
             "needed; click more of the model's keypoints, where there is depth"
         )
-    if spread_m(model.points_object[clicked])[1] < LINE_M:
+    if is_collinear(model.points_object[clicked], tolerance_m=LINE_M):
         raise DataError(
             f"object {model.name}, scene {scene}: keypoints {', '.join(model.keypoints[k] for k in clicked)} "
             "lie on a line, about which the object could turn; click one more keypoint off that line"
