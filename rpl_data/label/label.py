@@ -49,7 +49,8 @@ class SceneObject:
     """An object as it stands in one scene.
 
     Attributes:
-        covariance: a 3x3 matrix a keypoint, m^2, object frame; NaN where never clicked.
+        covariance: one 3x3 covariance per keypoint of its position in the scene (shape and pose together),
+            in m^2, along the axes of the object frame; NaN where never clicked.
         mesh: triangles in the object frame.
     """
 

@@ -92,11 +92,19 @@ def solution_to_json(solution: Solution) -> Json:
         "scene_from_object": {name: numbers(matrix) for name, matrix in solution.scene_from_object.items()},
         "residuals": [asdict(residual) for residual in solution.residuals],
         "warnings": list(solution.warnings),
+        "covariance_in_scene": {
+            name: rows_to_json(found.reshape(-1, 9)) for name, found in solution.covariance_in_scene.items()
+        },
+        "click_sigma_px": solution.click_sigma_px,
+        "depth_sigma_ratio": solution.depth_sigma_ratio,
     }
 
 
 def solution_from_json(data: Json) -> Solution:
-    """Convert what `solution_to_json` returned back to a solution."""
+    """Convert what `solution_to_json` returned back to a solution.
+
+    Files of older versions lack the noise and what follows from it.
+    """
     model = KeypointModel(
         name=data["object"],
         keypoints=tuple(data["keypoints"]),
@@ -110,6 +118,12 @@ def solution_from_json(data: Json) -> Solution:
         scene_from_object={name: matrix_from_json(m) for name, m in data["scene_from_object"].items()},
         residuals=residuals,
         warnings=tuple(data["warnings"]),
+        covariance_in_scene={
+            name: rows_from_json(rows, 9).reshape(-1, 3, 3)
+            for name, rows in data.get("covariance_in_scene", {}).items()
+        },
+        click_sigma_px=data.get("click_sigma_px"),
+        depth_sigma_ratio=data.get("depth_sigma_ratio"),
     )
 
 

@@ -16,7 +16,7 @@ from rpl_data.pipeline.ledger import Advance, Outcome, Step
 from rpl_data.types import FrameLabel
 from rpl_data.workspace.workspace import Workspace
 
-VERSION = 1
+VERSION = 2
 """Raised when the stage writes something else for the same input; its steps then run again."""
 
 
@@ -94,6 +94,6 @@ def label_range(
 def scene_object(workspace: Workspace, object_name: str, scene: str) -> SceneObject:
     """An object as it stands in a scene."""
     solution = workspace.load_solution(object_name)
-    place: Transform = solution.scene_from_object[scene]
+    scene_from_object: Transform = solution.scene_from_object[scene]
     mesh = load_mesh(workspace.mesh_file(object_name))
-    return SceneObject(solution.model, solution.covariance, mesh, place)
+    return SceneObject(solution.model, solution.covariance_at(scene), mesh, scene_from_object)
