@@ -22,6 +22,9 @@ from rpl_data.segment.region_growing import (
 )
 from rpl_data.types import DataError, Mesh, PointCloud, Solution
 
+CropBox = tuple[tuple[float, float, float], tuple[float, float, float]]
+"""Lowest and highest corner in the object frame, metres."""
+
 
 @dataclass(frozen=True)
 class DenseModel:
@@ -51,7 +54,7 @@ def segment_object(
     solution: Solution,
     *,
     voxel_m: float = 0.003,
-    crop_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None,
+    crop_m: CropBox | None = None,
 ) -> DenseModel:
     """The dense model: regions grown from the keypoints in every scene's surface, merged.
 
@@ -69,18 +72,8 @@ def segment_object(
         DataError: no scene is placed, or no surface is found at the keypoints.
     """
     keypoints = solution.model.points_object[solution.model.known]
-    views: dict[str, _View] = {}
-    for scene, mesh in surfaces.items():
-        if scene in solution.scene_from_object:
-            surface = _near_object(mesh, solution.scene_from_object[scene], keypoints, voxel_m, crop_m)
-            if len(surface.points) >= 50:
-                planes = planes_below(surface, keypoints)
-                views[scene] = _View(surface, planes, _without_planes(surface, planes))
-    grown = {
-        scene: _without_skirt(_grow(view.above, keypoints, voxel_m), view.planes, keypoints)
-        for scene, view in views.items()
-    }
-    grown = {scene: region for scene, region in grown.items() if len(region.points)}
+    views = _views(surfaces, solution, voxel_m, crop_m)
+    grown = _grown(views, keypoints, voxel_m)
     if not grown:
         raise DataError(
             f"object {solution.model.name}: none of {len(surfaces)} scene surfaces has points at the "
@@ -96,12 +89,55 @@ def segment_object(
     return DenseModel(closed_mesh(cloud, anchors, voxel_m=voxel_m), cloud, warnings)
 
 
+def grown_regions(
+    surfaces: Mapping[str, Mesh],
+    solution: Solution,
+    *,
+    voxel_m: float = 0.003,
+    crop_m: CropBox | None = None,
+) -> dict[str, PointCloud]:
+    """The object's surface as each scene saw it, in the object frame, without what the object stands on.
+
+    Args:
+        surfaces, voxel_m, crop_m: as in `segment_object`.
+
+    Returns:
+        By scene; those without a surface at the keypoints are left out.
+    """
+    views = _views(surfaces, solution, voxel_m, crop_m)
+    return _grown(views, solution.model.points_object[solution.model.known], voxel_m)
+
+
+def _views(
+    surfaces: Mapping[str, Mesh], solution: Solution, voxel_m: float, crop_m: CropBox | None
+) -> dict[str, _View]:
+    """The surroundings of the object in every scene that is placed and has a surface there."""
+    keypoints = solution.model.points_object[solution.model.known]
+    views: dict[str, _View] = {}
+    for scene, mesh in surfaces.items():
+        if scene in solution.scene_from_object:
+            surface = _near_object(mesh, solution.scene_from_object[scene], keypoints, voxel_m, crop_m)
+            if len(surface.points) >= 50:
+                planes = planes_below(surface, keypoints)
+                views[scene] = _View(surface, planes, _without_planes(surface, planes))
+    return views
+
+
+def _grown(views: Mapping[str, _View], keypoints: Points, voxel_m: float) -> dict[str, PointCloud]:
+    """The regions grown from the keypoints, by scene."""
+    grown = {
+        scene: _without_skirt(_grow(view.above, keypoints, voxel_m), view.planes, keypoints)
+        for scene, view in views.items()
+    }
+    return {scene: region for scene, region in grown.items() if len(region.points)}
+
+
 def _near_object(
     mesh: Mesh,
     scene_from_object: Float64[np.ndarray, "4 4"],
     keypoints: Points,
     voxel_m: float,
-    crop_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None,
+    crop_m: CropBox | None,
 ) -> PointCloud:
     """Points of the surface around the keypoints, object frame, with smoothed normals."""
     moved = Mesh(transform(invert(scene_from_object), mesh.vertices), mesh.triangles, mesh.colors)

@@ -12,7 +12,7 @@ from rpl_data.pipeline.stages.solve import known_points
 from rpl_data.types import Mesh
 from rpl_data.workspace.workspace import Workspace
 
-VERSION = 1
+VERSION = 2
 """Raised when the stage writes something else for the same input; its steps then run again."""
 
 Box3 = tuple[tuple[float, float, float], tuple[float, float, float]]
@@ -36,7 +36,7 @@ def _segment_step(context: Context, item: ObjectRecipe) -> Step:
         from rpl_data.segment.segment import segment_object
 
         surfaces = {name: load_mesh(workspace.surface_file(name)) for name in scenes}
-        dense = segment_object(surfaces, workspace.load_solution(item.name), voxel_m=voxel_m, crop_m=crop)
+        dense = segment_object(surfaces, workspace.load_placed(item.name), voxel_m=voxel_m, crop_m=crop)
         save_mesh(workspace.mesh_file(item.name), dense.mesh)
         save_cloud(workspace.cloud_file(item.name), dense.cloud)
         return Outcome(
@@ -51,7 +51,7 @@ def _segment_step(context: Context, item: ObjectRecipe) -> Step:
         version=VERSION,
         options={"voxel_m": voxel_m, "crop": crop},
         sources={} if given is None else stamps(workspace.given_mesh_file(item.name)),
-        after=[f"solve/{item.name}", *(f"surface/{name}" for name in scenes)],
+        after=[context.placed_by(item.name), *(f"surface/{name}" for name in scenes)],
         outputs=[workspace.mesh_file(item.name), workspace.cloud_file(item.name)],
     )
 
