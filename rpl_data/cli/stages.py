@@ -78,6 +78,21 @@ def surface(workspace: Path = HERE, again: bool = False) -> None:
     run_stage(workspace, "surface", again)
 
 
+def refine(workspace: Path = HERE, again: bool = False) -> None:
+    """Register the scenes of each object on one another: their surfaces and print, together with the clicks.
+
+    A scene keeps the pose of its clicks where parts of its surface that were left out of the registration do
+    not agree better with the other scenes afterwards; that is said.
+
+    Example: rpl refine --workspace workspaces/demo
+
+    Args:
+        workspace: a folder made by `rpl build` or `rpl import`.
+        again: run the stage even if nothing it depends on has changed.
+    """
+    run_stage(workspace, "refine", again)
+
+
 def segment(workspace: Path = HERE, again: bool = False) -> None:
     """Cut the dense model of each object out of the surfaces.
 

@@ -63,6 +63,10 @@ class Context:
         solutions = [self.workspace.load_solution(name) for name in self.object_names]
         return [solution for solution in solutions if scene in solution.scene_from_object]
 
+    def placed_by(self, object_name: str) -> str:
+        """Name of the step whose solution the labels of an object follow."""
+        return f"refine/{object_name}" if self.recipe.refine.scenes else f"solve/{object_name}"
+
     def placed_videos(self) -> list[str]:
         """Recordings in which at least one object has a pose."""
         parts = self.workspace.parts()

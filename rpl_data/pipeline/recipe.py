@@ -122,6 +122,18 @@ class Solve:
 
 
 @dataclass(frozen=True)
+class RefineRecipe:
+    """What the depth and colour of the recording may correct of the solution of the clicks.
+
+    Attributes:
+        scenes: register the surfaces of an object's scenes on one another, together with the clicks; a
+            scene keeps the pose of its clicks where parts of the surface left out of that do not gain.
+    """
+
+    scenes: bool = True
+
+
+@dataclass(frozen=True)
 class LabelRecipe:
     """Which frames are labelled.
 
@@ -147,7 +159,7 @@ class Recipe:
         objects: the objects to label.
         twin: first make a synthetic recording with exact ground truth, in `recording/` of the workspace;
             scenes, objects, clicks and truth then default to those of this recording.
-        reconstruct, solve, label, split: options of the stages.
+        reconstruct, solve, refine, label, split: options of the stages.
         export: formats to write: `coco`, and `yolo`, `bop` and `okt` (ObjectKeypointTrainer), made from it.
         truth: the ground truth of these scenes, if it is known: a workspace folder, or a JSON file
             `{points_<object>: K x 3, camera_from_<object>: {scene: [4x4 per frame]}}`. The quality
@@ -160,6 +172,7 @@ class Recipe:
     twin: TwinSpec | None = None
     reconstruct: Reconstruct = Reconstruct()
     solve: Solve = Solve()
+    refine: RefineRecipe = RefineRecipe()
     label: LabelRecipe = LabelRecipe()
     split: SplitRule = SplitRule()
     export: tuple[str, ...] = ("coco",)

@@ -101,13 +101,19 @@ def _leverage(system: System, *, scenes: int, hold_points: bool) -> Float64[np.n
 def _inverse(
     jacobian: Float64[np.ndarray, "m 3 u"], *, scenes: int, hold_points: bool
 ) -> Float64[np.ndarray, "u u"]:
-    """Inverse of the normal matrix, 0 for what is held.
+    """Inverse of the normal matrix, as `inverse_normal`."""
+    flat = jacobian.reshape(-1, jacobian.shape[2])
+    return inverse_normal(flat.T @ flat, scenes=scenes, hold_points=hold_points)
+
+
+def inverse_normal(
+    normal: Float64[np.ndarray, "u u"], *, scenes: int, hold_points: bool
+) -> Float64[np.ndarray, "u u"]:
+    """Inverse of a normal matrix, 0 for what is held.
 
     The frame of the unknowns is free, so unless the points are held the first scene is. Keypoints
     without clicks are left out.
     """
-    flat = jacobian.reshape(-1, jacobian.shape[2])
-    normal = flat.T @ flat
     free = np.diag(normal) > 0
     free[slice(6 * scenes, None) if hold_points else slice(0, 6)] = False
     inverse: Float64[np.ndarray, "u u"] = np.zeros_like(normal)

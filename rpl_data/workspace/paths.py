@@ -18,7 +18,8 @@ class Paths:
         recording/                    recording rendered from a twin (a synthetic scene), with truth/
         scenes/<scene>/               scene.json  trajectory.txt  drift.json  surface.ply  cache/  images/
                                       parts.json, where it was cut into scenes/<scene>.1/, <scene>.2/, ...
-        objects/<object>/             clicks.jsonl  solution.json  mesh.ply  cloud.ply  given.ply  grasp.json
+        objects/<object>/             clicks.jsonl  solution.json  refined.json  mesh.ply  cloud.ply
+                                      given.ply  grasp.json
         labels/<scene>.jsonl          one line per frame
         labels/<scene>.left_out.json  frames that the user excluded from exports
         export/<format>/              coco, coco_truth, ...
@@ -99,6 +100,10 @@ class Paths:
     def solution_file(self, object_name: str) -> Path:
         """The solved keypoint model and `scene_from_object` per scene."""
         return self.root / "objects" / object_name / "solution.json"
+
+    def refined_file(self, object_name: str) -> Path:
+        """The solution after its scenes were registered on one another."""
+        return self.root / "objects" / object_name / "refined.json"
 
     def mesh_file(self, object_name: str) -> Path:
         """The dense model as triangles, in the object frame, metres."""

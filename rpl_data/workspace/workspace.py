@@ -162,7 +162,8 @@ class Workspace(Paths):
         return replay(object_name, self.load_events(object_name))
 
     def save_solution(self, solution: Solution) -> None:
-        """Write `solution.json`."""
+        """Write `solution.json`; what was refined of an earlier solution is out of date and removed."""
+        self.remove_refined(solution.model.name)
         write_json(self.solution_file(solution.model.name), records.solution_to_json(solution))
 
     def load_solution(self, object_name: str) -> Solution:
@@ -170,6 +171,20 @@ class Workspace(Paths):
         if not self.solution_file(object_name).exists():
             raise DataError(f"object {object_name} has no solution yet; run `rpl solve` on {self.root}")
         return records.solution_from_json(read_json(self.solution_file(object_name)))
+
+    def save_refined(self, solution: Solution) -> None:
+        """Write refined.json."""
+        write_json(self.refined_file(solution.model.name), records.solution_to_json(solution))
+
+    def remove_refined(self, object_name: str) -> None:
+        """From now on the solution of the clicks is the one that counts."""
+        remove(self.refined_file(object_name))
+
+    def load_placed(self, object_name: str) -> Solution:
+        """The solution that labels follow: refined where that was done, else that of the clicks."""
+        if not self.refined_file(object_name).exists():
+            return self.load_solution(object_name)
+        return records.solution_from_json(read_json(self.refined_file(object_name)))
 
     def save_grasp(self, object_name: str, object_from_grasp: Transform | None) -> None:
         """Write `grasp.json`; None deletes it."""
@@ -238,7 +253,7 @@ class Workspace(Paths):
 
     def model(self, object_name: str) -> KeypointModel:
         """The sparse model: names of the keypoints and their positions in the object frame, metres."""
-        return self.load_solution(object_name).model
+        return self.load_placed(object_name).model
 
     def mesh(self, object_name: str) -> Mesh:
         """The dense model in the object frame, metres."""

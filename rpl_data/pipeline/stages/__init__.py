@@ -9,6 +9,7 @@ ORDER = (
     "cut",
     "solve",
     "surface",
+    "refine",
     "segment",
     "label",
     "export",
