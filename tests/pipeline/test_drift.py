@@ -240,13 +240,14 @@ def test_a_build_cuts_what_strays_and_its_labels_are_better(
     tiny_workspace: Workspace, strayed: Path, tmp_path: Path
 ) -> None:
     errors_px = {}
+    context = context_of(tiny_workspace)
+    recipe = replace(
+        context.recipe, twin=None, objects=context.objects, truth=tiny_workspace.truth,
+        scenes=(SceneSource(strayed, metres_per_unit=0.001),),
+    )  # fmt: skip
     for limit_mm in (1000.0, 15.0):
-        context = context_of(tiny_workspace)
-        recipe = replace(
-            context.recipe, twin=None, objects=context.objects, truth=tiny_workspace.truth,
-            scenes=(SceneSource(strayed, metres_per_unit=0.001),),
-            reconstruct=replace(context.recipe.reconstruct, max_drift_mm=limit_mm),
-        )  # fmt: skip
+        options = replace(context.recipe.reconstruct, method="given", max_drift_mm=limit_mm)
+        recipe = replace(recipe, reconstruct=options)
         workspace = Workspace(tmp_path)
         ledger = build(recipe, workspace, until="quality", workers=1)
         errors_px[limit_mm] = quality_rows(ledger)[0].error_2d_mean_px
@@ -256,3 +257,8 @@ def test_a_build_cuts_what_strays_and_its_labels_are_better(
     assert {"00.1", "00.2"} <= set(workspace.load_solution("carton").scene_from_object)
     assert [label.frame for label in workspace.load_labels("00")] == list(range(6))
     assert errors_px[15.0] < 0.75 * errors_px[1000.0]  # one scene of three strayed
+    ledger = build(replace(recipe, reconstruct=replace(options, method="auto")), workspace, until="quality")
+    assert workspace.scene_names() == ["00", "01", "02"]  # put right by its images, so it need not be cut
+    assert "the latter are used" in ledger.entries["track/00"].outcome.messages[0]
+    assert not ledger.entries["track/01"].outcome.messages
+    assert quality_rows(ledger)[0].error_2d_mean_px < errors_px[15.0]
