@@ -32,8 +32,11 @@ from rpl_data.types import DepthImage, Frame, Intrinsics, ReadDepth, Scene, Span
 MAX_DRIFT_MM = 15.0
 """Poses that stray farther are cut, unless the recipe says otherwise."""
 
-SAME_SIDE_RAD = 0.52
-"""Views turned farther apart (30 degrees) see other sides of things: depth differs, whatever the poses."""
+SAME_SIDE_RAD = 0.87
+"""Views turned farther apart (50 degrees) see other sides of things: depth differs, whatever the poses."""
+
+FEWEST_NEIGHBOURS = 4
+"""Views as many frames apart are compared however far they turn: a sparse recording has no others."""
 
 FEWEST_PAIRS = 3
 """Fewer pairs of frames say little: one may be off by what hides between its views."""
@@ -114,10 +117,13 @@ def measure_drift(
         advance(number, len(wanted))
         depths_m[row] = read_depth(frames[row])
 
+    turns_rad = [_turn_rad(trajectory, frames[a], frames[b]) for a, b in pairwise(rows)]
+    widest_rad = max(SAME_SIDE_RAD, FEWEST_NEIGHBOURS * float(np.median(turns_rad))) if turns_rad else np.pi
+
     def error_m(a: int, b: int) -> float:
-        a_from_b = _between(trajectory, frames[a], frames[b])
-        if rotation_angle_rad(a_from_b[:3, :3]) > SAME_SIDE_RAD:
+        if _turn_rad(trajectory, frames[a], frames[b]) > widest_rad:
             return float("nan")
+        a_from_b = _between(trajectory, frames[a], frames[b])
         return depth_reprojection_error_m(scene.intrinsics, a_from_b, depths_m[a], depths_m[b])
 
     known = set() if corrected is None else set(corrected.frames.tolist())
@@ -147,6 +153,11 @@ def _between(path: Trajectory, a: Frame, b: Frame) -> Transform:
     """`a_from_b` of two frames."""
     a_from_b: Transform = invert(path.at(a.index)) @ path.at(b.index)
     return a_from_b
+
+
+def _turn_rad(path: Trajectory, a: Frame, b: Frame) -> float:
+    """How far the camera turned between two frames."""
+    return rotation_angle_rad(_between(path, a, b)[:3, :3])
 
 
 def _spread(count: int, most: int) -> list[int]:

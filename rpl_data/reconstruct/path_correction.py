@@ -9,14 +9,16 @@ add up over a recording. Keyframes are joined first; every other frame then hang
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
 from rpl_data.geometry import Pixels, Transform, invert, project, transform
 from rpl_data.reconstruct.alignment import Fit, align
-from rpl_data.reconstruct.information import Estimate, distances_m, motion_between, moved
+from rpl_data.reconstruct.information import Estimate, distances_m, motion_between, moved, size_m
 from rpl_data.reconstruct.model_map import Keyframe, keyframe_of
 from rpl_data.reconstruct.pose_graph import KERNEL_SCALE_SIGMAS, Edge, optimise
 from rpl_data.reconstruct.relocalise import keyframe_from_camera, landmarks_of
@@ -26,6 +28,11 @@ from rpl_data.types import Frame, Intrinsics, Scene, Trajectory
 
 NEAR_KEYFRAMES, NEAR_FRAME = 4, 3
 """Keyframes that a keyframe, and another frame, is aligned to: those with the most similar view."""
+
+ROUNDS = 3
+SAME_START_M = 0.01
+"""Pairs are aligned again, from the corrected poses, until these move by less: far from its end an alignment
+may stop on the way."""
 
 GIVEN = np.diag([0.02**-2] * 6)
 """How well the given poses are known: 1 degree and 2 cm. It decides only what no pair of frames says."""
@@ -38,8 +45,8 @@ class CorrectedPath:
     Attributes:
         trajectory: the frames of the path that was given.
         moved_px: for each frame, how far the correction moves the image (median over the surface it sees).
-        tied: for each frame, whether at least one pair with it could be aligned; others keep the given
-            motion from the nearest keyframe.
+        tied: for each frame, whether pairs that could be aligned join it to most others; the motion between
+            it and them is the given one where they do not.
     """
 
     trajectory: Trajectory
@@ -47,9 +54,14 @@ class CorrectedPath:
     tied: np.ndarray
 
     @property
-    def typical_px(self) -> float:
-        """Median over the frames of how far the image moves."""
-        return float(np.median(self.moved_px)) if len(self.moved_px) else 0.0
+    def most_px(self) -> float:
+        """How far the images move, but for a tenth of them that move more."""
+        return float(np.quantile(self.moved_px, 0.9)) if len(self.moved_px) else 0.0
+
+    @property
+    def share_tied(self) -> float:
+        """Share of the frames that are tied."""
+        return float(np.mean(self.tied)) if len(self.tied) else 0.0
 
 
 def correct_path(
@@ -76,11 +88,17 @@ def correct_path(
 
     views = {frames[row].index: look(frames[row]) for row in keys}
     keyframes = {index: keyframe_of(index, view, given[index]) for index, view in views.items()}
-    edges = _keyframe_edges(keyframes, views, trust)
-    found = optimise({index: given[index] for index in keyframes}, edges, prior=GIVEN)
+    for _ in range(ROUNDS):
+        edges = _keyframe_edges(keyframes, views, trust)
+        found = optimise({index: given[index] for index in keyframes}, edges, prior=GIVEN)
+        far = [motion_between(keyframes[index].scene_from_camera, found[index]) for index in keyframes]
+        if max(map(size_m, far), default=0.0) < SAME_START_M:
+            break
+        keyframes = {k: replace(frame, scene_from_camera=found[k]) for k, frame in keyframes.items()}
+    joined = largest_piece(list(keyframes), edges)
     for number, (index, view) in enumerate(views.items()):
         advance(number, len(frames))
-        tied[index] = any(index in (edge.first, edge.second) for edge in edges)
+        tied[index] = index in joined
         moved_px[index] = _moved_px(scene.intrinsics, view, invert(found[index]) @ given[index])
     del views
 
@@ -90,8 +108,8 @@ def correct_path(
             continue
         advance(len(found), len(frames))
         view = look(frame)
-        pose, number = _hang(view, given, frame.index, keyframes, known, trust)
-        found[frame.index], tied[frame.index] = pose, number > 0
+        pose, hung_on = _hang(view, given, frame.index, keyframes, known, trust)
+        found[frame.index], tied[frame.index] = pose, bool(hung_on & joined)
         moved_px[frame.index] = _moved_px(scene.intrinsics, view, invert(pose) @ given[frame.index])
 
     for index in given.keys() - found.keys():  # without depth: as the nearest frame with it was moved
@@ -115,6 +133,16 @@ def choose_keyframes(poses: Sequence[Transform]) -> list[int]:
         if not chosen or distances_m(np.array([poses[k] for k in chosen]), pose).min() > KEYFRAME_M:
             chosen.append(row)
     return chosen
+
+
+def largest_piece(frames: Sequence[int], edges: Sequence[Edge]) -> set[int]:
+    """The most frames that edges join, directly or through others."""
+    row = {frame: number for number, frame in enumerate(frames)}
+    pairs = np.array([(row[edge.first], row[edge.second]) for edge in edges], dtype=int).reshape(-1, 2)
+    ones, size = np.ones(len(pairs)), len(frames)
+    _, piece = connected_components(coo_matrix((ones, (pairs[:, 0], pairs[:, 1])), shape=(size, size)))
+    largest = np.bincount(piece).argmax() if size else -1
+    return {frame for frame in frames if piece[row[frame]] == largest}
 
 
 def _keyframe_edges(keyframes: Mapping[int, Keyframe], views: Mapping[int, View], trust: float) -> list[Edge]:
@@ -163,20 +191,20 @@ def _hang(
     keyframes: Mapping[int, Keyframe],
     known: Mapping[int, Transform],
     trust: float,
-) -> tuple[Transform, int]:
-    """The pose of a frame between keyframes whose poses are known, and how many of them say so."""
+) -> tuple[Transform, set[int]]:
+    """The pose of a frame between keyframes whose poses are known, and which of them it was aligned to."""
     order = list(keyframes)
-    poses = np.array([given[key] for key in order])
-    nearest = [order[k] for k in np.argsort(distances_m(poses, given[index]))[:NEAR_FRAME]]
+    at_given = np.array([given[key] for key in order])
+    nearest = [order[k] for k in np.argsort(distances_m(at_given, given[index]))[:NEAR_FRAME]]
     guess = known[nearest[0]] @ invert(given[nearest[0]]) @ given[index]
     edges = []
     for key in nearest:
-        # Keyframes stay at their given poses in here; only what they say of the relative pose is used.
+        # The pose that a keyframe carries may be another than the known one; only relative poses are used.
         relative = invert(known[key]) @ guess
         edge = _edge(view, index, keyframes[key], keyframes[key].scene_from_camera @ relative, trust)
         if edge is not None:
             edges.append(edge)
-    return _between(guess, edges, known), len(edges)
+    return _between(guess, edges, known), {edge.first for edge in edges}
 
 
 def _between(guess: Transform, edges: Sequence[Edge], known: Mapping[int, Transform]) -> Transform:

@@ -144,8 +144,11 @@ class Workspace(Paths):
         path = path if path.exists() else self.trajectory_file(scene.name)
         return trajectory_from_text(scene, read_text(path)) if path.exists() else None
 
-    def save_corrected(self, scene: Scene, corrected: Trajectory) -> None:
-        """Keep the poses as the images correct them, by which the used ones are judged."""
+    def save_corrected(self, scene: Scene, corrected: Trajectory | None) -> None:
+        """Keep the poses as the images correct them, by which the used ones are judged; None removes them."""
+        if corrected is None:
+            remove(self.corrected_file(scene.name))
+            return
         write_text(self.corrected_file(scene.name), trajectory_to_text(scene, corrected))
 
     def load_corrected(self, scene: Scene) -> Trajectory | None:

@@ -59,13 +59,13 @@ def test_a_path_that_strays_is_put_right(look: Callable[[Frame], View]) -> None:
     assert scatter_mm(straying()) > 8
     assert scatter_mm(found.trajectory) < 1.0
     assert found.tied.all()
-    assert found.typical_px > 0.5
+    assert found.most_px > 0.5
 
 
 def test_a_path_that_holds_hardly_moves(look: Callable[[Frame], View]) -> None:
     found = correct_path(scene_of(COUNT), true_path(), look)
     assert scatter_mm(found.trajectory) < 0.5
-    assert found.typical_px < 0.2
+    assert found.most_px < 0.2
 
 
 def test_frames_without_depth_move_with_their_neighbours(look: Callable[[Frame], View]) -> None:

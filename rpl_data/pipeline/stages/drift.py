@@ -9,7 +9,7 @@ from rpl_data.drift import Drift, cut, drift_from_json, drift_to_json, measure_d
 from rpl_data.files import read_json, write_json
 from rpl_data.pipeline.context import Context, step
 from rpl_data.pipeline.ledger import Advance, Outcome, Step
-from rpl_data.pipeline.stages.track import correct
+from rpl_data.pipeline.stages.track import LEAST_TIED, correct
 from rpl_data.types import Click, DataError, Span
 
 VERSION = 2
@@ -33,10 +33,10 @@ def _drift_step(context: Context, name: str) -> Step:
     def run(advance: Advance) -> Outcome:
         scene = workspace.load_scene(name)
         trajectory = workspace.load_trajectory(scene)
-        corrected = workspace.load_corrected(scene) if context.tracks else None
-        if corrected is None:
-            corrected = correct(workspace, scene, trajectory, advance).trajectory
-            workspace.save_corrected(scene, corrected)
+        if not context.tracks:  # else the stage before has asked the images
+            found = correct(workspace, scene, trajectory, advance)
+            workspace.save_corrected(scene, found.trajectory if found.share_tied >= LEAST_TIED else None)
+        corrected = workspace.load_corrected(scene)
         drift = measure_drift(
             scene, trajectory, workspace.depth_reader(scene), corrected=corrected, advance=advance
         )

@@ -35,8 +35,9 @@ AHEAD = 8
 HOLDS_PX = 0.5
 """Given poses that the images would move by less than this are kept as they are."""
 
-LEAST_TIED = 0.5
-"""Share of the frames whose given poses must be near enough to the truth for their images to be aligned."""
+LEAST_TIED = 0.9
+"""Share of the frames that must be joined by pairs whose images could be aligned, or tracked, for a path of
+ours to be one: between pieces it knows nothing."""
 
 AROUND, SMALLEST_REGION_M = 1.8, 0.12
 """Paths are judged within this many times the extent of the clicked keypoints, and this radius at least."""
@@ -83,13 +84,13 @@ class Found:
 
     Attributes:
         trajectory: the path to use.
-        corrected: the path as its images have it.
+        corrected: the path as its images have it; None where they do not join it.
         lines: for a person.
         details: figures for the ledger.
     """
 
     trajectory: Trajectory
-    corrected: Trajectory
+    corrected: Trajectory | None
     lines: tuple[str, ...] = ()
     details: dict[str, Any] = field(default_factory=dict)
 
@@ -114,9 +115,9 @@ def question_path(
     from rpl_data.reconstruct.path_judge import compare_paths, is_better
 
     corrected = correct(workspace, scene, given, advance)
-    tied = float(np.mean(corrected.tied)) if len(corrected.tied) else 0.0
-    details: dict[str, Any] = {"moved_px": round(corrected.typical_px, 2), "tied": round(tied, 2)}
-    if tied >= LEAST_TIED and corrected.typical_px < HOLDS_PX:
+    tied = corrected.share_tied
+    details: dict[str, Any] = {"moved_px": round(corrected.most_px, 2), "tied": round(tied, 2)}
+    if tied >= LEAST_TIED and corrected.most_px < HOLDS_PX:
         return Found(given, corrected.trajectory, (), details | {"path": "given"})
     try:
         other = (
@@ -125,8 +126,10 @@ def question_path(
             else compute_path(workspace, scene, advance)
         )
     except DataError:
-        line = "nothing in its images says whether its own poses are right, so they are kept"
-        return Found(given, given, (line,), details | {"path": "given"})
+        other = Found(given, given)
+    if len(other.trajectory.frames) < LEAST_TIED * len(given.frames) or other.trajectory is given:
+        line = "too few of its frames see the same to say whether its own poses are right: they are kept"
+        return Found(given, None, (line,), details | {"path": "given"})
     read = workspace.depth_reader(scene)
     errors = compare_paths(
         scene,
