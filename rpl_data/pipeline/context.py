@@ -48,8 +48,13 @@ class Context:
 
     @property
     def tracks(self) -> bool:
-        """Whether camera poses are computed from the images."""
-        return self.recipe.reconstruct.method == "track"
+        """The images have a say in the camera poses: the recording's are not taken as they are."""
+        return self.recipe.reconstruct.method != "given"
+
+    @property
+    def wants_given(self) -> bool:
+        """The recording's own poses are looked at, where it has some."""
+        return self.recipe.reconstruct.method != "track"
 
     def poses_of(self, *scenes: str) -> list[str]:
         """Names of the steps that yield the poses of these scenes (of all scenes when none is named)."""

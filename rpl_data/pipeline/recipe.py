@@ -97,14 +97,15 @@ class Reconstruct:
     """Source of the camera's trajectory.
 
     Attributes:
-        method: `given` uses the poses of the recording; `track` computes them from its images, and
-            leaves out the frames where that fails.
+        method: `auto` keeps the poses of the recording where its images agree with them, corrects them where
+            they do not, and computes them where there are none; `given` takes them as they are; `track`
+            computes them from the images, and leaves out the frames where that fails.
         voxel_m: size of a voxel of the fused surface.
         max_drift_mm: a recording whose poses drift farther than this over time, as its depth images show,
             is cut into several scenes, each placed by its own clicks.
     """
 
-    method: Literal["given", "track"] = "given"
+    method: Literal["auto", "given", "track"] = "auto"
     voxel_m: float = 0.003
     max_drift_mm: float = MAX_DRIFT_MM
 

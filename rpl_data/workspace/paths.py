@@ -16,7 +16,8 @@ class Paths:
         stages.json                   the options and inputs that each stage ran with
         build.lock                    held while a build runs
         recording/                    recording rendered from a twin (a synthetic scene), with truth/
-        scenes/<scene>/               scene.json  trajectory.txt  drift.json  surface.ply  cache/  images/
+        scenes/<scene>/               scene.json  trajectory.txt  given.txt  corrected.txt  drift.json
+                                      surface.ply  cache/  images/
                                       parts.json, where it was cut into scenes/<scene>.1/, <scene>.2/, ...
         objects/<object>/             clicks.jsonl  solution.json  refined.json  mesh.ply  cloud.ply
                                       given.ply  grasp.json
@@ -72,6 +73,14 @@ class Paths:
     def trajectory_file(self, scene: str) -> Path:
         """The poses `scene_from_camera`, in TUM lines."""
         return self.root / "scenes" / scene / "trajectory.txt"
+
+    def given_file(self, scene: str) -> Path:
+        """The poses that the recording came with, as `trajectory_file`; none where it had none."""
+        return self.root / "scenes" / scene / "given.txt"
+
+    def corrected_file(self, scene: str) -> Path:
+        """The poses as the images correct them, as `trajectory_file`, whether they are used or not."""
+        return self.root / "scenes" / scene / "corrected.txt"
 
     def surface_file(self, scene: str) -> Path:
         """The surface near the objects, in the scene frame."""

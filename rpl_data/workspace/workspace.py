@@ -127,6 +127,35 @@ class Workspace(Paths):
         """Write the poses `scene_from_camera` as TUM lines `t tx ty tz qx qy qz qw`, in full precision."""
         write_text(self.trajectory_file(scene.name), trajectory_to_text(scene, trajectory))
 
+    def save_given(self, recording: Recording) -> None:
+        """Keep the poses that a recording came with, for the day its trajectory is made of something else."""
+        path, scene = self.given_file(recording.scene.name), recording.scene
+        if recording.trajectory is None:
+            remove(path)
+        else:
+            write_text(path, trajectory_to_text(scene, recording.trajectory))
+
+    def load_given(self, scene: Scene) -> Trajectory | None:
+        """The poses that the recording came with; None when it had none.
+
+        Workspaces made before these were kept have them in trajectory.txt.
+        """
+        path = self.given_file(scene.name)
+        path = path if path.exists() else self.trajectory_file(scene.name)
+        return trajectory_from_text(scene, read_text(path)) if path.exists() else None
+
+    def save_corrected(self, scene: Scene, corrected: Trajectory | None) -> None:
+        """Keep the poses as the images correct them, by which the used ones are judged; None removes them."""
+        if corrected is None:
+            remove(self.corrected_file(scene.name))
+            return
+        write_text(self.corrected_file(scene.name), trajectory_to_text(scene, corrected))
+
+    def load_corrected(self, scene: Scene) -> Trajectory | None:
+        """The poses as the images correct them; None where nobody asked them."""
+        path = self.corrected_file(scene.name)
+        return trajectory_from_text(scene, read_text(path)) if path.exists() else None
+
     def load_trajectory(self, scene: Scene) -> Trajectory:
         """Load the poses of a scene; DataError when it has none yet."""
         path = self.trajectory_file(scene.name)

@@ -3,8 +3,8 @@
 ORDER = (
     "twin",
     "import",
-    "track",
     "clicks",
+    "track",
     "drift",
     "cut",
     "solve",
