@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from rpl_data.files import locked, write_text
+from rpl_data.files import locked, read_text, write_text
 from rpl_data.pipeline.context import Context
 from rpl_data.pipeline.ledger import Entry, Ledger, Outcome, Step
 from rpl_data.pipeline.pool import Pool
@@ -118,6 +118,7 @@ def build(
 
 def _bring_up_to_date(ledger: Ledger, step: Step, anyway: bool, tell: Tell) -> None:
     if ledger.holds(step) and not anyway:
+        ledger.renew(step)
         entry = ledger.entries[step.name]
         tell(Progress(step.stage, step.item, "kept", seconds=entry.seconds, outcome=entry.outcome))
         return
@@ -156,7 +157,7 @@ def context_of(workspace: Workspace) -> Context:
 def save_recipe(recipe: Recipe, workspace: Workspace) -> None:
     """Write the resolved recipe, which later commands on this workspace use."""
     text = recipe_to_yaml(recipe)
-    if not workspace.recipe_file.exists() or workspace.recipe_file.read_text(encoding="utf-8") != text:
+    if not workspace.recipe_file.exists() or read_text(workspace.recipe_file, errors="replace") != text:
         write_text(workspace.recipe_file, text)
 
 
