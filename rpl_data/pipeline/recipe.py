@@ -189,14 +189,14 @@ class _OnceLoader(yaml.SafeLoader):
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         """The mapping; YAMLError naming the key that is there twice."""
+        keys = [key for key, _ in node.value if isinstance(key.value, str)]
         seen: set[str] = set()
-        for key, _ in node.value:
+        for key in keys:
             if key.value in seen:
                 raise yaml.MarkedYAMLError(
                     problem=f"key {key.value!r} is there twice", problem_mark=key.start_mark
                 )
-            if isinstance(key.value, str):
-                seen.add(key.value)
+            seen.add(key.value)
         return super().construct_mapping(node, deep)
 
 
@@ -214,7 +214,7 @@ def load_recipe(path: str | Path, *, root: str | Path | None = None) -> Recipe:
     path = Path(path).expanduser()
     try:
         data = yaml.load(read_text(path), _OnceLoader)
-    except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: a date that is none
+    except (yaml.YAMLError, *FAULTS) as error:  # such as ValueError for a date that is none
         if isinstance(error, DataError):
             raise
         raise DataError(f"{path} is not valid YAML: {' '.join(str(error).split())}") from error

@@ -22,6 +22,10 @@ VERSION = 1
 """Raised when the stage writes something else for the same input; its steps then run again."""
 
 
+STANDS_OUT = 4.0
+"""A step of the camera that is so many times the usual one stands out."""
+
+
 def import_steps(context: Context) -> list[Step]:
     """Stage `import`: read recordings into scenes of the workspace."""
     workspace, sources = context.workspace, context.scene_sources
@@ -65,7 +69,7 @@ def import_steps(context: Context) -> list[Step]:
 def _certain_faults(recording: Recording) -> list[str]:
     """What times and poses alone prove, without looking at an image; `rpl check` looks closer."""
     scene, trajectory = recording.scene, recording.trajectory
-    found = [] if trajectory is None else pose_jumps(scene, trajectory)
+    found = [] if trajectory is None else pose_jumps(scene, trajectory, times_usual=STANDS_OUT)
     return [f"WARNING: {finding.what}; {finding.todo}" for finding in found]
 
 
