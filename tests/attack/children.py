@@ -58,7 +58,7 @@ def _child(work: Callable[[], str], output: int, limit_s: int) -> None:
     sys.stdout = sys.stderr = os.fdopen(os.dup(output), "w", errors="replace", buffering=1)
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
-    resource.setrlimit(resource.RLIMIT_CPU, (limit_s, limit_s))
+    resource.setrlimit(resource.RLIMIT_CPU, (limit_s, limit_s + 5))
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
     signal.alarm(3 * limit_s)
     code = 1

@@ -34,7 +34,7 @@ GOOD = {
 
 
 def request(chance: random.Random, seen: int) -> tuple[str, str, bytes]:
-    """Method, address and body of a request; `seen` is the revision of the log, without which it is refused."""
+    """Method, address and body of a request to a page that has seen revision `seen` of the log."""
     number = lambda: chance.choice(NUMBERS)  # noqa: E731
     scene, name = (
         chance.choice(("00", "01", "..", "%2e%2e", "x", "%00")),
