@@ -105,7 +105,7 @@ class Workspace(Paths):
         if not self.scene_file(scene).exists():
             raise DataError(f"the workspace {self.root} has no scene {scene!r}; it has {self.scene_names()}")
         path = self.scene_file(scene)
-        with decoding(path, "read the recordings again with `rpl import --again`"):
+        with decoding(path, "read the recordings again with `rpl import --again true`"):
             return records.recording_from_json(read_json(path))
 
     def load_scene(self, scene: str) -> Scene:
@@ -172,7 +172,7 @@ class Workspace(Paths):
         path = self.trajectory_file(scene.name)
         if not path.exists():
             raise DataError(f"scene {scene.name} has no trajectory yet; run the reconstruct stage first")
-        with decoding(path, "read the recordings again with `rpl import --again`"):
+        with decoding(path, "read the recordings again with `rpl import --again true`"):
             return trajectory_from_text(scene, read_text(path))
 
     # Decoded depth --------------------------------------------------------------------------------
@@ -215,7 +215,7 @@ class Workspace(Paths):
         if not self.solution_file(object_name).exists():
             raise DataError(f"object {object_name} has no solution yet; run `rpl solve` on {self.root}")
         path = self.solution_file(object_name)
-        with decoding(path, "make it again with `rpl solve --again`"):
+        with decoding(path, "make it again with `rpl solve --again true`"):
             return records.solution_from_json(read_json(path))
 
     def save_refined(self, solution: Solution) -> None:
@@ -274,7 +274,9 @@ class Workspace(Paths):
         refuse_special(path)
         with path.open(encoding="utf-8", errors="replace") as file:
             for line_number, line in enumerate(file, start=1):
-                with decoding(f"{path} line {line_number}", "make the labels again with `rpl label --again`"):
+                with decoding(
+                    f"{path} line {line_number}", "make the labels again with `rpl label --again true`"
+                ):
                     label = records.frame_label_from_json(json.loads(line))
                 yield label
 

@@ -80,6 +80,7 @@ def command(*arguments: str) -> int:
     try:
         return main(list(arguments))
     except SystemExit as end:
+        assert end.code != 2, f"no such command line: {arguments}"
         return end.code if isinstance(end.code, int) else 1
 
 

@@ -66,17 +66,20 @@ def _judge(base: Path, folder: Path, what: str) -> str:
         elif name == "status":
             status = command("status", "--workspace", ws)
         else:
-            status = command(name, "--workspace", ws, *(["--again"] if name == "export" else []))
+            status = command(name, "--workspace", ws, *(["--again", "true"] if name == "export" else []))
         if status:
             return "said"
-    return "same" if _products(base) == _products(folder) else "difference"
+    return "same" if _products(base, base) == _products(folder, base) else "difference"
 
 
-def _products(folder: Path) -> dict[str, str]:
-    """The products of a workspace as text, without the folder it lies in."""
+def _products(folder: Path, base: Path) -> dict[str, str]:
+    """The products of a workspace as text, without the folder that it or its recording lies in."""
     found = [path for path in files_in(folder / "ws") if path.name in PRODUCTS]
     texts = {str(path.relative_to(folder)): path.read_text(errors="replace") for path in found}
-    return {name: _rounded(text.replace(str(folder), "BASE")) for name, text in texts.items()}
+    return {
+        name: _rounded(text.replace(str(folder), "BASE").replace(str(base), "BASE"))
+        for name, text in texts.items()
+    }
 
 
 def _rounded(text: str) -> str:
@@ -87,6 +90,9 @@ def _rounded(text: str) -> str:
 def attack(base: Path, scratch: Path, rounds: int, tell: Callable[[str], None]) -> Counter[str]:
     """Damage every file `rounds` times; the number of ends by folder, kind of damage and kind of end."""
     counts: Counter[str] = Counter()
+    for what in UNTIL:  # a case without damage, or the others would prove nothing
+        control = case(base, scratch, files_in(base / what)[0], lambda content, chance: content, seed=0)
+        assert control.kind == "same", control
     targets = [path for name in UNTIL for path in files_in(base / name) if not path.name.endswith(LEFT_ALONE)]
     for number in range(rounds):
         for target in targets:
