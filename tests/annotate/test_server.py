@@ -184,7 +184,7 @@ def test_a_new_object_is_kept_in_the_recipe(client: TestClient, root: Path) -> N
         "rim", "handle", "foot"
     ]  # fmt: skip
     assert client.get(OBJECT).json()["clicks"]
-    for name in ("cup", "../x", "", "a b"):
+    for name in ("cup", "../x", "", "a/b", ".hidden"):
         assert client.post("/api/objects", json={"name": name, "keypoints": list("abc")}).status_code == 422
 
 
