@@ -230,8 +230,9 @@ class ClickResidual:
         error_px: distance of the click from the projected keypoint.
         error_m: distance of the keypoint from the lifted click; None when no depth was used.
         depth_m: the depth that was decided on; None where none of the candidates fits.
-        outlier: the click itself (not only its depth) contradicts the others.
-        reason: one line for a person; empty when all is well.
+        outlier: the click itself (not only its depth) is wrong.
+        reason: one line for a person, also for a click that may be the wrong one of several; empty when all
+            is well.
     """
 
     click: Click
@@ -241,6 +242,35 @@ class ClickResidual:
     depth_state: DepthState
     outlier: bool = False
     reason: str = ""
+
+
+StatementKind = Literal[
+    "swapped", "wrong name", "wrong place", "disagree", "whole scene", "everything", "unchecked"
+]
+"""What is wrong with clicks: two keypoints of a scene exchanged; a keypoint marked where another one is;
+marked somewhere else; clicks of which one is wrong and nothing tells which; a scene that contradicts all
+others; so many contradictions that none can be trusted; a click that no other click checks."""
+
+
+@dataclass(frozen=True)
+class Statement:
+    """What clicks say about one another, for a person.
+
+    Attributes:
+        clicks: the wrong ones; for `disagree`, all those of which one is wrong.
+        text: one line: what is wrong, where, and what to do.
+        evidence: fall of the squared error, in units of the click noise, when the mistake is undone.
+    """
+
+    kind: StatementKind
+    clicks: tuple[Click, ...]
+    text: str
+    evidence: float = 0.0
+
+    @property
+    def blames(self) -> bool:
+        """Whether these very clicks are wrong, not only one among them."""
+        return self.kind in ("swapped", "wrong name", "wrong place", "whole scene")
 
 
 @dataclass(frozen=True)
@@ -254,6 +284,7 @@ class Solution:
         scene_from_object: one rigid transform a scene, by scene name. The paper's T_s.
         residuals: one a click, in the order of the clicks.
         warnings: lines for a person.
+        statements: which clicks contradict the others or are checked by none, the worst first.
     """
 
     model: KeypointModel
@@ -261,6 +292,7 @@ class Solution:
     scene_from_object: Mapping[str, Float64[np.ndarray, "4 4"]]
     residuals: tuple[ClickResidual, ...] = ()
     warnings: tuple[str, ...] = ()
+    statements: tuple[Statement, ...] = ()
 
 
 @dataclass(frozen=True)

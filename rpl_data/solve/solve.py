@@ -23,6 +23,7 @@ from scipy.spatial.transform import Rotation
 from rpl_data.clicks.rigidity import describe_loose, generic_points, loose_scenes
 from rpl_data.geometry import invert, rigid, spread_m, transform
 from rpl_data.solve.bundle_adjustment import Bundle, adjust_rays, choose_places, model_covariance, rays_of
+from rpl_data.solve.diagnosis import diagnose
 from rpl_data.solve.hypotheses import hypotheses_of_scene
 from rpl_data.solve.initial_guess import Hypotheses, Start, join_clean, join_scenes, match
 from rpl_data.solve.procrustes import Adjusted, Fragments, Loss, adjust_points, eq2_cost
@@ -139,7 +140,8 @@ def register(
     usable = [o for o in observations if model.known[o.click.keypoint]]
     points = np.nan_to_num(model.points_object)
     bundle = adjust_rays(rays_of(usable, [scene]), scene_from_object[None], points, hold_points=True)
-    explained = iter(click_residuals(usable, bundle, model.keypoints))
+    statements = diagnose(usable, [scene], model.keypoints, bundle.scene_from_model, points, hold_points=True)
+    explained = iter(click_residuals(usable, bundle, statements))
     residuals = (
         next(explained) if model.known[o.click.keypoint] else _not_in_model(o, model) for o in observations
     )
@@ -268,6 +270,7 @@ def _solution(
     known: np.ndarray,
 ) -> Solution:
     """Moved to the object frame: the first scene's axes, at the centroid of the keypoints."""
+    statements = diagnose(observations, scenes, keypoints, bundle.scene_from_model, bundle.points_model)
     in_first = transform(bundle.scene_from_model[0], bundle.points_model)
     first_from_object = rigid(np.eye(3), in_first[known].mean(axis=0))
     model_from_object = invert(bundle.scene_from_model[0]) @ first_from_object
@@ -280,6 +283,7 @@ def _solution(
             name: scene_from_model @ model_from_object
             for name, scene_from_model in zip(scenes, bundle.scene_from_model, strict=True)
         },
-        residuals=click_residuals(observations, bundle, keypoints),
+        residuals=click_residuals(observations, bundle, statements),
         warnings=describe_keypoints(keypoints, observations, known),
+        statements=statements,
     )

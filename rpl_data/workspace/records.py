@@ -25,6 +25,7 @@ from rpl_data.types import (
     Scene,
     Solution,
     SquareBox,
+    Statement,
 )
 
 
@@ -92,6 +93,7 @@ def solution_to_json(solution: Solution) -> Json:
         "scene_from_object": {name: numbers(matrix) for name, matrix in solution.scene_from_object.items()},
         "residuals": [asdict(residual) for residual in solution.residuals],
         "warnings": list(solution.warnings),
+        "statements": [asdict(statement) for statement in solution.statements],
     }
 
 
@@ -110,6 +112,10 @@ def solution_from_json(data: Json) -> Solution:
         scene_from_object={name: matrix_from_json(m) for name, m in data["scene_from_object"].items()},
         residuals=residuals,
         warnings=tuple(data["warnings"]),
+        statements=tuple(
+            Statement(s["kind"], tuple(Click(**c) for c in s["clicks"]), s["text"], s["evidence"])
+            for s in data.get("statements", ())
+        ),
     )
 
 

@@ -1,0 +1,159 @@
+"""What the clicks say about one another, in words: which are wrong, which disagree, which nothing checks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from jaxtyping import Float64
+
+from rpl_data.solve.bundle_adjustment import rays_of
+from rpl_data.solve.explanations import Explanation, Fault, Trial, find_faults, first_trial
+from rpl_data.types import Click, Observation, Statement, StatementKind
+
+TOO_MANY = 1 / 3
+"""With more than this share of the keypoints of all scenes in doubt, none of the clicks can be trusted."""
+
+
+def diagnose(
+    observations: Sequence[Observation],
+    scenes: Sequence[str],
+    keypoints: Sequence[str],
+    scene_from_model: Float64[np.ndarray, "s 4 4"],
+    points_model: Float64[np.ndarray, "k 3"],
+    *,
+    hold_points: bool = False,
+) -> tuple[Statement, ...]:
+    """Statements about clicks, the strongest contradiction first.
+
+    Args:
+        scenes: names, in the order of `scene_from_model`.
+        scene_from_model, points_model: a solution to start from.
+        hold_points: the model is known; only scenes are placed.
+    """
+    clicks = [o.click for o in observations]
+    trial = first_trial(
+        rays_of(observations, scenes), scene_from_model, points_model, hold_points=hold_points
+    )
+    faults, mended = find_faults(trial)
+    words = _Words(scenes, keypoints, clicks, mended)
+    statements = [
+        Statement(_kind(fault), _clicks(fault, clicks), words.of(fault), round(fault.best.gain, 1))
+        for fault in faults
+    ]
+    unchecked = () if hold_points else _unchecked(clicks, keypoints)
+    return (*_everything(trial, faults, clicks), *statements, *unchecked)
+
+
+def _kind(fault: Fault) -> StatementKind:
+    return "disagree" if fault.rivals else fault.best.kind
+
+
+def _clicks(fault: Fault, clicks: Sequence[Click]) -> tuple[Click, ...]:
+    numbers = {n for explanation in (fault.best, *fault.rivals) for n in explanation.clicks}
+    return tuple(clicks[n] for n in sorted(numbers))
+
+
+def _everything(trial: Trial, faults: Sequence[Fault], clicks: Sequence[Click]) -> Iterator[Statement]:
+    """That so much is wrong that nothing can be trusted."""
+    placed = len(trial.placements())
+    doubted = {(f.best.scene, k) for f in faults for k in f.best.keypoints}
+    if len(doubted) > TOO_MANY * placed:
+        text = (
+            f"{len(doubted)} of {placed} marked keypoints contradict the others: no result can be trusted; "
+            "check that all scenes show the same object and that its keypoints are named alike in all of them"
+        )
+        yield Statement("everything", tuple(clicks), text, round(sum(f.best.gain for f in faults), 1))
+
+
+def _unchecked(clicks: Sequence[Click], keypoints: Sequence[str]) -> Iterator[Statement]:
+    """Keypoints marked once: a wrong click there would go unnoticed."""
+    for k, name in enumerate(keypoints):
+        own = [click for click in clicks if click.keypoint == k]
+        if len({(click.scene, click.frame) for click in own}) == 1:
+            text = (
+                f"keypoint {name} was clicked in one frame only (scene {own[0].scene}, frame "
+                f"{own[0].frame}): nothing checks it; mark it in another scene, or in another frame seen "
+                "from another side"
+            )
+            yield Statement("unchecked", tuple(own), text)
+
+
+class _Words:
+    """Faults as sentences, with the names and distances that they need."""
+
+    def __init__(
+        self, scenes: Sequence[str], keypoints: Sequence[str], clicks: Sequence[Click], mended: Trial
+    ) -> None:
+        self.scenes, self.keypoints, self.clicks, self.mended = scenes, keypoints, clicks, mended
+
+    def of(self, fault: Fault) -> str:
+        """One sentence: what, where, what to do."""
+        if fault.rivals:
+            return self._disagree(fault)
+        kind = fault.best.kind
+        if kind == "swapped":
+            return self._swapped(fault.best)
+        if kind == "wrong name":
+            return self._wrong_name(fault.best)
+        return self._whole_scene(fault.best) if kind == "whole scene" else self._wrong_place(fault.best)
+
+    def _swapped(self, best: Explanation) -> str:
+        a, b = (self.keypoints[k] for k in best.keypoints)
+        return (
+            f"scene {self.scenes[best.scene]}: keypoints {a} and {b} are swapped; "
+            "each was clicked where the other one is: exchange them"
+        )
+
+    def _wrong_name(self, best: Explanation) -> str:
+        own, meant = self.keypoints[best.keypoints[0]], self.keypoints[best.meant[0]]
+        return (
+            f"{self._where(best)}: keypoint {own} was clicked where keypoint {meant} is; move it to its place"
+        )
+
+    def _wrong_place(self, best: Explanation) -> str:
+        name = self.keypoints[best.keypoints[0]]
+        return (
+            f"{self._where(best)}: keypoint {name} was clicked {self._distance_px(best):.0f} px away from "
+            "where all other clicks put it; move it to its place"
+        )
+
+    def _whole_scene(self, best: Explanation) -> str:
+        return (
+            f"scene {self.scenes[best.scene]}: its {len(best.clicks)} clicks contradict those of the other "
+            "scenes as a whole; check that it shows the same object and that left and right are not "
+            "exchanged, then mark it again"
+        )
+
+    def _disagree(self, fault: Fault) -> str:
+        """That one of several is wrong; what to click to find out which."""
+        everyone = (fault.best, *fault.rivals)
+        names = sorted({k for e in everyone for k in e.keypoints})
+        scenes = sorted({e.scene for e in everyone})
+        if len(names) == 1:
+            where = " and ".join(f"scene {self.scenes[s]}" for s in scenes)
+            return (
+                f"keypoint {self.keypoints[names[0]]}: its clicks in {where} disagree by "
+                f"{self._distance_px(fault.best):.0f} px, and nothing tells which is wrong; mark it in a "
+                "third scene, or in one more frame of each"
+            )
+        listed = "; ".join(f"scene {self.scenes[s]}: {self._names(everyone, s)}" for s in scenes)
+        return (
+            f"one of these keypoints was clicked in the wrong place, by about "
+            f"{self._distance_px(fault.best):.0f} px, and nothing tells which ({listed}); look at them, and "
+            f"mark one more keypoint of scene {self.scenes[fault.best.scene]}"
+        )
+
+    def _names(self, everyone: Sequence[Explanation], scene: int) -> str:
+        """Keypoints of one scene."""
+        numbers = {k for e in everyone if e.scene == scene for k in e.keypoints}
+        return ", ".join(self.keypoints[k] for k in sorted(numbers))
+
+    def _where(self, best: Explanation) -> str:
+        frames = sorted({self.clicks[n].frame for n in best.clicks})
+        word = "frame" if len(frames) == 1 else "frames"
+        return f"scene {self.scenes[best.scene]}, {word} {', '.join(map(str, frames))}"
+
+    def _distance_px(self, best: Explanation) -> float:
+        """How far the clicks lie from their keypoints once all mistakes are undone."""
+        return float(np.median(self.mended.miss_px(np.array(best.clicks))))
