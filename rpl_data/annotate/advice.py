@@ -36,32 +36,56 @@ class Advice:
 
 
 def next_step(annotation: Annotation, live: Live, scenes: Sequence[str]) -> Advice:
-    """The first of: mend a bad click, mark what is missing scene by scene, sharpen, make the labels."""
+    """The first of: settle a contradiction, mark what is missing, check, sharpen, make the labels."""
     if not annotation.keypoints:
         return Advice("name the object's keypoints: corners, screws, spouts", action="add")
     return (
-        _bad_click(annotation, live)
+        _contradiction(annotation, live)
         or _open_scene(annotation, live, scenes)
+        or _unchecked(annotation, live)
         or _unsure(annotation, live)
         or Advice(
-            "every scene is placed and every keypoint known: make the dense model and the labels",
+            "every scene is placed and every keypoint is checked: make the dense model and the labels",
             action="label",
         )
     )
 
 
-def _bad_click(annotation: Annotation, live: Live) -> Advice | None:
-    bad = [r for r in live.solution.residuals if r.outlier] if live.solution else []
-    if not bad:
+def _contradiction(annotation: Annotation, live: Live) -> Advice | None:
+    """Mend a click that is wrong; where only some disagree, mark one more to find out which of them is."""
+    statements = [s for s in live.solution.statements if s.kind != "unchecked"] if live.solution else []
+    if not statements:
         return None
-    worst = max(bad, key=lambda residual: residual.error_px)
-    where = f"scene {worst.click.scene}, frame {worst.click.frame}"
-    name = annotation.keypoints[worst.click.keypoint]
-    text = (
-        f"look at the click on {name} in {where}: {worst.reason}. Drag it to its place; "
-        "if it is right, mark it in another sharp frame (]) too"
+    worst = statements[0]
+    click = worst.clicks[0]
+    if worst.kind == "disagree":
+        scene = _another_scene(annotation, live, click.keypoint)
+        same = {c.keypoint for c in worst.clicks} == {click.keypoint}
+        if same and scene is not None:
+            return Advice(worst.text, scene, None, click.keypoint)
+        return Advice(worst.text, click.scene, click.frame, click.keypoint)
+    also = "; if it is right, mark it in another sharp frame (]) too" if len(worst.clicks) == 1 else ""
+    return Advice(worst.text + also, click.scene, click.frame, click.keypoint)
+
+
+def _unchecked(annotation: Annotation, live: Live) -> Advice | None:
+    """A keypoint that a wrong click would move unseen wants a second scene, or a second frame."""
+    statements = live.solution.statements if live.solution else ()
+    for statement in statements:
+        if statement.kind == "unchecked":
+            click = statement.clicks[0]
+            scene = _another_scene(annotation, live, click.keypoint)
+            return Advice(statement.text, scene or click.scene, None, click.keypoint)
+    return None
+
+
+def _another_scene(annotation: Annotation, live: Live, keypoint: int) -> str | None:
+    """A placed scene in which the keypoint is neither marked nor skipped."""
+    marked = {click.scene for click in annotation.clicks if click.keypoint == keypoint}
+    placed = live.solution.scene_from_object if live.solution else {}
+    return min(
+        (s for s in placed if s not in marked and (keypoint, s) not in annotation.skipped), default=None
     )
-    return Advice(text, worst.click.scene, worst.click.frame, worst.click.keypoint)
 
 
 def _open_scene(annotation: Annotation, live: Live, scenes: Sequence[str]) -> Advice | None:

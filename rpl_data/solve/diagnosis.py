@@ -9,7 +9,7 @@ from jaxtyping import Float64
 
 from rpl_data.solve.bundle_adjustment import rays_of
 from rpl_data.solve.explanations import Explanation, Fault, Trial, find_faults, first_trial
-from rpl_data.types import Click, Observation, Statement, StatementKind
+from rpl_data.types import Click, ClickResidual, Observation, Statement, StatementKind
 
 TOO_MANY = 1 / 3
 """With more than this share of the keypoints of all scenes in doubt, none of the clicks can be trusted."""
@@ -43,6 +43,18 @@ def diagnose(
     ]
     unchecked = () if hold_points else _unchecked(clicks, keypoints)
     return (*_everything(trial, faults, clicks), *statements, *unchecked)
+
+
+def statements_of(residuals: Sequence[ClickResidual]) -> tuple[Statement, ...]:
+    """What was said of clicks, where only their residuals were kept: one statement for each sentence."""
+    clicks: dict[tuple[bool, str], list[Click]] = {}
+    for residual in residuals:
+        if residual.reason:
+            clicks.setdefault((residual.outlier, residual.reason), []).append(residual.click)
+    return tuple(
+        Statement("wrong place" if outlier else "disagree", tuple(own), reason)
+        for (outlier, reason), own in sorted(clicks.items(), key=lambda item: not item[0][0])
+    )
 
 
 def _kind(fault: Fault) -> StatementKind:

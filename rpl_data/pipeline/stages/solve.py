@@ -14,6 +14,7 @@ from rpl_data.geometry import Transform, transform
 from rpl_data.pipeline.context import Context, step
 from rpl_data.pipeline.ledger import Advance, Outcome, Step
 from rpl_data.pipeline.recipe import ObjectRecipe
+from rpl_data.solve.diagnosis import statements_of
 from rpl_data.solve.residuals import click_spreads_m
 from rpl_data.solve.solve import register, solve
 from rpl_data.types import (
@@ -28,7 +29,7 @@ from rpl_data.types import (
 )
 from rpl_data.workspace.workspace import Workspace
 
-VERSION = 1
+VERSION = 2
 """Raised when the stage writes something else for the same input; its steps then run again."""
 
 
@@ -47,7 +48,8 @@ def _solve_step(context: Context, item: ObjectRecipe) -> Step:
         workspace.save_solution(solution)
         outliers = sum(residual.outlier for residual in solution.residuals)
         unused = clicks_without_pose(annotation.clicks, observations)
-        lines = [f"{item.name}: {line}" for line in (*unused, *solution.warnings)]
+        said = [statement.text for statement in solution.statements]
+        lines = [f"{item.name}: {line}" for line in (*said, *unused, *solution.warnings)]
         details = {
             "clicks": len(observations),
             "outliers": outliers,
@@ -145,7 +147,8 @@ def place_known(
     sigma_m = max(float(np.sqrt(np.mean(np.square(errors_m)))) if errors_m else 0.0, 1e-3)
     covariance = np.where(model.known[:, None, None], sigma_m**2 * np.eye(3), np.nan)
     ordered = [residuals[o.click.keypoint, o.click.scene, o.click.frame] for o in observations]
-    return Solution(model, covariance, places, tuple(ordered))
+    known = [residual for residual in ordered if model.known[residual.click.keypoint]]
+    return Solution(model, covariance, places, tuple(ordered), statements=statements_of(known))
 
 
 def known_points(annotation: Annotation) -> Float64[np.ndarray, "k 3"]:
@@ -174,12 +177,20 @@ def register_step(context: Context, object_name: str, scene: str) -> Step:
         place, residuals = register(solution.model, observations)
         kept = tuple(r for r in solution.residuals if r.click.scene != scene)
         places = {**solution.scene_from_object, scene: place}
+        usable = [residual for residual in residuals if solution.model.known[residual.click.keypoint]]
+        said = statements_of(usable)
+        elsewhere = [s for s in solution.statements if all(click.scene != scene for click in s.clicks)]
         context.workspace.save_solution(
-            replace(solution, scene_from_object=places, residuals=(*kept, *residuals))
+            replace(
+                solution,
+                scene_from_object=places,
+                residuals=(*kept, *residuals),
+                statements=(*said, *elsewhere),
+            )
         )
         mean_px = float(np.mean([residual.error_px for residual in residuals]))
         text = f"{object_name} stands in scene {scene}; its {len(residuals)} clicks fit to {mean_px:.1f} px"
-        return Outcome(messages=(text,))
+        return Outcome(messages=(text, *(statement.text for statement in said)))
 
     # It takes the place of the solve in the ledger, so that a build goes on from it and does not solve again.
     return replace(_solve_step(context, item), run=run)
