@@ -245,11 +245,13 @@ class ClickResidual:
 
 
 StatementKind = Literal[
-    "swapped", "wrong name", "wrong place", "disagree", "whole scene", "everything", "unchecked"
-]
+    "swapped", "wrong name", "wrong place", "disagree", "whole scene", "everything", "unchecked",
+    "weak scene",
+]  # fmt: skip
 """What is wrong with clicks: two keypoints of a scene exchanged; a keypoint marked where another one is;
 marked somewhere else; clicks of which one is wrong and nothing tells which; a scene that contradicts all
-others; so many contradictions that none can be trusted; a click that no other click checks."""
+others; so many contradictions that none can be trusted; a click that no other click checks; a scene that
+its clicks place badly."""
 
 
 @dataclass(frozen=True)
@@ -274,6 +276,22 @@ class Statement:
 
 
 @dataclass(frozen=True)
+class NextClick:
+    """A further click and what it should bring.
+
+    Attributes:
+        gain_mm: by how much the expected error falls, mean over all scenes and keypoints.
+        left_mm: the expected error of this scene's keypoints afterwards, mean.
+    """
+
+    scene: str
+    frame: int
+    keypoint: int
+    gain_mm: float
+    left_mm: float
+
+
+@dataclass(frozen=True)
 class Solution:
     """The answer to Eq. 2: the sparse model and where the object stands in every scene.
 
@@ -285,6 +303,9 @@ class Solution:
         residuals: one a click, in the order of the clicks.
         warnings: lines for a person.
         statements: which clicks contradict the others or are checked by none, the worst first.
+        expected_mm: by scene, how far off its keypoints should be in space (root mean square over the
+            keypoints; from the clicks' noise and geometry alone, so not from what they have in common).
+        next_clicks: further clicks in frames that have some, the most useful first.
     """
 
     model: KeypointModel
@@ -293,6 +314,8 @@ class Solution:
     residuals: tuple[ClickResidual, ...] = ()
     warnings: tuple[str, ...] = ()
     statements: tuple[Statement, ...] = ()
+    expected_mm: Mapping[str, float] = field(default_factory=dict)
+    next_clicks: tuple[NextClick, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,8 @@ ENOUGH = FEWEST + 1
 """Clicks a scene: three place it, the fourth checks them."""
 OFTEN = 6
 """Clicks on a keypoint after which one more would not help."""
+WORTH_MM = 0.4
+"""A further click that brings less is not asked for."""
 UNSURE_M = 0.004
 """A keypoint less certain than this wants another click."""
 
@@ -43,6 +45,7 @@ def next_step(annotation: Annotation, live: Live, scenes: Sequence[str]) -> Advi
         _contradiction(annotation, live)
         or _open_scene(annotation, live, scenes)
         or _unchecked(annotation, live)
+        or _most_helpful(annotation, live)
         or _unsure(annotation, live)
         or Advice(
             "every scene is placed and every keypoint is checked: make the dense model and the labels",
@@ -53,7 +56,8 @@ def next_step(annotation: Annotation, live: Live, scenes: Sequence[str]) -> Advi
 
 def _contradiction(annotation: Annotation, live: Live) -> Advice | None:
     """Mend a click that is wrong; where only some disagree, mark one more to find out which of them is."""
-    statements = [s for s in live.solution.statements if s.kind != "unchecked"] if live.solution else []
+    said = live.solution.statements if live.solution else ()
+    statements = [s for s in said if s.kind not in ("unchecked", "weak scene")]
     if not statements:
         return None
     worst = statements[0]
@@ -129,6 +133,23 @@ def _asking(annotation: Annotation, scene: str, here: Sequence[int], keypoint: i
     why = f" ({live.loose[scene]})" if scene in live.loose and here else ""
     done = f"{len(here)} of {count} are{why}"
     return f"scene {scene}: mark keypoint {name}, {done}; not visible here? skip it (S)"
+
+
+def _most_helpful(annotation: Annotation, live: Live) -> Advice | None:
+    """The further click that lowers the expected error most, while it is worth the effort."""
+    for best in live.solution.next_clicks if live.solution else ():
+        if best.gain_mm < WORTH_MM:
+            break
+        if (best.keypoint, best.scene) in annotation.skipped:
+            continue
+        name = annotation.keypoints[best.keypoint]
+        text = (
+            f"scene {best.scene}, frame {best.frame}: mark keypoint {name} here; it should lower the error "
+            f"by {best.gain_mm:.1f} mm on average, to {best.left_mm:.1f} mm in this scene; not visible? mark "
+            "it in another frame, or skip it (S)"
+        )
+        return Advice(text, best.scene, best.frame, best.keypoint)
+    return None
 
 
 def _unsure(annotation: Annotation, live: Live) -> Advice | None:

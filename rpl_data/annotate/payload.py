@@ -115,6 +115,10 @@ def _sigmas_mm(solution: Solution) -> list[float | None]:
     return [round(float(s), 2) if math.isfinite(s) else None for s in deviations]
 
 
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else round(value, 2)
+
+
 def _statement(statement: Statement) -> Json:
     return {
         "kind": statement.kind,
@@ -166,6 +170,7 @@ def _scenes(revision: Revision, live: Live) -> dict[str, Json]:
             "bad": bad,
             "error_mm": round(1e3 * float(np.sqrt(np.mean(np.square(metres)))), 2) if metres else None,
             "error_px": round(float(np.median([r.error_px for r in mine])), 2) if mine else None,
+            "expected_mm": _rounded(live.solution.expected_mm.get(scene)) if live.solution else None,
             "text": live.loose.get(scene, ""),
         }
     return found

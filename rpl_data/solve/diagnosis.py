@@ -2,17 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Bool, Float64
 
 from rpl_data.solve.bundle_adjustment import rays_of
 from rpl_data.solve.explanations import Explanation, Fault, Trial, find_faults, first_trial
-from rpl_data.types import Click, ClickResidual, Observation, Statement, StatementKind
+from rpl_data.solve.precision import expected_errors_m, next_clicks
+from rpl_data.types import Click, NextClick, Observation, Statement, StatementKind
 
+WEAK_MM = 10.0
+"""A scene whose keypoints should be farther off than this is placed badly."""
+MOST_NEXT = 40
+"""Further clicks that are kept; some of them may be hidden or skipped."""
 TOO_MANY = 1 / 3
 """With more than this share of the keypoints of all scenes in doubt, none of the clicks can be trusted."""
+
+
+class Diagnosis(NamedTuple):
+    """What the clicks say about one another, and how good their answer should be (see `Solution`)."""
+
+    statements: tuple[Statement, ...]
+    expected_mm: dict[str, float]
+    next_clicks: tuple[NextClick, ...]
 
 
 def diagnose(
@@ -22,13 +36,15 @@ def diagnose(
     scene_from_model: Float64[np.ndarray, "s 4 4"],
     points_model: Float64[np.ndarray, "k 3"],
     *,
+    known: Bool[np.ndarray, " k"],
     hold_points: bool = False,
-) -> tuple[Statement, ...]:
-    """Statements about clicks, the strongest contradiction first.
+) -> Diagnosis:
+    """Statements about clicks, the strongest contradiction first, and the clicks that would help most.
 
     Args:
         scenes: names, in the order of `scene_from_model`.
         scene_from_model, points_model: a solution to start from.
+        known: the keypoints that have a position.
         hold_points: the model is known; only scenes are placed.
     """
     clicks = [o.click for o in observations]
@@ -41,20 +57,43 @@ def diagnose(
         Statement(_kind(fault), _clicks(fault, clicks), words.of(fault), round(fault.best.gain, 1))
         for fault in faults
     ]
-    unchecked = () if hold_points else _unchecked(clicks, keypoints)
-    return (*_everything(trial, faults, clicks), *statements, *unchecked)
-
-
-def statements_of(residuals: Sequence[ClickResidual]) -> tuple[Statement, ...]:
-    """What was said of clicks, where only their residuals were kept: one statement for each sentence."""
-    clicks: dict[tuple[bool, str], list[Click]] = {}
-    for residual in residuals:
-        if residual.reason:
-            clicks.setdefault((residual.outlier, residual.reason), []).append(residual.click)
-    return tuple(
-        Statement("wrong place" if outlier else "disagree", tuple(own), reason)
-        for (outlier, reason), own in sorted(clicks.items(), key=lambda item: not item[0][0])
+    positions = np.flatnonzero(known).tolist()
+    errors_m = expected_errors_m(mended, positions)
+    expected_mm = dict(zip(scenes, (1e3 * np.sqrt((errors_m**2).mean(axis=1))).tolist(), strict=True))
+    helpful = next_clicks(mended, observations, positions, most=MOST_NEXT)
+    contradictions = (*_everything(trial, faults, clicks), *statements)
+    contradicted = {c.scene for s in contradictions if s.kind == "whole scene" for c in s.clicks}
+    weak = _weak(
+        clicks, {s: mm for s, mm in expected_mm.items() if s not in contradicted}, helpful, keypoints
     )
+    unchecked = () if hold_points else _unchecked(clicks, keypoints)
+    return Diagnosis((*contradictions, *weak, *unchecked), expected_mm, helpful)
+
+
+def _weak(
+    clicks: Sequence[Click],
+    expected_mm: Mapping[str, float],
+    helpful: Sequence[NextClick],
+    keypoints: Sequence[str],
+) -> Iterator[Statement]:
+    """Scenes that their clicks place badly, such as three on a line; and what would help there."""
+    for scene, mm in expected_mm.items():
+        if mm <= WEAK_MM:
+            continue
+        own = tuple(click for click in clicks if click.scene == scene)
+        best = next((n for n in helpful if n.scene == scene), None)
+        advice = (
+            "mark one more keypoint away from the line through these"
+            if best is None
+            else f"marking keypoint {keypoints[best.keypoint]} in frame {best.frame} should leave "
+            f"{best.left_mm:.0f} mm"
+        )
+        names = ", ".join(keypoints[k] for k in sorted({click.keypoint for click in own}))
+        text = (
+            f"scene {scene}: its clicks (keypoints {names}) place the object badly, keypoints should be "
+            f"{mm:.0f} mm off there; {advice}"
+        )
+        yield Statement("weak scene", own, text, round(mm, 1))
 
 
 def _kind(fault: Fault) -> StatementKind:

@@ -17,7 +17,7 @@ def click_residuals(
     """What became of every click, and what is said of it."""
     said: dict[Click, Statement] = {}
     for statement in sorted(statements, key=lambda s: s.blames):
-        if statement.kind != "unchecked":
+        if statement.kind not in ("unchecked", "weak scene"):
             said |= dict.fromkeys(statement.clicks, statement)
     return tuple(_residual(o, n, bundle, said.get(o.click)) for n, o in enumerate(observations))
 

@@ -14,7 +14,7 @@ Eq. 2 asks for the keypoints Q and a rigid transform a scene that explain all li
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float64
@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 from rpl_data.clicks.rigidity import describe_loose, generic_points, loose_scenes
 from rpl_data.geometry import invert, rigid, spread_m, transform
 from rpl_data.solve.bundle_adjustment import Bundle, adjust_rays, choose_places, model_covariance, rays_of
-from rpl_data.solve.diagnosis import diagnose
+from rpl_data.solve.diagnosis import Diagnosis, diagnose
 from rpl_data.solve.hypotheses import hypotheses_of_scene
 from rpl_data.solve.initial_guess import Hypotheses, Start, join_clean, join_scenes, match
 from rpl_data.solve.procrustes import Adjusted, Fragments, Loss, adjust_points, eq2_cost
@@ -104,10 +104,24 @@ def solve_points(fragments: Fragments, *, method: Method = "robust", loss: Loss 
     return _in_first_scene(adjust_points(fragments, _complete(start), loss=loss))
 
 
+class Placement(NamedTuple):
+    """A known object in a new scene, what became of its clicks, and what they say about themselves."""
+
+    scene_from_object: Float64[np.ndarray, "4 4"]
+    residuals: tuple[ClickResidual, ...]
+    diagnosis: Diagnosis
+
+
 def register(
     model: KeypointModel, observations: Sequence[Observation]
 ) -> tuple[Float64[np.ndarray, "4 4"], tuple[ClickResidual, ...]]:
-    """`scene_from_object` of a new scene from clicks on a known model (paper III-F), and residuals.
+    """`scene_from_object` of a new scene and the residuals of its clicks: `place` without the diagnosis."""
+    placement = place(model, observations)
+    return placement.scene_from_object, placement.residuals
+
+
+def place(model: KeypointModel, observations: Sequence[Observation]) -> Placement:
+    """Place a known model in a new scene by clicks (paper III-F).
 
     Horn's closed form on the best-agreeing depths, then the same adjustment as `solve` with the model
     held fixed. Clicks on keypoints that the model has no position of are not used.
@@ -140,12 +154,20 @@ def register(
     usable = [o for o in observations if model.known[o.click.keypoint]]
     points = np.nan_to_num(model.points_object)
     bundle = adjust_rays(rays_of(usable, [scene]), scene_from_object[None], points, hold_points=True)
-    statements = diagnose(usable, [scene], model.keypoints, bundle.scene_from_model, points, hold_points=True)
-    explained = iter(click_residuals(usable, bundle, statements))
+    diagnosis = diagnose(
+        usable,
+        [scene],
+        model.keypoints,
+        bundle.scene_from_model,
+        points,
+        known=model.known,
+        hold_points=True,
+    )
+    explained = iter(click_residuals(usable, bundle, diagnosis.statements))
     residuals = (
         next(explained) if model.known[o.click.keypoint] else _not_in_model(o, model) for o in observations
     )
-    return bundle.scene_from_model[0], tuple(residuals)
+    return Placement(bundle.scene_from_model[0], tuple(residuals), diagnosis)
 
 
 def _not_in_model(observation: Observation, model: KeypointModel) -> ClickResidual:
@@ -270,7 +292,9 @@ def _solution(
     known: np.ndarray,
 ) -> Solution:
     """Moved to the object frame: the first scene's axes, at the centroid of the keypoints."""
-    statements = diagnose(observations, scenes, keypoints, bundle.scene_from_model, bundle.points_model)
+    diagnosis = diagnose(
+        observations, scenes, keypoints, bundle.scene_from_model, bundle.points_model, known=known
+    )
     in_first = transform(bundle.scene_from_model[0], bundle.points_model)
     first_from_object = rigid(np.eye(3), in_first[known].mean(axis=0))
     model_from_object = invert(bundle.scene_from_model[0]) @ first_from_object
@@ -283,7 +307,9 @@ def _solution(
             name: scene_from_model @ model_from_object
             for name, scene_from_model in zip(scenes, bundle.scene_from_model, strict=True)
         },
-        residuals=click_residuals(observations, bundle, statements),
+        residuals=click_residuals(observations, bundle, diagnosis.statements),
         warnings=describe_keypoints(keypoints, observations, known),
-        statements=statements,
+        statements=diagnosis.statements,
+        expected_mm=diagnosis.expected_mm,
+        next_clicks=diagnosis.next_clicks,
     )

@@ -21,6 +21,7 @@ from rpl_data.types import (
     InstanceLabel,
     Intrinsics,
     KeypointModel,
+    NextClick,
     Recording,
     Scene,
     Solution,
@@ -93,6 +94,8 @@ def solution_to_json(solution: Solution) -> Json:
         "scene_from_object": {name: numbers(matrix) for name, matrix in solution.scene_from_object.items()},
         "residuals": [asdict(residual) for residual in solution.residuals],
         "warnings": list(solution.warnings),
+        "expected_mm": {name: round(mm, 3) for name, mm in solution.expected_mm.items()},
+        "next_clicks": [asdict(click) for click in solution.next_clicks],
         "statements": [asdict(statement) for statement in solution.statements],
     }
 
@@ -116,6 +119,8 @@ def solution_from_json(data: Json) -> Solution:
             Statement(s["kind"], tuple(Click(**c) for c in s["clicks"]), s["text"], s["evidence"])
             for s in data.get("statements", ())
         ),
+        expected_mm=data.get("expected_mm", {}),
+        next_clicks=tuple(NextClick(**click) for click in data.get("next_clicks", ())),
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, replace
 
 import numpy as np
@@ -14,9 +14,9 @@ from rpl_data.geometry import Transform, transform
 from rpl_data.pipeline.context import Context, step
 from rpl_data.pipeline.ledger import Advance, Outcome, Step
 from rpl_data.pipeline.recipe import ObjectRecipe
-from rpl_data.solve.diagnosis import statements_of
+from rpl_data.solve.diagnosis import Diagnosis
 from rpl_data.solve.residuals import click_spreads_m
-from rpl_data.solve.solve import register, solve
+from rpl_data.solve.solve import place, solve
 from rpl_data.types import (
     Click,
     ClickResidual,
@@ -139,16 +139,27 @@ def place_known(
     )
     places: dict[str, Transform] = {}
     residuals: dict[tuple[int, str, int], ClickResidual] = {}
+    diagnoses: list[Diagnosis] = []
     for scene in sorted({o.click.scene for o in observations}):
         mine = [o for o in observations if o.click.scene == scene]
-        places[scene], found = register(model, mine)
+        places[scene], found, said = place(model, mine)
+        diagnoses.append(said)
         residuals |= {(r.click.keypoint, r.click.scene, r.click.frame): r for r in found}
     errors_m = [r.error_m for r in residuals.values() if r.error_m is not None and not r.outlier]
     sigma_m = max(float(np.sqrt(np.mean(np.square(errors_m)))) if errors_m else 0.0, 1e-3)
     covariance = np.where(model.known[:, None, None], sigma_m**2 * np.eye(3), np.nan)
     ordered = [residuals[o.click.keypoint, o.click.scene, o.click.frame] for o in observations]
-    known = [residual for residual in ordered if model.known[residual.click.keypoint]]
-    return Solution(model, covariance, places, tuple(ordered), statements=statements_of(known))
+    return Solution(
+        model,
+        covariance,
+        places,
+        tuple(ordered),
+        statements=tuple(statement for said in diagnoses for statement in said.statements),
+        expected_mm={scene: mm for said in diagnoses for scene, mm in said.expected_mm.items()},
+        next_clicks=tuple(
+            sorted((c for said in diagnoses for c in said.next_clicks), key=lambda c: -c.gain_mm)
+        ),
+    )
 
 
 def known_points(annotation: Annotation) -> Float64[np.ndarray, "k 3"]:
@@ -174,26 +185,46 @@ def register_step(context: Context, object_name: str, scene: str) -> Step:
     def run(advance: Advance) -> Outcome:
         solution = context.workspace.load_solution(object_name)
         observations = observe(context.workspace, object_name, scene=scene)
-        place, residuals = register(solution.model, observations)
-        kept = tuple(r for r in solution.residuals if r.click.scene != scene)
-        places = {**solution.scene_from_object, scene: place}
-        usable = [residual for residual in residuals if solution.model.known[residual.click.keypoint]]
-        said = statements_of(usable)
-        elsewhere = [s for s in solution.statements if all(click.scene != scene for click in s.clicks)]
+        scene_from_object, residuals, said = place(solution.model, observations)
         context.workspace.save_solution(
             replace(
                 solution,
-                scene_from_object=places,
-                residuals=(*kept, *residuals),
-                statements=(*said, *elsewhere),
+                scene_from_object={**solution.scene_from_object, scene: scene_from_object},
+                residuals=(*_elsewhere(solution.residuals, scene), *residuals),
+                statements=(
+                    *said.statements,
+                    *(s for s in solution.statements if all(click.scene != scene for click in s.clicks)),
+                ),
+                expected_mm={**solution.expected_mm, **said.expected_mm},
+                next_clicks=said.next_clicks,
             )
         )
-        mean_px = float(np.mean([residual.error_px for residual in residuals]))
-        text = f"{object_name} stands in scene {scene}; its {len(residuals)} clicks fit to {mean_px:.1f} px"
-        return Outcome(messages=(text, *(statement.text for statement in said)))
+        return Outcome(messages=tuple(_placed(solution.model, scene, residuals, said)))
 
     # It takes the place of the solve in the ledger, so that a build goes on from it and does not solve again.
     return replace(_solve_step(context, item), run=run)
+
+
+def _elsewhere(residuals: Sequence[ClickResidual], scene: str) -> list[ClickResidual]:
+    return [residual for residual in residuals if residual.click.scene != scene]
+
+
+def _placed(
+    model: KeypointModel, scene: str, residuals: Sequence[ClickResidual], said: Diagnosis
+) -> Iterator[str]:
+    """How well a new scene's clicks place the object, what they contradict, and what to click next."""
+    mean_px = float(np.mean([residual.error_px for residual in residuals]))
+    yield (
+        f"{model.name} stands in scene {scene}; its {len(residuals)} clicks fit to {mean_px:.1f} px, and its "
+        f"keypoints should be {said.expected_mm[scene]:.1f} mm off"
+    )
+    yield from (statement.text for statement in said.statements)
+    if said.next_clicks:
+        best = said.next_clicks[0]
+        yield (
+            f"the click that would help most: keypoint {model.keypoints[best.keypoint]} in frame "
+            f"{best.frame}, which should leave {best.left_mm:.1f} mm"
+        )
 
 
 def observe(workspace: Workspace, object_name: str, *, scene: str | None = None) -> list[Observation]:

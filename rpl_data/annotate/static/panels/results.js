@@ -14,6 +14,8 @@ const STEPS = [
 ];
 const DEPTH_WORDS = { agrees: "", "other surface": "other surface", rejected: "depth not used", none: "no depth" };
 
+const MISSING = ["unchecked", "weak scene"]; // statements about what is missing, not about what is wrong
+
 export function setUp() {
   onChange(draw, () => [app.state, app.result, app.scene, app.row, app.keypoint]);
 }
@@ -34,7 +36,7 @@ const beginning = () => [
 
 // What is said of clicks; a line leads to the first of them.
 function statements(result) {
-  const said = result.statements.filter((statement) => statement.kind !== "unchecked");
+  const said = result.statements.filter((statement) => !MISSING.includes(statement.kind));
   if (!said.length) return [];
   const wrong = said.some((statement) => statement.blames);
   return [element("h2", { className: wrong ? "bad" : "warn", textContent: wrong ? "Clicks to mend" : "Clicks that disagree" }),
@@ -48,15 +50,15 @@ function statements(result) {
 
 function ofScenes(result) {
   const rows = Object.entries(result.scenes).map(([name, s]) =>
-    [name, s.clicked, s.error_mm?.toFixed(1) ?? "—", s.error_px?.toFixed(1) ?? "—"]);
+    [name, s.clicked, s.error_mm?.toFixed(1) ?? "—", s.error_px?.toFixed(1) ?? "—", s.expected_mm?.toFixed(1) ?? "—"]);
   const problem = result.problem ? [element("p", { className: "note bad", textContent: result.problem })] : [];
   return [element("h2", { textContent: "Errors by scene" }), ...problem,
-    table(["scene", "keypoints", "mm", "px"], rows, (i) => openScene(rows[i][0], null, { view: "mark" }))];
+    table(["scene", "keypoints", "mm", "px", "± mm"], rows, (i) => openScene(rows[i][0], null, { view: "mark" }))];
 }
 
 function missing(result) {
   const lines = Object.entries(result.loose).map(([name, text]) => `scene ${name}: ${text}`);
-  const unchecked = result.statements.filter((statement) => statement.kind === "unchecked");
+  const unchecked = result.statements.filter((statement) => MISSING.includes(statement.kind));
   const all = [...lines, ...result.warnings, ...unchecked.map((statement) => statement.text)];
   if (!all.length) return [];
   const rest = all.length > 6 ? [element("p", { className: "note quiet", textContent: `and ${all.length - 6} more` })] : [];
