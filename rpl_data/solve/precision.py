@@ -23,23 +23,10 @@ FARTHEST_OFF_AXIS = 0.45
 """Tangent of the angle from the optical axis up to which a keypoint is taken to be in the picture."""
 
 
-def expected_errors_m(
-    trial: Trial, known: Sequence[int], covariance: Float64[np.ndarray, "u u"] | None = None
-) -> Float64[np.ndarray, "s k"]:
-    """Standard deviation in space of each known keypoint in each scene, metres.
-
-    Args:
-        known: the keypoints that have a position.
-        covariance: of the unknowns; the trial's own when left out.
-    """
-    given = unknowns_covariance(trial.fit) if covariance is None else covariance
-    scenes = len(trial.fit.scene_from_model)
-    found = np.empty((scenes, len(known)))
-    for s in range(scenes):
-        for n, k in enumerate(known):
-            rows, columns = _by_unknowns(trial, s, k)
-            found[s, n] = np.sqrt(np.trace(rows @ given[np.ix_(columns, columns)] @ rows.T))
-    return found
+def expected_errors_m(trial: Trial, known: Sequence[int]) -> Float64[np.ndarray, "s k"]:
+    """Standard deviation in space of each known keypoint in each scene, metres."""
+    places = _places_by_unknowns(trial, known)
+    return _deviations_m(places, places @ unknowns_covariance(trial.fit), len(known))
 
 
 def next_clicks(
@@ -47,23 +34,42 @@ def next_clicks(
 ) -> tuple[NextClick, ...]:
     """Further clicks in frames that have some, those that lower the expected error most first."""
     covariance = unknowns_covariance(trial.fit)
-    before = expected_errors_m(trial, known, covariance)
-    everywhere = [_by_unknowns(trial, s, k) for s in range(len(before)) for k in known]
+    places = _places_by_unknowns(trial, known)
+    spread = places @ covariance
+    before = _deviations_m(places, spread, len(known))
     found = []
     for m, s, k in _unclicked(trial, observations, known):
-        gathered = _seen_by(trial, m, s, k)
-        if gathered is None:
+        seen = _seen_by(trial, m, s, k)
+        if seen is None:
             continue
-        rows, columns = gathered
-        seen = covariance[:, columns] @ rows.T
-        lowered = seen @ np.linalg.inv(np.eye(3) + rows @ seen[columns])
-        falls = [np.einsum("ij,ij->", place @ lowered[at], place @ seen[at]) for place, at in everywhere]
-        after = np.sqrt(np.maximum(before**2 - np.reshape(falls, before.shape), 0))
+        rows, columns = seen
+        shared = spread[:, columns] @ rows.T
+        gain = np.linalg.inv(np.eye(3) + rows @ covariance[np.ix_(columns, columns)] @ rows.T)
+        falls = ((shared @ gain) * shared).reshape(len(before), len(known), 9).sum(axis=2)
+        after = np.sqrt(np.maximum(before**2 - falls, 0))
         click = observations[m].click
-        gain_mm = 1e3 * float((before - after).mean())
-        left_mm = 1e3 * float(after[s].mean())
+        gain_mm, left_mm = 1e3 * float((before - after).mean()), 1e3 * float(after[s].mean())
         found.append(NextClick(click.scene, click.frame, k, gain_mm, left_mm))
     return tuple(sorted(found, key=lambda f: -f.gain_mm)[:most])
+
+
+def _places_by_unknowns(trial: Trial, known: Sequence[int]) -> Float64[np.ndarray, "p u"]:
+    """Derivative of all keypoints in all scenes, three rows each, by all unknowns."""
+    scenes = len(trial.fit.scene_from_model)
+    places = np.zeros((scenes * len(known), 3, trial.fit.unknowns))
+    for n, (s, k) in enumerate((s, k) for s in range(scenes) for k in known):
+        rows, columns = _by_unknowns(trial, s, k)
+        places[n][:, columns] = rows
+    return places.reshape(-1, trial.fit.unknowns)
+
+
+def _deviations_m(
+    places: Float64[np.ndarray, "p u"], spread: Float64[np.ndarray, "p u"], known: int
+) -> Float64[np.ndarray, "s k"]:
+    """Root of the trace of each place's covariance."""
+    variances = (places * spread).sum(axis=1).reshape(-1, known, 3).sum(axis=2)
+    deviations: Float64[np.ndarray, "s k"] = np.sqrt(np.maximum(variances, 0))
+    return deviations
 
 
 def _unclicked(
