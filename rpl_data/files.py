@@ -1,11 +1,14 @@
-"""Files are written whole or not at all, and read with an error that names them."""
+"""Write files completely or not at all, and read them with errors that name them."""
 
 from __future__ import annotations
 
 import json
 import os
 import shutil
+import stat
+import struct
 import tempfile
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,10 +19,10 @@ from rpl_data.types import DataError
 
 @contextmanager
 def writing(path: Path, mode: str = "w") -> Iterator[IO[Any]]:
-    """A file that takes the name `path` only when the block ends well; missing folders are made.
+    """Yield a temporary file that is renamed to `path` when the block ends well; folders are made as needed.
 
     Raises:
-        DataError: the disk is full, or the place cannot be written; nothing is left behind.
+        DataError: the disk is full, or the folder cannot be written; nothing is left behind.
     """
     temporary: str | None = None
     try:
@@ -43,10 +46,10 @@ def writing(path: Path, mode: str = "w") -> Iterator[IO[Any]]:
 
 @contextmanager
 def locked(path: Path, refusal: str) -> Iterator[None]:
-    """Hold a lock file; the operating system lets go of it when the process ends, however it ends.
+    """Hold a lock file; the operating system releases it when the process ends, however it ends.
 
     Raises:
-        DataError: with the words `refusal`, when somebody holds it already.
+        DataError: with the text `refusal`, when another process already holds it.
     """
     import fcntl
 
@@ -64,59 +67,111 @@ def locked(path: Path, refusal: str) -> Iterator[None]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file whole or not at all."""
+    """Write a text file completely or not at all."""
     with writing(path) as file:
         file.write(text)
 
 
 def write_bytes(path: Path, content: bytes) -> None:
-    """Write a binary file whole or not at all."""
+    """Write a binary file completely or not at all."""
     with writing(path, "wb") as file:
         file.write(content)
 
 
 def write_json(path: Path, content: Any, *, indent: int | None = 1) -> None:
-    """Write a JSON file whole or not at all; NaN is refused, since JSON has none."""
+    """Write a JSON file completely or not at all; NaN is refused, since JSON has none."""
     write_text(path, json.dumps(content, indent=indent, allow_nan=False) + "\n")
 
 
 def read_json(path: Path) -> Any:
-    """The content of a JSON file; DataError when it is missing or broken."""
+    """Read a JSON file; DataError when it is missing or broken."""
     try:
         return json.loads(read_text(path))
-    except json.JSONDecodeError as error:
+    except (ValueError, RecursionError) as error:  # also numbers of 5,000 digits and lists 5,000 deep
+        if isinstance(error, DataError):
+            raise
         raise DataError(f"{path} is not valid JSON: {error}; restore it or delete it") from error
 
 
-def read_text(path: Path, *, errors: Literal["strict", "replace"] = "strict") -> str:
-    """The content of a text file; DataError when it is missing or not text.
+FAULTS = (
+    ArithmeticError, AttributeError, EOFError, LookupError, MemoryError, RecursionError, TypeError, ValueError
+)  # fmt: skip
+"""What Python raises where a file holds something else than the reader expects."""
 
-    Bytes that are no text may be replaced instead, where the reader judges every line.
+
+@contextmanager
+def decoding(source: Path | str, remedy: str) -> Iterator[None]:
+    """Turn any fault in decoding the content of a file into a DataError that names the file and the fault.
+
+    Args:
+        source: the file, with the line or record where that is known.
+        remedy: what to do, as an imperative.
     """
+    try:
+        yield
+    except DataError:
+        raise
+    except KeyError as error:
+        raise DataError(f"{source} lacks {error.args[0]!r:.80}; {remedy}") from error
+    except (*FAULTS, struct.error, zlib.error) as error:
+        why = " ".join(str(error).split())[:200] or type(error).__name__
+        raise DataError(f"{source} is damaged or of another version: {why}; {remedy}") from error
+
+
+def refuse_special(path: Path) -> None:
+    """DataError when a path is a pipe, a device or a socket: reading it might never end.
+
+    A folder or a missing file is not refused: opening it says so.
+    """
+    try:
+        mode = path.stat().st_mode
+    except (OSError, ValueError):
+        return
+    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+        raise DataError(f"{path} is no file but a pipe, a device or a socket; give the file itself")
+
+
+def read_bytes(path: Path) -> bytes:
+    """The content of a file; DataError when it is missing or cannot be read."""
+    refuse_special(path)
+    try:
+        return path.read_bytes()
+    except FileNotFoundError as error:
+        raise DataError(f"{path} does not exist") from error
+    except (OSError, ValueError) as error:
+        raise DataError(f"cannot read {path}: {error}") from error
+
+
+def read_text(path: Path, *, errors: Literal["strict", "replace"] = "strict") -> str:
+    """Read a text file; DataError when it is missing or not text.
+
+    Bytes that are not text may be replaced instead, if the caller checks every line.
+    """
+    refuse_special(path)
     try:
         return path.read_text(encoding="utf-8", errors=errors)
     except FileNotFoundError as error:
         raise DataError(f"{path} does not exist") from error
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, ValueError) as error:  # ValueError: no UTF-8, or a path with a zero byte
         raise DataError(f"cannot read {path}: {error}") from error
 
 
 def append_bytes(path: Path, content: bytes) -> None:
-    """Add whole lines to a log, on the disk when this returns; on an error the log stays as it was."""
+    """Append complete lines to a log, safely on disk on return; after an error the log is unchanged."""
     with path.open("ab", buffering=0) as file:  # a buffer would be written after the truncation
-        end = path.read_bytes().rfind(b"\n") + 1  # behind it: half a line, left by a crash
+        end = path.read_bytes().rfind(b"\n") + 1  # anything after it is half a line, left by a crash
         file.truncate(end)
         try:
             while content:
                 content = content[file.write(content) :]
-            os.fsync(file.fileno())  # an acknowledged click survives a power cut
+            os.fsync(file.fileno())  # a confirmed click survives a power cut
         except OSError:
             file.truncate(end)
             raise
 
 
 def remove(path: Path) -> None:
-    """Delete a file or a folder of ours, if it is there."""
+    """Delete a file or folder of ours, if it exists."""
     if path.is_dir():
         shutil.rmtree(path)
     else:

@@ -1,4 +1,4 @@
-"""Rigid transforms, the pinhole camera and the conventions every other module relies on.
+"""Rigid transforms, the pinhole camera, and the conventions that every other module relies on.
 
 Frames. ``a_from_b`` is a 4x4 float64 array in metres that takes points in b to a; in a product the
 neighbours match: ``camera_from_object = invert(scene_from_camera) @ scene_from_object``.
@@ -31,7 +31,10 @@ Points = Float64[np.ndarray, "n 3"]
 Pixels = Float64[np.ndarray, "n 2"]
 
 NEAREST_M = 1e-6
-"""Points with a smaller z are behind the camera and never project."""
+"""Points with a smaller z count as behind the camera and never project."""
+
+COLLINEAR_M = 1e-4
+"""Points whose standard deviation across a line is smaller lie on the line."""
 
 
 # Rigid transforms ---------------------------------------------------------------------------------
@@ -46,7 +49,7 @@ def rigid(rotation: Float64[np.ndarray, "3 3"], translation_m: Float64[np.ndarra
 
 
 def invert(a_from_b: Float64[np.ndarray, "*batch 4 4"]) -> Float64[np.ndarray, "*batch 4 4"]:
-    """``b_from_a``, for one rigid transform or a stack of them."""
+    """Invert one rigid transform or a stack of them: ``b_from_a``."""
     inverse = np.zeros_like(a_from_b)
     rotation_t = np.swapaxes(a_from_b[..., :3, :3], -1, -2)
     inverse[..., :3, :3] = rotation_t
@@ -58,20 +61,20 @@ def invert(a_from_b: Float64[np.ndarray, "*batch 4 4"]) -> Float64[np.ndarray, "
 def transform(
     a_from_b: Transform, points_b: Float64[np.ndarray, "*batch 3"]
 ) -> Float64[np.ndarray, "*batch 3"]:
-    """``points_a``; rows of NaN stay NaN."""
+    """Move points from b to a; rows of NaN stay NaN."""
     moved: Float64[np.ndarray, "*batch 3"] = points_b @ a_from_b[:3, :3].T + a_from_b[:3, 3]
     return moved
 
 
 def from_rotvec(rotvec_rad: Float64[np.ndarray, "3"], translation_m: Float64[np.ndarray, "3"]) -> Transform:
-    """The transform with that axis-angle rotation and translation."""
+    """Transform from an axis-angle rotation and a translation."""
     return rigid(Rotation.from_rotvec(rotvec_rad).as_matrix(), translation_m)
 
 
 def from_quaternion_xyzw(
     quaternion_xyzw: Float64[np.ndarray, "4"], translation_m: Float64[np.ndarray, "3"]
 ) -> Transform:
-    """The transform of a TUM line; the quaternion is normalised first.
+    """Transform from a quaternion and a translation, as in a TUM line; the quaternion is normalised.
 
     Raises:
         DataError: the quaternion is zero or not finite.
@@ -86,7 +89,7 @@ def from_quaternion_xyzw(
 
 
 def to_quaternion_xyzw(a_from_b: Float64[np.ndarray, "*batch 4 4"]) -> Float64[np.ndarray, "*batch 4"]:
-    """The unit quaternion x y z w (w >= 0) of the rotation."""
+    """Unit quaternion x y z w (w >= 0) of the rotation."""
     rotation = Rotation.from_matrix(a_from_b[..., :3, :3])
     quaternion: Float64[np.ndarray, "*batch 4"] = rotation.as_quat(canonical=True)
     return quaternion
@@ -100,7 +103,7 @@ def rotation_angle_rad(rotation: Float64[np.ndarray, "3 3"]) -> float:
 def fit_rigid(
     points_a: Points, points_b: Points, weights: Float64[np.ndarray, " n"] | None = None
 ) -> Transform:
-    """``a_from_b`` that minimises ``sum w |a_from_b(points_b) - points_a|^2``.
+    """Fit ``a_from_b``, which minimises ``sum w |a_from_b(points_b) - points_a|^2``.
 
     Kabsch's closed form (Acta Cryst. A32, 1976) with the sign that keeps the rotation proper; the
     same optimum as Horn's quaternion solution (JOSA A 4, 1987) which the paper names.
@@ -108,7 +111,7 @@ def fit_rigid(
     Raises:
         DataError: fewer than three points, or all on one line: the rotation would be arbitrary.
     """
-    if len(points_a) < 3 or spread_m(points_b)[1] < 1e-4 or spread_m(points_a)[1] < 1e-4:
+    if len(points_a) < 3 or is_collinear(points_b) or is_collinear(points_a):
         raise DataError(
             f"a rigid transform needs at least 3 points that do not lie on a line; got {len(points_a)}"
             " with no spread across a line; click more keypoints"
@@ -121,6 +124,11 @@ def fit_rigid(
     proper = np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
     rotation = u @ proper @ vt
     return rigid(rotation, centre_a - rotation @ centre_b)
+
+
+def is_collinear(points: Points, *, tolerance_m: float = COLLINEAR_M) -> bool:
+    """Whether points lie on a line: their standard deviation across it is below the tolerance."""
+    return bool(spread_m(points)[1] < tolerance_m)
 
 
 def spread_m(points: Points) -> Float64[np.ndarray, "3"]:
@@ -141,7 +149,7 @@ def spread_m(points: Points) -> Float64[np.ndarray, "3"]:
 
 
 def project(intrinsics: Intrinsics, points_camera: Points) -> Pixels:
-    """Pixels of points in the camera frame; NaN for points behind the camera or NaN."""
+    """Project points in the camera frame to pixels; NaN for points that are NaN or behind the camera."""
     uv = np.full((len(points_camera), 2), np.nan)
     ahead = (points_camera[:, 2] > NEAREST_M) & np.isfinite(points_camera).all(axis=1)
     if ahead.any():
@@ -161,7 +169,7 @@ def project(intrinsics: Intrinsics, points_camera: Points) -> Pixels:
 
 
 def rays(intrinsics: Intrinsics, uv_px: Pixels) -> Points:
-    """Directions with z = 1 through pixels, lens distortion removed; inverse of `project`."""
+    """Directions (z = 1) of the rays through pixels, lens distortion removed; inverse of `project`."""
     if intrinsics.distortion and len(uv_px):
         xy = cv2.undistortPoints(
             np.asarray(uv_px, dtype=float).reshape(-1, 1, 2),
@@ -176,13 +184,13 @@ def rays(intrinsics: Intrinsics, uv_px: Pixels) -> Points:
 
 
 def back_project(intrinsics: Intrinsics, uv_px: Pixels, depth_m: Float64[np.ndarray, " n"]) -> Points:
-    """Points in the camera frame at the given depths along the optical axis."""
+    """Points in the camera frame behind these pixels, at the given depths along the optical axis."""
     points: Points = rays(intrinsics, uv_px) * depth_m[:, None]
     return points
 
 
 def cropped(intrinsics: Intrinsics, *, left_px: int, top_px: int, width: int, height: int) -> Intrinsics:
-    """The camera whose image is that rectangle of the image (whole pixels)."""
+    """Camera whose image is this rectangle of the image (whole pixels)."""
     return Intrinsics(
         intrinsics.fx,
         intrinsics.fy,
@@ -195,7 +203,7 @@ def cropped(intrinsics: Intrinsics, *, left_px: int, top_px: int, width: int, he
 
 
 def resized(intrinsics: Intrinsics, *, width: int, height: int) -> Intrinsics:
-    """The camera whose image is the image resized; edges stay edges, so centres move by the half pixel."""
+    """Camera whose image is the resized image; edges stay edges, so centres move by half a pixel."""
     sx, sy = width / intrinsics.width, height / intrinsics.height
     return Intrinsics(
         intrinsics.fx * sx,
@@ -221,7 +229,7 @@ def depth_sigma_m(depth_m: Float[np.ndarray, "*shape"] | float) -> Float[np.ndar
 
 
 def inside_image(intrinsics: Intrinsics, uv_px: Pixels) -> Bool[np.ndarray, " n"]:
-    """Which pixels positions fall on the image's pixels; False for NaN."""
+    """Which positions lie on the image's pixels; False for NaN."""
     u, v = uv_px[:, 0], uv_px[:, 1]
     inside: Bool[np.ndarray, " n"] = (
         (u >= -0.5) & (u < intrinsics.width - 0.5) & (v >= -0.5) & (v < intrinsics.height - 0.5)
@@ -230,14 +238,14 @@ def inside_image(intrinsics: Intrinsics, uv_px: Pixels) -> Bool[np.ndarray, " n"
 
 
 def box_around(uv_px: Pixels) -> Box:
-    """Smallest box with COCO's edges around positions; a single pixel centre gives a 1x1 box."""
+    """Smallest box, with COCO's edges, around positions; a single pixel centre gives a 1x1 box."""
     u0, v0 = uv_px.min(axis=0) + 0.0
     u1, v1 = uv_px.max(axis=0) + 1.0
     return float(u0), float(v0), float(u1), float(v1)
 
 
 def clip_box(box: Box, *, width: int, height: int) -> Box:
-    """The part of the box on the image; zero width or height when it lies outside."""
+    """Part of the box that is inside the image; zero width or height when there is none."""
     right, bottom = float(width), float(height)
     x0, y0 = min(max(box[0], 0.0), right), min(max(box[1], 0.0), bottom)
     x1, y1 = min(max(box[2], x0), right), min(max(box[3], y0), bottom)
@@ -245,7 +253,7 @@ def clip_box(box: Box, *, width: int, height: int) -> Box:
 
 
 def square_box(uv_px: Pixels, *, scale: float = 1.5) -> SquareBox:
-    """The paper's bounding square of keypoints (section III-E): their box, made square, x `scale`."""
+    """The paper's bounding square of keypoints (section III-E): their box made square, times `scale`."""
     low, high = uv_px.min(axis=0), uv_px.max(axis=0)
     centre = (low + high) / 2
     return SquareBox(float(centre[0]), float(centre[1]), float((high - low).max() * scale))

@@ -1,4 +1,4 @@
-"""Images of a recording, decoded: colour, brightness, and depth on the pixels of the colour image."""
+"""Read the images of a recording: colour, brightness, and depth aligned to the colour image."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ REDUCED_GREY = {
 
 
 def read_color(frame: Frame) -> ColorImage:
-    """The colour image as RGB; DataError when it is missing or broken."""
-    image = cv2.imread(str(frame.color), cv2.IMREAD_COLOR_RGB) if frame.color.exists() else None
+    """Read the colour image as RGB; DataError when it is missing or damaged."""
+    image = cv2.imread(str(frame.color), cv2.IMREAD_COLOR_RGB) if frame.color.is_file() else None
     if image is None:
         raise DataError(
             f"frame {frame.index}: cannot read the colour image {frame.color}; it is missing or broken"
@@ -39,13 +39,13 @@ def read_color(frame: Frame) -> ColorImage:
 
 
 def read_grey(frame: Frame, *, reduce: int) -> GreyImage:
-    """The brightness of the colour image at `1 / reduce` (1, 2, 4, 8) of its size.
+    """Read the brightness of the colour image at `1 / reduce` (1, 2, 4, 8) of its size.
 
     DataError when it is missing or broken.
 
     A JPEG is decoded at the small size, which takes a fraction of the time.
     """
-    image = cv2.imread(str(frame.color), REDUCED_GREY[reduce]) if frame.color.exists() else None
+    image = cv2.imread(str(frame.color), REDUCED_GREY[reduce]) if frame.color.is_file() else None
     if image is None:
         raise DataError(
             f"frame {frame.index}: cannot read the colour image {frame.color}; it is missing or broken"
@@ -54,7 +54,7 @@ def read_grey(frame: Frame, *, reduce: int) -> GreyImage:
 
 
 def read_depth_m(scene: Scene, frame: Frame) -> DepthImage:
-    """The depth image in metres, 0 = none; DataError when it is missing, broken or of another size."""
+    """Read the depth image in metres, 0 = none; DataError when it is missing, damaged or of another size."""
     return in_metres(scene, read_depth_units(scene, frame))
 
 
@@ -64,15 +64,15 @@ def depth_reader(scene: Scene) -> ReadDepth:
 
 
 def in_metres(scene: Scene, units: DepthUnits) -> DepthImage:
-    """Stored depth as float32 metres."""
+    """Convert stored depth to float32 metres."""
     return units.astype(np.float32) * np.float32(scene.metres_per_unit)
 
 
 def read_depth_units(scene: Scene, frame: Frame) -> UInt16[np.ndarray, "height width"]:
-    """The depth image as it is stored, on the colour image, 0 = none; DataError as `read_depth_m`."""
+    """Read the depth image in its stored unit, aligned to colour, 0 = none; DataError as `read_depth_m`."""
     if frame.depth is None:
         raise DataError(f"scene {scene.name}, frame {frame.index} has no depth image")
-    raw = cv2.imread(str(frame.depth), cv2.IMREAD_UNCHANGED) if frame.depth.exists() else None
+    raw = cv2.imread(str(frame.depth), cv2.IMREAD_UNCHANGED) if frame.depth.is_file() else None
     expected = (scene.intrinsics.height, scene.intrinsics.width)
     if raw is None or raw.dtype != np.uint16 or raw.shape != expected:
         found = "nothing readable" if raw is None else f"{raw.dtype} {raw.shape}"
@@ -87,7 +87,7 @@ def read_depth_units(scene: Scene, frame: Frame) -> UInt16[np.ndarray, "height w
 
 
 def _warped(raw: UInt16[np.ndarray, "height width"], warp: DepthWarp) -> UInt16[np.ndarray, "height width"]:
-    """Depth on the colour image; each pixel takes the nearest, 0 where none is."""
+    """Move depth onto the colour image; each pixel takes the nearest value, 0 where there is none."""
     height, width = raw.shape
     offset = (1 - warp.zoom) * (np.array([width, height]) - 1) / 2 + warp.shift_px
     matrix = np.column_stack([warp.zoom * np.eye(2), offset])

@@ -1,4 +1,4 @@
-"""Arrays as JSON-ready lists and back: matrices are row-major, a row that is not finite becomes null."""
+"""Convert arrays to JSON-ready lists and back: matrices are row-major, rows not finite become null."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ Json = dict[str, Any]
 
 
 def rows_to_json(rows: Float64[np.ndarray, "n m"], digits: int | None = None) -> list[list[float] | None]:
-    """A list a row; null for a row that is not finite."""
+    """Convert each row to a list; null for a row that is not finite."""
     return [numbers(row, digits) if np.isfinite(row).all() else None for row in rows]
 
 
 def rows_from_json(rows: list[list[float] | None], width: int) -> Float64[np.ndarray, "n m"]:
-    """The array of `rows_to_json`; NaN for null."""
+    """Convert the result of `rows_to_json` back to an array; NaN for null."""
     filled = [[math.nan] * width if row is None else row for row in rows]
     return np.array(filled, dtype=float).reshape(len(rows), width)
 
 
 def numbers(values: np.ndarray, digits: int | None = None) -> list[float]:
-    """A flat list of floats, rounded to `digits` decimals where given."""
+    """Flatten to a list of floats, rounded to `digits` decimals if given."""
     flat = np.ravel(values)
     return [float(x) for x in (flat if digits is None else np.round(flat, digits))]
 
 
 def matrix_from_json(values: list[float]) -> Float64[np.ndarray, "4 4"]:
-    """The 4x4 matrix of 16 row-major numbers."""
+    """Make a 4x4 matrix from 16 row-major numbers."""
     return np.array(values, dtype=float).reshape(4, 4)
 
 

@@ -1,4 +1,7 @@
-"""Meshes and clouds as files, written whole as PLY: Open3D's writer reports success on a full disk."""
+"""Meshes and clouds as files, written whole as PLY: Open3D's writer reports success on a full disk.
+
+PLY is read by our own reader, other formats by Open3D in a process of its own: damaged files end it.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,9 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64, UInt8
 from scipy.spatial import cKDTree
 
+from rpl_data.child import in_child
 from rpl_data.files import write_bytes
+from rpl_data.ply import Columns, read_ply
 from rpl_data.types import DataError, Mesh, PointCloud
 
 Floats = Float64[np.ndarray, "n 3"]
@@ -17,54 +22,91 @@ Colors = UInt8[np.ndarray, "n 3"]
 
 
 def save_mesh(path: Path, mesh: Mesh) -> None:
-    """Write triangles as binary PLY, whole or not at all."""
+    """Write triangles as binary PLY, completely or not at all."""
     write_bytes(path, mesh_to_ply(mesh))
 
 
+READING_S = 120
+"""CPU seconds for a mesh that Open3D reads; a scan of a million triangles takes ten."""
+
+
 def load_mesh(path: Path) -> Mesh:
-    """Triangles from PLY, OBJ or anything Open3D reads; DataError when there are none."""
+    """Triangles from PLY, OBJ or anything Open3D reads.
+
+    Raises:
+        DataError: the file is missing or damaged, holds no triangles, or has a vertex that is not finite.
+    """
+    if not path.is_file():
+        raise DataError(f"there is no mesh {path}")
+    if path.suffix.lower() != ".ply":
+        mesh = in_child(_read_by_open3d, path, file=path, limit_s=READING_S)
+    else:
+        ply = read_ply(path)
+        mesh = Mesh(_columns(path, ply.vertices, "x y z"), ply.triangles, _colors(ply.vertices))
+    if not len(mesh.triangles):
+        raise DataError(f"{path} holds no triangles; expected a mesh, not a point cloud")
+    if not np.isfinite(mesh.vertices).all():
+        raise DataError(f"{path} has a vertex that is not finite; save it again")
+    return mesh
+
+
+def _read_by_open3d(path: Path) -> Mesh:
     import open3d as o3d
 
-    if not path.exists():
-        raise DataError(f"there is no mesh {path}")
     legacy = o3d.io.read_triangle_mesh(str(path))
-    if not legacy.has_triangles():
-        raise DataError(f"{path} holds no triangles; expected a mesh, not a point cloud")
-    colors = (
-        (np.asarray(legacy.vertex_colors) * 255).round().astype(np.uint8)
-        if legacy.has_vertex_colors()
-        else None
-    )
-    return Mesh(np.asarray(legacy.vertices).copy(), np.asarray(legacy.triangles).astype(np.int64), colors)
+    colors = (np.asarray(legacy.vertex_colors) * 255).round().astype(np.uint8)
+    triangles = np.asarray(legacy.triangles).astype(np.int64)
+    vertices = np.asarray(legacy.vertices).copy()
+    if len(triangles) and not (triangles.min() >= 0 and triangles.max() < len(vertices)):
+        raise DataError(f"{path} has a triangle with a corner that is no vertex; save it again")
+    return Mesh(vertices, triangles, colors if legacy.has_vertex_colors() else None)
+
+
+def _columns(path: Path, vertices: Columns, names: str) -> Floats:
+    """Some properties of vertices side by side, such as "x y z"."""
+    missing = [name for name in names.split() if name not in vertices]
+    if missing:
+        raise DataError(f"{path} has no property {', '.join(missing)} for its vertices; save it again")
+    return np.column_stack([vertices[name].astype(np.float64) for name in names.split()])
+
+
+def _colors(vertices: Columns) -> Colors | None:
+    """RGB of vertices, stored as bytes or as fractions of 1; None where they have none."""
+    found = [vertices[name] for name in ("red", "green", "blue") if name in vertices]
+    if len(found) < 3:
+        return None
+    if found[0].dtype.kind == "f":
+        found = [np.nan_to_num(255 * values).clip(0, 255).round() for values in found]
+    return np.column_stack(found).clip(0, 255).astype(np.uint8)
 
 
 def save_cloud(path: Path, cloud: PointCloud) -> None:
-    """Write points with normals as binary PLY, whole or not at all."""
+    """Write points with normals as binary PLY, completely or not at all."""
     write_bytes(path, cloud_to_ply(cloud))
 
 
 def load_cloud(path: Path) -> PointCloud:
-    """Points with normals from PLY; DataError when there are none."""
-    import open3d as o3d
-
-    if not path.exists():
+    """Points with normals from PLY; DataError when there are none, or some are not finite."""
+    if not path.is_file():
         raise DataError(f"there is no point cloud {path}")
-    legacy = o3d.io.read_point_cloud(str(path))
-    if not legacy.has_points() or not legacy.has_normals():
+    vertices = read_ply(path).vertices
+    if not {"x", "nx"} <= vertices.keys() or not len(vertices["x"]):
         raise DataError(f"{path} should hold points with normals")
-    colors = (np.asarray(legacy.colors) * 255).round().astype(np.uint8) if legacy.has_colors() else None
-    return PointCloud(np.asarray(legacy.points).copy(), np.asarray(legacy.normals).copy(), colors)
+    points, normals = _columns(path, vertices, "x y z"), _columns(path, vertices, "nx ny nz")
+    if not (np.isfinite(points).all() and np.isfinite(normals).all()):
+        raise DataError(f"{path} has a point or a normal that is not finite; save it again")
+    return PointCloud(points, normals, _colors(vertices))
 
 
 def mesh_to_ply(mesh: Mesh) -> bytes:
-    """Vertices, with colours where known, and triangles."""
+    """Encode vertices (with colours where known) and triangles as PLY."""
     header, vertices = _vertices([("xyz", mesh.vertices)], mesh.colors)
     faces = f"element face {len(mesh.triangles)}\nproperty list uchar int vertex_indices\n"
     return _file(header + faces, vertices + _faces(mesh.triangles))
 
 
 def cloud_to_ply(cloud: PointCloud) -> bytes:
-    """Points with normals, and with colours where known."""
+    """Encode points with normals (and colours where known) as PLY."""
     return _file(*_vertices([("xyz", cloud.points), (("nx", "ny", "nz"), cloud.normals)], cloud.colors))
 
 
@@ -93,7 +135,7 @@ def _faces(triangles: Int64[np.ndarray, "m 3"]) -> bytes:
 
 
 def oriented_points(mesh: Mesh) -> PointCloud:
-    """The vertices of a mesh with normals from its triangles (area-weighted), so they point outwards."""
+    """Vertices of a mesh with normals from its triangles (area-weighted), which point outwards."""
     corners = mesh.vertices[mesh.triangles]
     area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals = np.zeros_like(mesh.vertices)
@@ -106,13 +148,13 @@ def oriented_points(mesh: Mesh) -> PointCloud:
 
 
 def select(cloud: PointCloud, chosen: Bool[np.ndarray, " n"] | Int64[np.ndarray, " m"]) -> PointCloud:
-    """Some of the points."""
+    """Select some of the points."""
     colors = None if cloud.colors is None else cloud.colors[chosen]
     return PointCloud(cloud.points[chosen], cloud.normals[chosen], colors)
 
 
 def smoothed_normals(cloud: PointCloud, *, radius_m: float) -> PointCloud:
-    """The cloud with every normal replaced by the mean of its neighbourhood's."""
+    """Replace every normal by the mean of its neighbourhood's normals."""
     pairs = cKDTree(cloud.points).query_pairs(radius_m, output_type="ndarray")
     mean = cloud.normals.copy()
     for a, b in ((0, 1), (1, 0)):
@@ -125,7 +167,7 @@ def smoothed_normals(cloud: PointCloud, *, radius_m: float) -> PointCloud:
 
 
 def thinned(cloud: PointCloud, *, voxel_m: float) -> PointCloud:
-    """One point a voxel: the mean of its points, normals and colours."""
+    """Reduce to one point per voxel: the mean of its points, normals and colours."""
     _, cell = np.unique(np.floor(cloud.points / voxel_m).astype(np.int64), axis=0, return_inverse=True)
     cell = cell.ravel()
     count = np.bincount(cell)
@@ -141,7 +183,7 @@ def thinned(cloud: PointCloud, *, voxel_m: float) -> PointCloud:
 
 
 def joined(clouds: list[PointCloud]) -> PointCloud:
-    """All points of several clouds; colours only when all have them."""
+    """Join the points of several clouds; colours are kept only when all have them."""
     colors = [cloud.colors for cloud in clouds if cloud.colors is not None]
     return PointCloud(
         np.concatenate([cloud.points for cloud in clouds]),
@@ -151,7 +193,7 @@ def joined(clouds: list[PointCloud]) -> PointCloud:
 
 
 def simplified(mesh: Mesh, *, most_triangles: int) -> Mesh:
-    """The mesh with no more triangles than that, its shape kept by quadric error (Garland, Heckbert 1997)."""
+    """Reduce a mesh to so many triangles at most, by quadric error (Garland, Heckbert 1997)."""
     if len(mesh.triangles) <= most_triangles:
         return mesh
     import open3d as o3d
@@ -168,3 +210,18 @@ def simplified(mesh: Mesh, *, most_triangles: int) -> Mesh:
         np.asarray(small.triangles).astype(np.int64),
         colors if small.has_vertex_colors() else None,
     )
+
+
+def sampled(mesh: Mesh, *, count: int, seed: int = 0) -> Floats:
+    """Points spread evenly over the surface of a mesh, the same ones every time.
+
+    A triangle is drawn with a probability proportional to its area, a point within it uniformly (Osada et
+    al., "Shape distributions", ACM Transactions on Graphics 21, 2002, section 4.2).
+    """
+    generator = np.random.default_rng(seed)
+    a, b, c = (mesh.vertices[mesh.triangles[:, corner]] for corner in range(3))
+    areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    chosen = generator.choice(len(areas), size=count, p=areas / areas.sum())
+    along, across = np.sqrt(generator.random((count, 1))), generator.random((count, 1))
+    points: Floats = (1 - along) * a[chosen] + along * (1 - across) * b[chosen] + along * across * c[chosen]
+    return points

@@ -1,4 +1,4 @@
-"""Labels drawn on the picture they belong to."""
+"""Draw labels on the images they belong to."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ OBJECT_COLORS: tuple[Rgb, ...] = (
     (90, 170, 255),
     (240, 98, 146),
 )
-"""Tint of the first, second, ... object; they repeat."""
+"""Colours of the first, second, ... object; they repeat."""
 SHIFT_BITS = 4
-"""OpenCV draws at 1/16 px: an overlay that rounds would hide half-pixel errors."""
+"""OpenCV draws at 1/16 px with this: rounding to pixels would hide half-pixel errors."""
 
 
 def keypoint_color(keypoint: int, count: int) -> Rgb:
-    """Bright colours spread over the hues; neighbours in number are far apart in hue."""
+    """Bright colour of a keypoint; keypoints with neighbouring numbers have very different hues."""
     step = next(s for s in (3, 5, 7, 2, 1) if count % s or s == 1)
     red, green, blue = colorsys.hsv_to_rgb((keypoint * step % count) / count, 0.75, 1.0)
     return round(255 * red), round(255 * green), round(255 * blue)
@@ -40,16 +40,16 @@ def draw_overlay(
     view: Box | None = None,
     width_px: int | None = None,
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """A new image of the labels: visible mask tinted, boxes, skeleton, keypoints with their numbers.
+    """Draw the labels on a copy of the image: tinted visible mask, boxes, skeleton, numbered keypoints.
 
-    A keypoint is filled when it is seen (v = 2) and a ring when it is hidden (v = 1). An object that
+    A keypoint is a filled dot when it is seen (v = 2) and a ring when it is hidden (v = 1). An object that
     `models` lacks is drawn without its skeleton. `view` is the part of the image to show, the whole
     when None; `width_px` is the width of the result: lines stay thin when the view is enlarged.
     """
     x0, y0, x1, y1 = view or (0.0, 0.0, float(color.shape[1]), float(color.shape[0]))
     scale = (width_px or x1 - x0) / (x1 - x0)
     size = (round((x1 - x0) * scale), round((y1 - y0) * scale))
-    # Edges stay edges: the pixel (u, v) covers [u, u + 1) in box coordinates, which start at view's corner.
+    # Edges stay edges: pixel (u, v) covers [u, u + 1) in box coordinates, which start at the view's corner.
     view_from_box = np.array([[scale, 0, -x0 * scale], [0, scale, -y0 * scale]])
     view_from_pixel = view_from_box.copy()
     view_from_pixel[:, 2] += scale / 2 - 0.5
@@ -68,7 +68,7 @@ def draw_overlay(
 def _draw_masks(
     picture: ColorImage, instance: InstanceLabel, tint: Rgb, view_from_pixel: Float64[np.ndarray, "2 3"]
 ) -> None:
-    """The visible mask tinted with its outline; the outline of the full mask thin where it is hidden."""
+    """Draw the visible mask tinted, with its outline, and a thin outline of the full mask."""
     visible, full = (
         _mask_in_view(rle, picture, view_from_pixel) for rle in (instance.mask, instance.mask_full)
     )
@@ -90,7 +90,7 @@ def _mask_in_view(rle: Rle, picture: ColorImage, view_from_pixel: Float64[np.nda
 def _draw_boxes(
     picture: ColorImage, instance: InstanceLabel, tint: Rgb, view_from_box: Float64[np.ndarray, "2 3"]
 ) -> None:
-    """The box of the visible mask, and thin in white the square box of the keypoints."""
+    """Draw the box of the visible mask, and the square box of the keypoints thin and white."""
     square = instance.square_box
     half = square.side_px / 2
     # The square is centred on pixel coordinates, boxes count from pixel edges: half a pixel between them.
@@ -134,7 +134,7 @@ def _draw_keypoints(
 
 
 def _write_number(picture: ColorImage, keypoint: int, at: Float64[np.ndarray, "2"]) -> None:
-    """The number beside its keypoint, white on a dark rim so that it reads on any background."""
+    """Write the number beside its keypoint, white with a dark rim, readable on any background."""
     corner = (round(float(at[0])) + 7, round(float(at[1])) - 6)
     for color, thickness in (((15, 15, 15), 3), ((255, 255, 255), 1)):
         cv2.putText(
@@ -143,5 +143,5 @@ def _write_number(picture: ColorImage, keypoint: int, at: Float64[np.ndarray, "2
 
 
 def _fixed(pixel: Float64[np.ndarray, "2"]) -> tuple[int, int]:
-    """OpenCV's fixed-point coordinates."""
+    """Convert to OpenCV's fixed-point coordinates."""
     return round(float(pixel[0]) * 2**SHIFT_BITS), round(float(pixel[1]) * 2**SHIFT_BITS)

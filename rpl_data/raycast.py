@@ -1,7 +1,7 @@
-"""Rays against triangles: depth images, silhouettes, visibility. The one place that casts rays.
+"""Cast rays at triangles: depth images, silhouettes, visibility. No other module casts rays.
 
 Directions have z = 1 in the camera frame, so the distance t along them is the depth in metres; a rigid
-transform of origin and direction leaves t as it is, which is why rays are moved to the mesh and the
+transform of origin and direction does not change t, which is why rays are moved to the mesh and the
 acceleration structure is built once.
 """
 
@@ -20,10 +20,10 @@ from rpl_data.types import DataError, Intrinsics, Mesh
 
 @dataclass(frozen=True)
 class Hits:
-    """Where rays met the meshes first.
+    """First hits of rays on the meshes.
 
     Attributes:
-        t: distance in lengths of the direction; inf = the ray missed.
+        t: distance, in lengths of the direction; inf = the ray missed.
         mesh_id: number of the mesh in the order given; -1 = the ray missed.
         triangle_id: row of `Mesh.triangles`; -1 = the ray missed.
         uv: barycentric coordinates in the triangle.
@@ -46,21 +46,21 @@ class Closest:
 
 
 class RayScene:
-    """Meshes of one common frame, indexed for rays."""
+    """Meshes in one common frame, indexed for ray casting."""
 
     def __init__(self, meshes: Sequence[Mesh], *, threads: int = 0) -> None:
         """Build the index.
 
         Args:
-            threads: how many cores a call may use; 0 = all. 1 where frames are shared out instead.
+            threads: number of cores that a call may use; 0 = all. Use 1 when frames run in parallel.
 
         Raises:
-            DataError: there is no triangle at all.
+            DataError: there are no triangles.
         """
         import open3d as o3d
 
         if not sum(len(mesh.triangles) for mesh in meshes):
-            raise DataError("a mesh without triangles cannot be seen; run the segment stage again")
+            raise DataError("a mesh without triangles cannot be rendered; run the segment stage again")
         self._tensor = o3d.core.Tensor
         self._threads = threads
         self._scene = o3d.t.geometry.RaycastingScene()
@@ -71,7 +71,7 @@ class RayScene:
             )
 
     def cast(self, origin_directions: Float32[np.ndarray, "n 6"]) -> Hits:
-        """The first hit of each ray (ox, oy, oz, dx, dy, dz) in the meshes' frame."""
+        """Find the first hit of each ray (ox, oy, oz, dx, dy, dz), in the meshes' frame."""
         answer = self._scene.cast_rays(self._as_tensor(origin_directions), nthreads=self._threads)
         t = answer["t_hit"].numpy()
         hit = np.isfinite(t)
@@ -84,7 +84,7 @@ class RayScene:
         )
 
     def cast_t(self, origin_directions: Float32[np.ndarray, "n 6"]) -> Float32[np.ndarray, " n"]:
-        """Distance of the first hit alone, inf = miss; `cast` without the rest."""
+        """Distance of the first hit only; inf = the ray missed."""
         answer = self._scene.cast_rays(self._as_tensor(origin_directions), nthreads=self._threads)
         t: Float32[np.ndarray, " n"] = answer["t_hit"].numpy()
         return t
@@ -92,14 +92,14 @@ class RayScene:
     def occluded(
         self, origin_directions: Float32[np.ndarray, "n 6"], *, far: float
     ) -> Bool[np.ndarray, " n"]:
-        """Which rays meet something before the distance `far` (in lengths of the direction)."""
+        """Which rays hit something before the distance `far` (in lengths of the direction)."""
         blocked: Bool[np.ndarray, " n"] = self._scene.test_occlusions(
             self._as_tensor(origin_directions), tnear=0.0, tfar=far, nthreads=self._threads
         ).numpy()
         return blocked
 
     def closest(self, points: Points) -> Closest:
-        """The nearest point of the meshes to each point, in the meshes' frame."""
+        """Find the point of the meshes nearest to each point, in the meshes' frame."""
         answer = self._scene.compute_closest_points(
             self._as_tensor(points.astype(np.float32)), nthreads=self._threads
         )
@@ -109,14 +109,14 @@ class RayScene:
         )
 
     def _as_tensor(self, rows: Float32[np.ndarray, "n _"]) -> Any:
-        """Rays or points as Open3D takes them, without a copy when they are float32 already."""
+        """Convert rays or points for Open3D, without a copy if they are float32 already."""
         return self._tensor.from_numpy(np.ascontiguousarray(rows, dtype=np.float32))
 
 
 def pixel_rays(
     intrinsics: Intrinsics, *, left_px: int, top_px: int, width: int, height: int
 ) -> Float64[np.ndarray, "h w 3"]:
-    """Directions with z = 1 through a rectangle's pixel centres, lens distortion removed; camera frame."""
+    """Directions (z = 1) through a rectangle's pixel centres, lens distortion removed; camera frame."""
     u, v = np.meshgrid(np.arange(left_px, left_px + width), np.arange(top_px, top_px + height))
     uv = np.column_stack([u.ravel(), v.ravel()]).astype(float)
     return rays(intrinsics, uv).reshape(height, width, 3)
@@ -125,7 +125,7 @@ def pixel_rays(
 def rays_in_object(
     directions_camera: Float[np.ndarray, "*shape 3"], camera_from_object: Transform
 ) -> Float32[np.ndarray, "n 6"]:
-    """Rays from the camera centre, as `RayScene` wants them, in the object frame."""
+    """Rays from the camera centre in the object frame, in the layout of `RayScene.cast`."""
     object_from_camera = invert(camera_from_object).astype(np.float32)
     directions = directions_camera.reshape(-1, 3).astype(np.float32, copy=False)
     moved = np.empty((len(directions), 6), dtype=np.float32)
@@ -144,7 +144,7 @@ def render_depth_m(
     width: int,
     height: int,
 ) -> Float32[np.ndarray, "h w"]:
-    """Depth in metres of the meshes in a rectangle of the image; 0 = nothing there."""
+    """Render the depth of the meshes in a rectangle of the image, metres; 0 = nothing there."""
     directions = pixel_rays(intrinsics, left_px=left_px, top_px=top_px, width=width, height=height)
     return depth_along_m(rays, directions, camera_from_object)
 
@@ -152,7 +152,7 @@ def render_depth_m(
 def depth_along_m(
     rays: RayScene, directions_camera: Float[np.ndarray, "h w 3"], camera_from_object: Transform
 ) -> Float32[np.ndarray, "h w"]:
-    """`render_depth_m` with the directions of `pixel_rays` at hand; 0 = nothing there."""
+    """Render depth along given directions, those of `pixel_rays`, metres; 0 = nothing there."""
     t = rays.cast_t(rays_in_object(directions_camera, camera_from_object))
     depth_m: Float32[np.ndarray, "h w"] = np.where(np.isfinite(t), t, np.float32(0))
     return depth_m.reshape(directions_camera.shape[:2])
@@ -164,7 +164,7 @@ class PixelTable:
 
     Attributes:
         intrinsics: the camera.
-        directions: z = 1, camera frame.
+        directions: directions of the rays, z = 1, camera frame.
         x_range, y_range: lowest and highest x of every column's directions, y of every row's.
     """
 
@@ -175,7 +175,7 @@ class PixelTable:
 
     @staticmethod
     def of(intrinsics: Intrinsics) -> PixelTable:
-        """The table of a camera; 12 bytes a pixel."""
+        """Make the table of a camera; 12 bytes per pixel."""
         directions = pixel_rays(
             intrinsics, left_px=0, top_px=0, width=intrinsics.width, height=intrinsics.height
         )
@@ -188,9 +188,9 @@ class PixelTable:
         )
 
     def window(self, points_camera: Points) -> tuple[slice, slice] | None:
-        """Rows and columns that hold the convex hull of the points; None when it is out of view.
+        """Rows and columns that contain the convex hull of the points; None when it is out of view.
 
-        Directions are compared, not pixels: then no lens bends an edge of the hull out of the window
+        Directions are compared, not pixels, so that no lens bends an edge of the hull out of the window
         or folds a far point into it. A hull that reaches behind the camera gets the whole image.
         """
         ahead = points_camera[:, 2] > NEAREST_M
@@ -207,7 +207,7 @@ class PixelTable:
         return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
 
     def project(self, points_camera: Points) -> Pixels:
-        """Pixels; NaN behind the camera, and where a lens polynomial folds a far point into the image."""
+        """Project to pixels; NaN behind the camera and where a lens polynomial folds far points into view."""
         uv = project(self.intrinsics, points_camera)
         if self.intrinsics.distortion:
             inside = np.flatnonzero(inside_image(self.intrinsics, uv))

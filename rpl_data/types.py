@@ -1,6 +1,6 @@
-"""The nouns of rpl_data: what stages take and return.
+"""The data types of rpl_data: what stages take and return.
 
-Every stage takes and returns the frozen dataclasses below; every one of them is also a file that
+Every stage takes and returns the frozen dataclasses below; each of them is also a file that
 `workspace.py` knows how to read and write. Conventions (frames, pixels, units) are in `geometry.py`.
 
 Missing is absent, ``None`` or, in a row of an array that is otherwise numbers, NaN; never -1 or 0.
@@ -16,6 +16,8 @@ from typing import Literal, TypedDict
 import numpy as np
 from jaxtyping import Float32, Float64, Int64, UInt8, UInt16
 
+from rpl_data.wording import counted
+
 DepthImage = Float32[np.ndarray, "height width"]
 """Metres along the optical axis; 0 = no depth."""
 ColorImage = UInt8[np.ndarray, "height width 3"]
@@ -25,7 +27,7 @@ GreyImage = UInt8[np.ndarray, "rows columns"]
 
 
 class DataError(ValueError):
-    """Something the user can mend.
+    """An error that the user can mend.
 
     The message says what is wrong, where, what was expected, what was found and what to do.
     """
@@ -61,7 +63,7 @@ class Frame:
     """One colour image and its depth image, as files.
 
     Attributes:
-        index: number in the recording: that of its files where they have one, else the position from 0;
+        index: number in the recording: that of its files if they have one, else the position from 0;
             frames that were left out keep their number.
         timestamp_s: time of the colour image.
         color: path of the colour image.
@@ -76,10 +78,10 @@ class Frame:
 
 @dataclass(frozen=True)
 class DepthWarp:
-    """Where the pixels of a depth image lie on the colour image, when they were not registered.
+    """Map from a depth image that was not registered to the pixels of the colour image.
 
-    About the middle m of the image: colour pixel = m + zoom * (depth pixel - m) + shift. The shift of two
-    cameras beside one another depends on the distance; this is right at one distance.
+    With the centre m of the image: colour pixel = m + zoom * (depth pixel - m) + shift. The shift of two
+    cameras side by side depends on the distance, so this is right at one distance only.
     """
 
     zoom: float = 1.0
@@ -88,15 +90,15 @@ class DepthWarp:
 
 @dataclass(frozen=True)
 class Scene:
-    """One RGB-D video (the paper's U_s), its pixels left where they are.
+    """One RGB-D video (the paper's U_s); its images stay in their files.
 
     Attributes:
         name: unique in a workspace; a folder name.
         metres_per_unit: ``depth_m = raw * metres_per_unit``.
-        registered: depth pixels lie on the colour pixels; labelling refuses a scene where not.
+        registered: whether depth pixels coincide with colour pixels; labelling refuses other scenes.
         no_depth_units: raw depth values that mean "no depth", besides 0.
-        depth_warp: puts depth images on the colour images while they are read; None = they are there.
-        source: what this was read from, for the report.
+        depth_warp: maps depth images to the colour images while they are read; None = not needed.
+        source: what the scene was read from, for the report.
     """
 
     name: str
@@ -109,12 +111,12 @@ class Scene:
     depth_warp: DepthWarp | None = None
 
     def frame(self, index: int) -> Frame:
-        """The frame with that index in the recording; DataError when the scene has none."""
+        """The frame with this index in the recording; DataError when the scene has none."""
         for candidate in self.frames:
             if candidate.index == index:
                 return candidate
         raise DataError(
-            f"scene {self.name} has no frame {index}: it has {len(self.frames)} frames, "
+            f"scene {self.name} has no frame {index}: it has {counted(len(self.frames), 'frame')}, "
             f"{self.frames[0].index} to {self.frames[-1].index}; frames without colour, depth or "
             "pose are left out when a recording is read"
         )
@@ -126,14 +128,14 @@ class Trajectory:
 
     Attributes:
         frames: `Frame.index` of each row.
-        scene_from_camera: one rigid transform a row, metres.
+        scene_from_camera: one rigid transform per row, metres.
     """
 
     frames: Int64[np.ndarray, " n"]
     scene_from_camera: Float64[np.ndarray, "n 4 4"]
 
     def at(self, frame: int) -> Float64[np.ndarray, "4 4"]:
-        """`scene_from_camera` of the frame with that index; DataError when it has no pose."""
+        """`scene_from_camera` of the frame with this index; DataError when it has no pose."""
         row = int(np.searchsorted(self.frames, frame))
         if row == len(self.frames) or self.frames[row] != frame:
             raise DataError(f"the trajectory has no pose for frame {frame}; choose another frame")
@@ -146,11 +148,11 @@ class Recording:
     """What a reader returns: a scene, the trajectory it came with, and what was left out.
 
     Attributes:
-        trajectory: None when the recording holds no poses (it must be tracked first).
-        skipped: one line for every group of frames left out, with the count and the reason.
-        notes: what was assumed (the depth scale of a format that does not state it, say).
-        true_poses: camera_from_object by object name and `Frame.index`, where a dataset comes with them: the
-            truth for evaluation. No stage that labels is given it.
+        trajectory: None when the recording has no poses (the camera must be tracked first).
+        skipped: one line per reason for which frames were left out, with their number.
+        notes: what was assumed, for example the depth unit of a format that does not state it.
+        true_poses: camera_from_object by object name and `Frame.index`, where a dataset provides it: the
+            truth for evaluation. No labelling stage receives it.
     """
 
     scene: Scene
@@ -163,7 +165,7 @@ class Recording:
 
 @dataclass(frozen=True)
 class Click:
-    """A person marked keypoint number `keypoint` of `object` at (u_px, v_px) of a frame."""
+    """A mark that a person set: keypoint number `keypoint` of `object`, at (u_px, v_px) of a frame."""
 
     object: str
     keypoint: int
@@ -175,15 +177,15 @@ class Click:
 
 @dataclass(frozen=True)
 class Observation:
-    """A click lifted to space: a ray, and the depths the sensor saw around it.
+    """A click lifted to 3D: a ray, and the depths that the sensor measured around it.
 
     Attributes:
         ray_camera: direction of the ray with z = 1, lens distortion removed; a point on it at
             depth d is ``d * ray_camera`` in the camera frame.
         scene_from_camera: pose of the clicked frame.
-        depths_m: candidate depths of the neighbourhood, nearest surface first; may be empty.
-        depth_sigmas_m: standard deviation of each candidate as the depth of the clicked point.
-        pixel_rad: angle of one pixel there, 1 / focal length.
+        depths_m: candidate depths from the neighbourhood, nearest surface first; may be empty.
+        depth_sigmas_m: standard deviation of each candidate, as the depth of the clicked point.
+        pixel_rad: angle of one pixel, 1 / focal length.
     """
 
     click: Click
@@ -201,7 +203,7 @@ class KeypointModel:
     Attributes:
         name: the object's name.
         keypoints: names, in order.
-        points_object: a row a keypoint, metres, object frame; NaN where it was never clicked.
+        points_object: one row per keypoint, metres, object frame; NaN where it was never clicked.
         skeleton: pairs of keypoint numbers to draw a line between.
     """
 
@@ -218,8 +220,8 @@ class KeypointModel:
 
 
 DepthState = Literal["agrees", "other surface", "rejected", "none"]
-"""What became of a click's depth: the candidate at the click agrees; another candidate of the
-neighbourhood was taken; none of the candidates fits; there was no candidate."""
+"""What was decided about a click's depth: the candidate at the click agrees; another candidate of the
+neighbourhood was chosen; none of the candidates fits; there was no candidate."""
 
 
 @dataclass(frozen=True)
@@ -229,9 +231,9 @@ class ClickResidual:
     Attributes:
         error_px: distance of the click from the projected keypoint.
         error_m: distance of the keypoint from the lifted click; None when no depth was used.
-        depth_m: the depth that was decided on; None where none of the candidates fits.
-        outlier: the click itself (not only its depth) is wrong.
-        reason: one line for a person, also for a click that may be the wrong one of several; empty when all
+        depth_m: the chosen depth; None where none of the candidates fits.
+        outlier: whether the click itself, not only its depth, is wrong.
+        reason: one line for the user, also for a click that may be the wrong one of several; empty when all
             is well.
     """
 
@@ -293,18 +295,18 @@ class NextClick:
 
 @dataclass(frozen=True)
 class Solution:
-    """The answer to Eq. 2: the sparse model and where the object stands in every scene.
+    """The solution of Eq. 2: the sparse model and the object's pose in every scene.
 
     Attributes:
         model: the sparse model in the object frame (centroid of the keypoints, axes of the first
             scene).
-        covariance: a 3x3 matrix a keypoint, m^2, object frame; NaN where never clicked.
-        scene_from_object: one rigid transform a scene, by scene name. The paper's T_s.
-        residuals: one a click, in the order of the clicks.
-        warnings: lines for a person.
+        covariance: one 3x3 covariance per keypoint, in m^2, in the object frame; NaN where never clicked.
+        scene_from_object: one rigid transform per scene, by scene name. The paper's T_s.
+        residuals: one per click, in the order of the clicks.
+        warnings: lines for the user.
         statements: which clicks contradict the others or are checked by none, the worst first.
-        expected_mm: by scene, how far off its keypoints should be in space (root mean square over the
-            keypoints; from the clicks' noise and geometry alone, so not from what they have in common).
+        expected_mm: by scene, the expected error of its keypoints in space (root mean square over the
+            keypoints; from the clicks' noise and geometry alone, so without what their errors share).
         next_clicks: further clicks in frames that have some, the most useful first.
     """
 
@@ -320,7 +322,7 @@ class Solution:
 
 @dataclass(frozen=True)
 class Mesh:
-    """Triangles, counter-clockwise from outside; metres.
+    """Triangles, counter-clockwise seen from outside; metres.
 
     Attributes:
         colors: RGB of every vertex; None when unknown.
@@ -370,12 +372,13 @@ class InstanceLabel:
             no position or lies behind the camera.
         visibility: COCO's v of each keypoint: 0 not labelled, 1 hidden, 2 seen.
         sigma_px: standard deviation of each projected keypoint; NaN where v = 0.
-        box: of the visible mask; None when nothing is visible.
-        box_full: of the full mask, clipped to the image.
-        mask: visible pixels. mask_full: all pixels the object would cover if nothing hid it.
+        box: box of the visible mask; None when nothing is visible.
+        box_full: box of the full mask, clipped to the image.
+        mask: visible pixels.
+        mask_full: all pixels that the object would cover if nothing hid it.
         visib_fract: visible share of the full mask's pixels.
-        truncated: the object reaches beyond the image.
-        quality: 0 (bad) to 1 (depth agrees with the model everywhere it was measured).
+        truncated: whether the object extends beyond the image.
+        quality: 0 (bad) to 1 (depth agrees with the model wherever it was measured).
     """
 
     object: str
@@ -395,7 +398,7 @@ class InstanceLabel:
 
 @dataclass(frozen=True)
 class FrameLabel:
-    """All objects of one frame; objects that are not in the image have no instance."""
+    """The labels of one frame; objects that are not in the image have no instance."""
 
     scene: str
     frame: int
@@ -405,17 +408,17 @@ class FrameLabel:
 
 @dataclass(frozen=True)
 class QualityRow:
-    """How good an object's model and labels are against truth: a row of the printed table.
+    """Errors of an object's model and labels relative to the truth: one row of the printed table.
 
     NaN where nothing could be measured. 2D errors are means over the labelled keypoints of a frame;
     mean, median and 95th percentile are over frames, as the means and the worst of the IoU are.
 
     Attributes:
-        keypoints_known: keypoints with a position, of `keypoints`.
+        keypoints_known: how many of the `keypoints` have a position.
         position_mm, rotation_deg: mean pose error after the one rigid alignment of the two models.
-        frames: frames with a label and truth, of `truth_frames`.
-        missed: frames that were labelled without this object though truth has it.
-        invented: frames that were labelled with this object though truth does not have it.
+        frames: how many of the `truth_frames` have a label.
+        missed: labelled frames without this object although the truth has it.
+        invented: labelled frames with this object although the truth does not have it.
     """
 
     object: str

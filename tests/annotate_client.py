@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from fastapi.testclient import TestClient
 
-from rpl_data.annotate import Place
+from rpl_data.annotate import Address
 from rpl_data.annotate.server import make_app
 from rpl_data.annotate.session import Session
-from rpl_data.cli.annotate import place_of, work_of
+from rpl_data.cli.annotate import address_of, work_of
 from rpl_data.workspace.workspace import Workspace
 
 HERE = "http://127.0.0.1:8017"
@@ -20,9 +20,9 @@ HERE = "http://127.0.0.1:8017"
 OBJECT = "/api/objects/carton"
 
 
-def client_of(root: Path, place: Place | None = None) -> TestClient:
+def client_of(root: Path, address: Address | None = None) -> TestClient:
     workspace = Workspace(root)
-    app = make_app(Session(workspace, work_of(workspace)), place or place_of("127.0.0.1", 8017))
+    app = make_app(Session(workspace, work_of(workspace)), address or address_of("127.0.0.1", 8017))
     return TestClient(app, base_url=HERE, raise_server_exceptions=False)
 
 
@@ -35,8 +35,8 @@ def act(client: TestClient, *actions: dict[str, Any], seen: int | None = None, s
 
 
 def click(keypoint: int, u_px: float, v_px: float, *, scene: str = "00", frame: int = 0, **more: Any) -> Any:
-    place = {"keypoint": keypoint, "scene": scene, "frame": frame}
-    return {"op": "click", **place, "u_px": u_px, "v_px": v_px, **more}
+    where = {"keypoint": keypoint, "scene": scene, "frame": frame}
+    return {"op": "click", **where, "u_px": u_px, "v_px": v_px, **more}
 
 
 def marks(state: Any) -> dict[tuple[int, str, int], tuple[float, float]]:

@@ -10,8 +10,10 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 LAYERS = [
+    {"wording"},
     {"types"},
-    {"files", "geometry", "json_arrays"},
+    {"child", "files", "geometry", "json_arrays"},
+    {"ply"},
     {"images", "meshes", "raycast", "overlay", "drift"},
     {"formats", "clicks", "pose", "reconstruct", "workspace"},
     {"capture", "solve", "refine", "segment", "label", "export", "torch"},
@@ -27,7 +29,7 @@ WITHIN_A_LAYER = {("clicks", "workspace"), ("workspace", "clicks")}
 
 LEARNING = {
     "rpl_data.files", "rpl_data.formats.datasets", "rpl_data.geometry", "rpl_data.images",
-    "rpl_data.json_arrays",
+    "rpl_data.json_arrays", "rpl_data.meshes",
     "rpl_data.pose", "rpl_data.torch", "rpl_data.types",
 }  # fmt: skip
 """What rpl_data.torch and training may know: a trained pipeline does not depend on the labelling tool."""

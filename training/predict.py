@@ -1,8 +1,9 @@
-"""Poses of objects in images nobody labelled: `python -m training.predict --help`."""
+"""Estimate poses of objects in images that nobody labelled: `python -m training.predict --help`."""
 
 from __future__ import annotations
 
 import sys
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 SUFFIXES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp"}
 
 SURE = 0.5
-"""Confidence of a keypoint that is proposed as a click."""
+"""Least confidence of a keypoint that is proposed as a click."""
 
 
 def predict(
@@ -27,47 +28,52 @@ def predict(
     distortion: list[float] = [],  # noqa: B006
     depth: Path | None = None,
     metres_per_unit: float = 0.001,
-    out: Path = Path("predictions"),
+    out: Path = Path("runs/predicted_poses"),
     overlays: bool = True,
     clicks: Path | None = None,
     method: Method = "consensus",
+    threads: int | None = None,
 ) -> None:
-    """Poses of the objects in an image or in all images of a folder.
+    """Estimate the poses of the objects in an image, or in all images of a folder.
 
-    For example: IMAGES --keypoints '[drill/last.ckpt, carton/last.ckpt]' --detector detector/last.ckpt
-    --camera '[615, 615, 320, 240]'. Writes poses.json (an entry an image: every object's camera_from_object
-    or why there is none, keypoints, confidences) and, in overlays/, the images with what was found drawn on
-    them.
+    For example: predict photos --keypoints '[drill/last.ckpt, carton/last.ckpt]' --detector
+    detector/last.ckpt --camera '[615, 615, 320, 240]'. Writes poses.json (one entry per image: for every
+    object camera_from_object or why there is none, keypoints, confidences) and, in overlays/, the images with
+    what was found drawn on them. Images that cannot be read are left out and counted.
 
     Args:
         images: an image, or a folder; folders in it are looked into.
-        keypoints: checkpoints of train_keypoints, one an object.
+        keypoints: checkpoints of train_keypoints, one per object.
         detector: checkpoint of train_detector.
         camera: fx, fy, cx, cy in pixels; the centre of the top-left pixel is 0, 0.
         distortion: OpenCV's coefficients, when the lens has any.
-        depth: folder of depth images (16-bit PNG) registered to the images and named like them; poses then
+        depth: folder of depth images (16-bit PNG) registered to the images and named like them. Poses then
             use the depth at the keypoints too.
-        metres_per_unit: of the depth images.
-        out: folder.
+        metres_per_unit: of the depth images; 0.001 for millimetres.
+        out: folder for everything that is written.
         overlays: write pictures too.
-        clicks: a CSV file for sure keypoints of objects that have a pose, as click proposals for
-            `rpl clicks import --proposed true`; an image's folder is its scene, its name its frame's number.
+        clicks: a CSV file for the confident keypoints of objects that have a pose, as click proposals for
+            `rpl clicks import --proposed true`. An image's folder is its scene, its name its frame's number.
         method: of PnP.
+        threads: processor threads of torch; None leaves the number to torch.
     """
     from rpl_data.files import write_json, write_text
     from rpl_data.torch.images import read_image
     from training.pose.pipeline import load_pipeline
+    from training.runs.program import say_left_out, use_threads
 
+    use_threads(threads)
     files = images_of(images)
     pipeline = load_pipeline(keypoints, detector)
-    entries, proposals, unreadable = [], [], 0
+    entries: list[dict[str, Any]] = []
+    proposals: list[Click] = []
+    unreadable: Counter[str] = Counter()
     for file in files:
         try:
             image = read_image(str(file))
             depth_m = _depth_m(depth, file, images, metres_per_unit, image)
         except DataError as error:
-            print(f"left out: {error}", file=sys.stderr)
-            unreadable += 1
+            unreadable[str(error)] += 1
             continue
         intrinsics = _intrinsics(camera, distortion, image)
         found = [
@@ -78,18 +84,19 @@ def predict(
         if clicks is not None:
             proposals += list(proposed(file, found))
         if overlays:
-            _write_overlay(
-                out / "overlays" / _below(file, images, ".jpg"), image, found, pipeline, intrinsics
-            )
+            place = out / "overlays" / _below(file, images, ".jpg")
+            _write_overlay(place, image, found, pipeline, intrinsics)
     write_json(out / "poses.json", entries)
     if clicks is not None:
         write_text(clicks, clicks_csv(proposals, pipeline))
-    with_pose = sum(entry["camera_from_object"] is not None for e in entries for entry in e["objects"])
-    seen_count = sum(len(entry["objects"]) for entry in entries)
-    print(
-        f"{out / 'poses.json'}: {len(entries)} images ({unreadable} unreadable), {seen_count} objects, "
-        f"{with_pose} with a pose"
-    )
+    print(f"{out / 'poses.json'}: {_counted(entries)}")
+    say_left_out(unreadable)
+
+
+def _counted(entries: Sequence[dict[str, Any]]) -> str:
+    objects = [each for entry in entries for each in entry["objects"]]
+    with_pose = sum(each["camera_from_object"] is not None for each in objects)
+    return f"{len(entries)} images, {len(objects)} objects, {with_pose} of them with a pose"
 
 
 def images_of(place: Path) -> list[Path]:
@@ -136,16 +143,26 @@ def clicks_csv(clicks: Sequence[Click], pipeline: PosePipeline) -> str:
 
 
 def _entry(seen: SeenKeypoints, result: PoseEstimate | PoseFailure) -> dict[str, Any]:
-    """An object of an image, JSON-ready; matrices row-major, metres."""
-    solved = isinstance(result, PoseEstimate)
+    """One object of an image, ready for JSON; matrices are row-major, in metres."""
+    if isinstance(result, PoseFailure):
+        pose: dict[str, Any] = {
+            "camera_from_object": None,
+            "covariance": None,
+            "used_keypoints": [],
+            "failure": result.reason,
+        }
+    else:
+        pose = {
+            "camera_from_object": result.camera_from_object.ravel().tolist(),
+            "covariance": result.covariance.ravel().tolist(),
+            "used_keypoints": result.keypoints.tolist(),
+            "failure": None,
+        }
     return {
         "object": seen.object,
         "score": seen.score,
         "square_box": seen.square_px.tolist(),
-        "camera_from_object": result.camera_from_object.ravel().tolist() if solved else None,
-        "covariance": result.covariance.ravel().tolist() if solved else None,
-        "used_keypoints": result.keypoints.tolist() if solved else [],
-        "failure": None if solved else result.reason,
+        **pose,
         "keypoints_px": seen.positions_px.tolist(),
         "confidence": seen.confidence.tolist(),
     }

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import sys
-import time
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rpl_data.torch.transforms import Augmentation
-from rpl_data.types import DataError
-from training.runs.options import DetectorNetwork, Learning, Machine
+from training.runs.options import DetectorNetwork, Learning, Machine, Run
 
 if TYPE_CHECKING:
     from rpl_data.torch.detection import DetectionDataset
@@ -27,86 +26,64 @@ def train_detector(
     validate_every: int = 1,
     seed: int = 0,
     resume: bool = False,
+    overwrite: bool = False,
+    until: int | None = None,
 ) -> Path:
     """Train one detector on all objects; the path of its last checkpoint comes back.
 
-    Presets: --config training/configs/detector_paper.yaml (a GPU) or detector_cpu.yaml (minutes on a CPU);
-    any option after it wins. Writes last.ckpt, best.ckpt, metrics.csv and TensorBoard's events.
+    Presets: --config training/configs/detector_paper.yaml (for a GPU) or detector_cpu.yaml (minutes on a
+    CPU); options after it win. For example: train_detector my-workspace/export/coco --config
+    training/configs/detector_cpu.yaml. Writes last.ckpt after every epoch, best.ckpt (the highest val_found),
+    and CSV and TensorBoard logs.
 
     Args:
-        coco: folder of `rpl export`: export/coco, or export/coco_truth for true labels.
+        coco: folder that `rpl export` wrote: export/coco, or export/coco_truth for true labels.
         out: folder of the run.
-        network: which, and how large.
-        learning: how long, how fast.
-        augment: shift (a share of the width), zoom and colours; rotation_deg must be 0.
-        machine: device, precision, processes.
-        validate_every: epochs.
-        seed: of everything drawn at random.
-        resume: go on from last.ckpt of `out`.
+        network: which detector, and how large.
+        learning: how long and how fast it is trained.
+        augment: shift (a share of the image's width), scale and colours; rotation_deg must be 0.
+        machine: the hardware.
+        validate_every: epochs from one validation to the next; 0 never validates.
+        seed: of everything that is drawn at random.
+        resume: go on with the run in `out`, after its last finished epoch.
+        overwrite: delete the run in `out` and start anew.
+        until: stop after this epoch; the learning rate still follows learning.epochs.
     """
-    import torch
-    from pytorch_lightning import seed_everything
-
     from rpl_data.torch.detection import DetectionDataset
+    from rpl_data.torch.readable import collate_readable_lists
     from training.detection.module import load_detector, untrained_detector
-    from training.runs.trainer import trainer_of
+    from training.runs.folder import check_same_network
+    from training.runs.trainer import Lesson, fit, say, start
 
-    if machine.threads is not None:
-        torch.set_num_threads(machine.threads)
-    seed_everything(seed, workers=True, verbose=False)
+    run = Run(out, learning, machine, validate_every, seed, resume, overwrite, until)
+    resumed = start(run)
     train = DetectionDataset(coco / "train.json", width_px=network.width_px, augment=augment)
+    val = _validation(coco / "val.json", network)
     module = untrained_detector(train.names, network, learning)
-    last = out / "last.ckpt"
-    going_on = resume and last.exists()
-    if going_on and (load_detector(last).names, load_detector(last).options) != (module.names, network):
-        raise DataError(f"{last} is of other objects or another network; train into another folder")
-    val = _loaders(coco / "val.json", network, learning, machine)
-    trainer = trainer_of(
-        out,
-        epochs=learning.epochs,
-        machine=machine,
-        validate_every=validate_every,
-        monitor="val_found" if val else None,
-    )
-    print(f"{', '.join(train.names[1:])}: {len(train)} images to train")
-    started = time.process_time()
-    trainer.fit(
+    if resumed is not None:
+        trained = load_detector(resumed)
+        check_same_network(resumed, (trained.names, trained.options), (module.names, network))
+    say(f"{', '.join(train.names[1:])}: {len(train)} images to train on, {len(val or [])} to validate on")
+    lesson = Lesson(
         module,
-        _loader(train, learning, machine, shuffle=True),
-        val or None,
-        ckpt_path=str(last) if going_on else None,
-        weights_only=True,
+        module.unreadable,
+        train,
+        val,
+        collate=collate_readable_lists,
+        monitor="val_found",
+        settings={"augment": asdict(augment)},
     )
-    print(f"{last}: {time.process_time() - started:.0f} s of CPU time")
-    for message, count in sorted(module.unreadable.items()):
-        print(f"left out {count} times: {message}")
-    return last
+    return fit(lesson, run, resumed=resumed)
 
 
-def _loaders(coco_json: Path, network: DetectorNetwork, learning: Learning, machine: Machine) -> list[Any]:
-    """The validation set's loader; none where there is nothing to validate on."""
+def _validation(coco_json: Path, network: DetectorNetwork) -> DetectionDataset | None:
+    """None where there is nothing to validate on."""
     from rpl_data.formats.datasets.coco import read_coco
     from rpl_data.torch.detection import DetectionDataset
 
     if not coco_json.exists() or not read_coco(coco_json)["images"]:
-        return []
-    return [_loader(DetectionDataset(coco_json, width_px=network.width_px), learning, machine, shuffle=False)]
-
-
-def _loader(dataset: DetectionDataset, learning: Learning, machine: Machine, *, shuffle: bool) -> Any:
-    from torch.utils.data import DataLoader
-
-    from rpl_data.torch.readable import Readable
-    from training.detection.module import collate_detection
-
-    return DataLoader(
-        Readable(dataset),
-        batch_size=learning.batch,
-        shuffle=shuffle,
-        num_workers=machine.workers,
-        persistent_workers=machine.workers > 0,
-        collate_fn=collate_detection,
-    )
+        return None
+    return DetectionDataset(coco_json, width_px=network.width_px)
 
 
 if __name__ == "__main__":

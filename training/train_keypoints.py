@@ -1,15 +1,14 @@
-"""Train one object's stacked hourglass: `python -m training.train_keypoints --help`."""
+"""Train the hourglass of one object: `python -m training.train_keypoints --help`."""
 
 from __future__ import annotations
 
 import sys
-import time
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rpl_data.torch.transforms import Augmentation
-from rpl_data.types import DataError
-from training.runs.options import Learning, Machine, Network
+from training.runs.options import Learning, Machine, Network, Run
 
 if TYPE_CHECKING:
     from training.keypoints.module import KeypointTraining
@@ -27,77 +26,72 @@ def train_keypoints(
     validate_every: int = 1,
     seed: int = 0,
     resume: bool = False,
+    overwrite: bool = False,
+    until: int | None = None,
 ) -> Path:
     """Train an hourglass on one object; the path of its last checkpoint comes back.
 
-    Presets: --config training/configs/keypoints_paper.yaml (a GPU) or keypoints_cpu.yaml (minutes on a
-    CPU); any option after it wins. Writes last.ckpt, best.ckpt, metrics.csv and TensorBoard's events.
+    Presets: --config training/configs/keypoints_paper.yaml (for a GPU) or keypoints_cpu.yaml (minutes on a
+    CPU); options after it win. For example: train_keypoints my-workspace/export/coco --object cube --config
+    training/configs/keypoints_cpu.yaml. Writes last.ckpt after every epoch, best.ckpt (the highest val_pck),
+    and CSV and TensorBoard logs.
 
     Args:
-        coco: folder of `rpl export`: export/coco, or export/coco_truth for true labels.
-        object: its name; may be left out when the dataset has one object.
+        coco: folder that `rpl export` wrote: export/coco, or export/coco_truth for true labels.
+        object: name of the object; may be left out when the dataset has one object.
         out: folder of the run.
-        network: its size, its input, its loss.
-        learning: how long, how fast.
+        network: size of the network, its input and its loss.
+        learning: how long and how fast it is trained.
         augment: how far training crops may stray from the box.
-        machine: device, precision, processes.
+        machine: the hardware.
         cache: keep the decoded pixels around the boxes in memory.
-        validate_every: epochs.
-        seed: of everything drawn at random.
-        resume: go on from last.ckpt of `out`.
+        validate_every: epochs from one validation to the next; 0 never validates.
+        seed: of everything that is drawn at random.
+        resume: go on with the run in `out`, after its last finished epoch.
+        overwrite: delete the run in `out` and start anew.
+        until: stop after this epoch; the learning rate still follows learning.epochs.
     """
-    import torch
-    from pytorch_lightning import seed_everything
-
     from rpl_data.torch.datamodule import KeypointDataModule
+    from rpl_data.torch.readable import collate_readable
     from training.keypoints.module import untrained
-    from training.runs.trainer import trainer_of
+    from training.runs.trainer import Lesson, fit, say, start
 
-    if machine.threads is not None:
-        torch.set_num_threads(machine.threads)
-    seed_everything(seed, workers=True, verbose=False)
+    run = Run(out, learning, machine, validate_every, seed, resume, overwrite, until)
+    resumed = start(run)
     data = KeypointDataModule(
         coco,
         object=object,
         input_px=network.input_px,
         heatmap_px=network.heatmap_px,
         sigma_px=network.sigma_px,
-        batch=learning.batch,
         augment=augment,
-        workers=machine.workers,
         cache=cache,
     )
     module = untrained(data.train.model, network, learning)
-    last = out / "last.ckpt"
-    if resume and last.exists():
-        check_resumable(last, module)
-    trainer = trainer_of(
-        out,
-        epochs=learning.epochs,
-        machine=machine,
-        validate_every=validate_every,
-        monitor="val_pck" if data.val is not None else None,
+    if resumed is not None:
+        check_resumable(resumed, module)
+    name = data.train.model.name
+    say(f"{name}: {len(data.train)} instances to train on, {len(data.val or [])} to validate on")
+    lesson = Lesson(
+        module,
+        module.unreadable,
+        data.train,
+        data.val,
+        collate=collate_readable,
+        monitor="val_pck",
+        settings={"augment": asdict(augment)},
     )
-    print(f"{data.train.model.name}: {len(data.train)} instances to train, {len(data.val or [])} to validate")
-    started = time.process_time()
-    trainer.fit(module, data, ckpt_path=str(last) if resume and last.exists() else None, weights_only=True)
-    print(f"{last}: {time.process_time() - started:.0f} s of CPU time")
-    for message, count in sorted(module.unreadable.items()):
-        print(f"left out {count} times: {message}")
-    return last
+    return fit(lesson, run, resumed=resumed)
 
 
 def check_resumable(checkpoint: Path, module: KeypointTraining) -> None:
-    """DataError unless the checkpoint is of the same object and network."""
+    """Refuse a checkpoint of another object or network with a DataError."""
     from training.keypoints.module import check_same_object, load_keypoints
+    from training.runs.folder import check_same_network
 
     trained = load_keypoints(checkpoint)
     check_same_object(trained, module.model, source=str(checkpoint))
-    if trained.options != module.options:
-        raise DataError(
-            f"{checkpoint} is of a network {trained.options}, asked for is {module.options}; resume with the "
-            "options it was started with, or train into another folder"
-        )
+    check_same_network(checkpoint, trained.options, module.options)
 
 
 if __name__ == "__main__":

@@ -1,40 +1,109 @@
-"""Train Mask R-CNN on an exported dataset: `python -m training.train_masks --help`."""
+"""Train Mask R-CNN on all objects of a dataset: `python -m training.train_masks --help`."""
 
 from __future__ import annotations
 
-import logging
 import sys
+from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import torch
+from rpl_data.torch.transforms import Augmentation
+from training.masks.settings import AUGMENT, LEARNING, MACHINE, OLD_NAMES, MaskSettings
+from training.runs.options import Learning, Machine, MaskNetwork, Run
 
-from training.masks.module import train
-from training.masks.settings import Settings
+if TYPE_CHECKING:
+    from rpl_data.torch.instances import InstanceDataset
+    from training.masks.module import MaskTraining
 
 
 def train_masks(
-    settings: Settings,
-    data: Path,
+    coco: Path,
     out: Path = Path("runs/masks"),
-    threads: int | None = None,
-) -> None:
-    """Train Mask R-CNN; interrupt it whenever you like and run it again: it goes on after its last epoch.
+    network: MaskNetwork = MaskNetwork(),  # noqa: B008 (frozen)
+    learning: Learning = LEARNING,
+    augment: Augmentation = AUGMENT,
+    machine: Machine = MACHINE,
+    weights: str = "imagenet",
+    head_epochs: int = 20,
+    validate_every: int = 1,
+    seed: int = 0,
+    resume: bool = False,
+    overwrite: bool = False,
+    until: int | None = None,
+) -> Path:
+    """Train Mask R-CNN on all objects; the path of its last checkpoint comes back.
+
+    Presets: --config training/configs/masks_paper.yaml (for a GPU) or masks_cpu.yaml (small, on a CPU);
+    options after it win. For example: train_masks my-workspace/export/coco --config
+    training/configs/masks_cpu.yaml. Writes last.ckpt after every epoch, best.ckpt (the highest val_iou), and
+    CSV and TensorBoard logs.
 
     Args:
-        settings: training/configs/masks_cpu.yaml and masks_paper.yaml hold them (`--config FILE`).
-        data: folder of train.json, as `rpl export` writes it (export/coco of a workspace).
-        out: folder for the checkpoint and the logs.
-        threads: processor cores to use; as many as there are when left out.
+        coco: folder that `rpl export` wrote: export/coco, or export/coco_truth for true labels.
+        out: folder of the run.
+        network: size of the network.
+        learning: how long and how fast it is trained.
+        augment: how far the square training crops may stray; shift may take them over the image's edge.
+        machine: the hardware.
+        weights: what the training starts from: `scratch`, `imagenet` (torchvision fetches it), or the path of
+            trained weights.
+        head_epochs: how many epochs, from the first one, the ResNet is frozen (the paper's first stage).
+        validate_every: epochs from one validation to the next; 0 never validates.
+        seed: of everything that is drawn at random.
+        resume: go on with the run in `out`, after its last finished epoch.
+        overwrite: delete the run in `out` and start anew.
+        until: stop after this epoch; the learning rate still follows learning.epochs.
     """
-    if threads is not None:
-        torch.set_num_threads(threads)
-    done = train(settings, data, out)
-    share = done.seconds_waiting / done.seconds
-    print(f"{done.checkpoint}: {done.epochs} epochs, {done.seconds:.0f} s, {share:.1%} of it loading images")
+    from rpl_data.torch.readable import collate_readable_lists
+    from training.masks.crops import SquareCrops
+    from training.masks.mask_rcnn import with_norm
+    from training.masks.module import MaskTraining
+    from training.masks.weights import load_weights
+    from training.runs.trainer import Lesson, fit, say, start
+
+    MaskSettings(learning=learning, head_epochs=head_epochs)  # refuses stages that do not fit
+    run = Run(out, learning, machine, validate_every, seed, resume, overwrite, until)
+    resumed = start(run)
+    network = with_norm(network, weights)
+    train, val = SquareCrops(coco / "train.json", network.size_px, augment), _validation(coco / "val.json")
+    module = MaskTraining(train.names, network, learning, head_epochs=head_epochs)
+    if resumed is None:
+        say(load_weights(module.model, network, weights))
+    else:
+        check_resumable(resumed, module)
+    say(f"{', '.join(train.names[1:])}: {len(train)} images to train on, {len(val or [])} to validate on")
+    lesson = Lesson(
+        module,
+        module.unreadable,
+        train,
+        val,
+        collate=collate_readable_lists,
+        monitor="val_iou",
+        settings={"augment": asdict(augment), "weights": weights, "head_epochs": head_epochs},
+        drop_last=len(train) > learning.batch,  # batch norm learns little from a last batch of one image
+        val_batch=1,  # whole images are larger than the training's crops
+    )
+    return fit(lesson, run, resumed=resumed)
+
+
+def _validation(coco_json: Path) -> InstanceDataset | None:
+    """None where there is nothing to validate on."""
+    from rpl_data.torch.instances import InstanceDataset
+
+    dataset = InstanceDataset(coco_json) if coco_json.exists() else None
+    return dataset if dataset is not None and len(dataset) else None
+
+
+def check_resumable(checkpoint: Path, module: MaskTraining) -> None:
+    """Refuse a checkpoint of other classes or another network with a DataError."""
+    from training.masks.weights import load_segmenter
+    from training.runs.folder import check_same_network
+
+    trained = load_segmenter(checkpoint)
+    check_same_network(checkpoint, (trained.names, trained.network), (module.names, module.network))
 
 
 if __name__ == "__main__":
     from training.runs.program import main
 
-    logging.basicConfig(level=logging.INFO, format="%(message)s")
-    sys.exit(main(train_masks))
+    sys.exit(main(train_masks, old_names=OLD_NAMES))

@@ -1,5 +1,5 @@
-"""The annotation page: a person marks keypoints in a browser and sees at once how good the result is."""
+"""The annotation page: mark keypoints in a browser, and see at once how well they fit."""
 
-from rpl_data.annotate.work import Place, Work
+from rpl_data.annotate.work import Address, Work
 
-__all__ = ["Place", "Work"]
+__all__ = ["Address", "Work"]

@@ -1,8 +1,7 @@
-"""Actions of a page: checked before they enter the log, so that the log can always be replayed."""
+"""Check the actions of a page before they enter the log, so that the log can always be replayed."""
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 from rpl_data.annotate.stores.scenes import SceneStore
@@ -11,17 +10,21 @@ from rpl_data.types import Click, DataError
 
 MOST_KEYPOINTS = 200
 MOST_NAME = 40
+MOST_EVENTS = 20_000
+"""In a batch: the clicks of a file."""
 LOCAL = {"click", "move", "delete", "skip", "unskip", "grasp", "crop"}
-"""What stays right when another person did something of the same kind meanwhile."""
+"""Actions that remain valid when another person did something of the same kind meanwhile."""
 
 
 def checked(action: dict[str, Any], annotation: Annotation, scenes: SceneStore) -> Event:
-    """The event of an action, with nothing else in it.
+    """Check an action and return its event, with nothing else in it.
 
     Raises:
-        DataError: it is none, or names a keypoint, scene, frame or pixel that is not there.
+        DataError: it is not an action, or names a keypoint, scene, frame or pixel that does not exist.
     """
     op = action.get("op")
+    if not isinstance(op, str):
+        raise DataError(f"an action has an op, one of {', '.join(OPS)}, undo or redo")
     if op in ("undo", "redo"):
         return {"op": op}
     if op not in OPS:
@@ -33,20 +36,23 @@ def checked(action: dict[str, Any], annotation: Annotation, scenes: SceneStore) 
 
 
 def _click(action: dict[str, Any], annotation: Annotation, scenes: SceneStore) -> Event:
-    place = _delete(action, annotation, scenes)
+    where = _delete(action, annotation, scenes)
     u_px, v_px = _finite(action["u_px"]), _finite(action["v_px"])
     scenes.refuse_outside(
-        Click(annotation.object, place["keypoint"], place["scene"], place["frame"], u_px, v_px)
+        Click(annotation.object, where["keypoint"], where["scene"], where["frame"], u_px, v_px)
     )
-    return {**place, "u_px": u_px, "v_px": v_px}
+    return {**where, "u_px": u_px, "v_px": v_px}
 
 
 def _delete(action: dict[str, Any], annotation: Annotation, scenes: SceneStore) -> Event:
-    return {**_skip(action, annotation, scenes), "frame": int(action["frame"])}
+    return {**_skip(action, annotation, scenes), "frame": _whole(action["frame"])}
 
 
 def _skip(action: dict[str, Any], annotation: Annotation, scenes: SceneStore) -> Event:
-    return {"keypoint": _keypoint(action["keypoint"], annotation), "scene": str(action["scene"])}
+    keypoint, scene = _keypoint(action["keypoint"], annotation), action["scene"]
+    if scene not in {click.scene for click in annotation.clicks}:  # a click may outlive its scene
+        scenes.get(_text(scene))
+    return {"keypoint": keypoint, "scene": scene}
 
 
 def _keypoints(action: dict[str, Any], annotation: Annotation, scenes: SceneStore) -> Event:
@@ -54,7 +60,7 @@ def _keypoints(action: dict[str, Any], annotation: Annotation, scenes: SceneStor
 
 
 def _order(action: dict[str, Any], annotation: Annotation, scenes: SceneStore) -> Event:
-    order = [_keypoint(k, annotation) for k in action["order"]]
+    order = [_keypoint(k, annotation) for k in _list(action["order"], MOST_KEYPOINTS)]
     if not order or len(set(order)) < len(order):
         raise DataError("an order must name at least one keypoint, and none twice")
     return {"order": order}
@@ -63,10 +69,11 @@ def _order(action: dict[str, Any], annotation: Annotation, scenes: SceneStore) -
 def _model(action: dict[str, Any], annotation: Annotation, scenes: SceneStore) -> Event:
     if action["points"] is None:
         return {"points": None}
-    points = [None if p is None else [_finite(x) for x in p] for p in action["points"]]
+    listed = _list(action["points"], MOST_KEYPOINTS)
+    points = [None if p is None else [_finite(x) for x in _list(p, 3)] for p in listed]
     if any(p is not None and len(p) != 3 for p in points):
         raise DataError("a point of a model has three coordinates")
-    return {"points": points, "source": str(action.get("source", ""))[:200]}
+    return {"points": points, "source": _text(action.get("source", ""))[:200]}
 
 
 def _grasp(action: dict[str, Any], annotation: Annotation, scenes: SceneStore) -> Event:
@@ -74,7 +81,7 @@ def _grasp(action: dict[str, Any], annotation: Annotation, scenes: SceneStore) -
     if action["scene"] is None:
         return {"scene": None, "frame": 0, **dict.fromkeys(names, 0.0)}
     values = {name: _finite(action[name]) for name in names}
-    scene, frame = str(action["scene"]), int(action["frame"])
+    scene, frame = _text(action["scene"]), _whole(action["frame"])
     for u, v in (("u_px", "v_px"), ("toward_u_px", "toward_v_px")):
         scenes.refuse_outside(Click(annotation.object, 0, scene, frame, values[u], values[v]))
     return {"scene": scene, "frame": frame, **values}
@@ -83,18 +90,18 @@ def _grasp(action: dict[str, Any], annotation: Annotation, scenes: SceneStore) -
 def _crop(action: dict[str, Any], annotation: Annotation, scenes: SceneStore) -> Event:
     if action["low_m"] is None:
         return {"low_m": None, "high_m": None}
-    low, high = ([_finite(x) for x in action[name]] for name in ("low_m", "high_m"))
+    low, high = ([_finite(x) for x in _list(action[name], 3)] for name in ("low_m", "high_m"))
     if len(low) != 3 or len(high) != 3 or any(a >= b for a, b in zip(low, high, strict=True)):
         raise DataError("a crop box needs three coordinates each way, the low ones below the high ones")
     return {"low_m": low, "high_m": high}
 
 
 def _batch(action: dict[str, Any], annotation: Annotation, scenes: SceneStore) -> Event:
-    """Checked one after another; a list of names counts for what follows it."""
+    """Check the actions one after another; a list of names applies to those after it."""
     events: list[Event] = []
-    for inner in action["events"]:
-        if inner.get("op") in ("undo", "redo", "batch"):
-            raise DataError("a batch holds no undo, redo or batch")
+    for inner in _list(action["events"], MOST_EVENTS):
+        if not isinstance(inner, dict) or inner.get("op") in ("undo", "redo", "batch"):
+            raise DataError("a batch cannot contain undo, redo or another batch")
         event = checked(inner, annotation, scenes)
         if event["op"] == "keypoints":
             annotation = Annotation(annotation.object, tuple(event["names"]), annotation.clicks)
@@ -118,13 +125,13 @@ _CHECKS = {
 
 
 def checked_names(names: Any) -> list[str]:
-    """Names of keypoints, trimmed; DataError when empty, too long, too many or twice the same."""
-    found = [str(name).strip() for name in names]
+    """Trim the names of keypoints; DataError for names that are empty, too long, too many or equal."""
+    found = [_text(name).strip() for name in _list(names, MOST_KEYPOINTS)]
     if not 1 <= len(found) <= MOST_KEYPOINTS:
         raise DataError(f"an object has 1 to {MOST_KEYPOINTS} keypoints, not {len(found)}")
     for name in found:
         if not name or len(name) > MOST_NAME or not name.isprintable():
-            raise DataError(f"{name!r} is no name for a keypoint: 1 to {MOST_NAME} printable characters")
+            raise DataError(f"{name!r} cannot name a keypoint: use 1 to {MOST_NAME} printable characters")
     if len(set(found)) < len(found):
         double = next(name for name in found if found.count(name) > 1)
         raise DataError(f"two keypoints would be called {double!r}; choose another name")
@@ -132,14 +139,36 @@ def checked_names(names: Any) -> list[str]:
 
 
 def _keypoint(value: Any, annotation: Annotation) -> int:
-    number = int(value)
+    number = _whole(value)
     if not 0 <= number < len(annotation.keypoints):
         raise DataError(f"{annotation.object} has no keypoint number {number}; it has fewer now")
     return number
 
 
+def _whole(value: Any) -> int:
+    if not isinstance(value, int) or isinstance(value, bool) or abs(value) >= 2**53:
+        raise DataError(f"{_shown(value)} is not a whole number")
+    return value
+
+
 def _finite(value: Any) -> float:
-    number = float(value)
-    if not math.isfinite(number):
-        raise DataError(f"{value!r} is not a finite number")
-    return number
+    if not isinstance(value, int | float) or isinstance(value, bool) or not abs(value) < 1e15:
+        raise DataError(f"{_shown(value)} is not a finite number")
+    return float(value)
+
+
+def _text(value: Any) -> str:
+    if not isinstance(value, str):
+        raise DataError(f"{_shown(value)} is not a text")
+    return value
+
+
+def _list(value: Any, most: int) -> list[Any]:
+    if not isinstance(value, list | tuple) or len(value) > most:
+        raise DataError(f"{_shown(value)} is not a list of at most {most}")
+    return list(value)
+
+
+def _shown(value: Any) -> str:
+    """A value in a message, short whatever it is."""
+    return f"{value!r:.60}" if isinstance(value, str | float | bool | None) else f"a {type(value).__name__}"

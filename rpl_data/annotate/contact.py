@@ -1,4 +1,4 @@
-"""The contact sheet: the labels drawn on small pictures, to be looked through before they are exported."""
+"""The contact sheet: labels drawn on small pictures, to check them before they are exported."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SCENES_KEPT = 24
 PICTURES_KEPT = 400
 WIDTHS_PX = (160, 320, 640, 1280)
 DRAWN_PX = 640
-"""Drawn at least that wide and then made smaller, so that marks hide little of a small picture."""
+"""Pictures are drawn at least this wide and then shrunk, so that marks hide little of them."""
 FRAME = re.compile(rb'"frame": (\d+)')
 OBJECT = re.compile(rb'"object": "([^"]*)"')
 QUALITY = re.compile(rb'"quality": ([0-9.eE+-]+)')
@@ -25,10 +25,10 @@ QUALITY = re.compile(rb'"quality": ([0-9.eE+-]+)')
 
 @dataclass(frozen=True)
 class Labelled:
-    """A labelled frame in brief.
+    """Summary of a labelled frame.
 
     Attributes:
-        quality: of its worst instance, 0 to 1; None where it shows no object.
+        quality: quality of its worst instance, 0 to 1; None when it shows no object.
     """
 
     frame: int
@@ -37,7 +37,7 @@ class Labelled:
 
 
 class ContactSheet:
-    """Labels of a workspace as small pictures; those asked for last are kept."""
+    """Labels of a workspace as small pictures; the most recent ones are cached."""
 
     def __init__(self, session: Session) -> None:
         self._session, self._workspace = session, session.workspace
@@ -46,18 +46,18 @@ class ContactSheet:
         self._picture = lru_cache(PICTURES_KEPT)(self._draw)
 
     def frames(self, scene: str) -> list[Labelled]:
-        """What is labelled in a scene; nothing where no labels were made."""
+        """List the labelled frames of a scene; empty when no labels were made."""
         stamp = self._stamp(scene)
         if stamp is None:
             return []
-        here = self._session.scenes.get(scene).frames  # a part of a recording that was cut has some of them
+        here = self._session.scenes.get(scene).frames  # a part of a cut recording has only some of them
         return [item for item in self._brief(self._video(scene), stamp) if item.frame in here]
 
     def jpeg(self, scene: str, frame: int, width_px: int) -> bytes:
-        """The frame with its labels; DataError when it has none."""
+        """Draw a frame with its labels as JPEG; DataError when it has none."""
         stamp = self._stamp(scene)
         if stamp is None:
-            raise DataError(f"scene {scene} has no labels; make them first")
+            raise DataError(f"scene {scene} has no labels yet; make them first")
         width = next((w for w in WIDTHS_PX if w >= width_px), WIDTHS_PX[-1])
         return self._picture(scene, frame, width, stamp)
 
@@ -72,7 +72,7 @@ class ContactSheet:
         return self._workspace.parts().video_of(scene)
 
     def _read_brief(self, video: str, stamp: tuple[int, int]) -> list[Labelled]:
-        """One pass over the file that decodes no mask."""
+        """Summarise the frames in one pass over the file, without decoding masks."""
         found = []
         with self._workspace.labels_file(video).open("rb") as file:
             for line in file:

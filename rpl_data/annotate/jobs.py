@@ -1,4 +1,4 @@
-"""Builds started from the page: one at a time, told to every page, stopped when asked."""
+"""Builds started from the page: one at a time, reported to every page, stopped on request."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rpl_data.annotate.work import Tell
 from rpl_data.types import DataError
 
 STAGES = ("segment", "label", "export")
-"""What a person may ask for; what is out of date before it is run as well."""
+"""Stages that can be started; earlier stages that are out of date run as well."""
 TELL_EVERY_S = 0.2
 
 Run = Callable[[str, Tell], list[str]]
@@ -22,18 +22,18 @@ State = Literal["running", "stopping", "done", "failed", "stopped"]
 
 
 class Stopped(Exception):
-    """A person stopped the job."""
+    """The user stopped the job."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """A build, as it stands.
+    """The state of a build.
 
     Attributes:
-        number: counts the jobs of this server.
-        stage: the last stage that was asked for.
-        what: the stage and the scene or object at work; `done` of `total` frames, total 0 = not known.
-        lines: what came out, for a person.
+        number: number of the job on this server.
+        stage: the last stage that was requested.
+        what: the stage and the scene or object being processed; `done` of `total` frames, total 0 = unknown.
+        lines: the results, for the user.
         error: what went wrong and what to do.
     """
 
@@ -49,12 +49,12 @@ class Job:
 
     @property
     def at_work(self) -> bool:
-        """It has not ended."""
+        """Whether it has not ended yet."""
         return self.state in ("running", "stopping")
 
 
 class Jobs:
-    """The job of a workspace: the one at work, or the last one."""
+    """The job of a workspace: the running one, or the last one."""
 
     def __init__(self, run: Run, news: News) -> None:
         self._build, self._news = run, news
@@ -63,20 +63,20 @@ class Jobs:
         self._told_s = 0.0
 
     def now(self) -> Job | None:
-        """The job at work, or how the last one ended."""
+        """The running job, or how the last one ended."""
         return self._job
 
     def start(self, stage: str) -> Job:
-        """Run what is out of date up to a stage, in a thread of its own.
+        """Run what is out of date up to a stage, in its own thread.
 
         Raises:
-            DataError: there is no such stage, or a job is at work already.
+            DataError: there is no such stage, or a job is already running.
         """
         if stage not in STAGES:
             raise DataError(f"there is no job {stage!r}; expected one of {', '.join(STAGES)}")
         with self._lock:
             if self._job is not None and self._job.at_work:
-                raise DataError(f"the job {self._job.stage} is at work; wait for its end, or stop it first")
+                raise DataError(f"the job {self._job.stage} is running; wait until it ends, or stop it first")
             number = 1 if self._job is None else self._job.number + 1
             self._job = Job(number, stage)
         self._tell()
@@ -84,7 +84,7 @@ class Jobs:
         return self._job
 
     def stop(self) -> Job | None:
-        """Ask the job to end; what it finished stays."""
+        """Ask the job to stop; what it finished stays."""
         with self._lock:
             if self._job is not None and self._job.state == "running":
                 self._job = replace(self._job, state="stopping")
@@ -100,9 +100,9 @@ class Jobs:
             self._end(started, state="stopped")
         except DataError as error:
             self._end(started, state="failed", error=str(error))
-        except Exception as error:  # a fault of ours: the page stays, and says where to look
+        except Exception as error:  # a bug: the page stays open and says where to look
             traceback.print_exc()
-            text = f"{type(error).__name__}: {error}; a fault of the program, the terminal shows where"
+            text = f"{type(error).__name__}: {error}; this is a bug, see the terminal for where it occurred"
             self._end(started, state="failed", error=text)
 
     def _progress(self, what: str, done: int, total: int) -> None:

@@ -1,4 +1,4 @@
-"""The result after every click: as much as the clicks tie, and what keeps the rest from it."""
+"""The result after every click: scenes that the clicks tie together, and what the others lack."""
 
 from __future__ import annotations
 
@@ -15,21 +15,22 @@ from rpl_data.clicks.log import Annotation
 from rpl_data.clicks.rigidity import describe_loose, generic_points, loose_scenes
 from rpl_data.geometry import transform
 from rpl_data.types import Click, DataError, Observation, Solution
+from rpl_data.wording import counted
 
 Solve = Callable[[Annotation, Sequence[Observation]], Solution]
 FEWEST = 3
-"""Clicks a scene; fewer tie nothing."""
+"""Keypoints to click per scene; fewer cannot tie it to others."""
 
 
 @dataclass(frozen=True)
 class Live:
-    """What the clicks say now.
+    """The current result of the clicks.
 
     Attributes:
-        solution: of the scenes that are tied; None when there is none yet.
-        loose: what is missing, by scene; scenes without clicks are not in it.
-        problem: why there is no solution of scenes that should be tied; empty when all is well.
-        seconds: what solving took.
+        solution: solution of the scenes that are tied together; None when there is none yet.
+        loose: what each scene lacks, by scene; scenes without clicks are left out.
+        problem: why scenes that should be tied have no solution; empty when all is well.
+        seconds: time that solving took.
     """
 
     solution: Solution | None
@@ -38,7 +39,7 @@ class Live:
     seconds: float = 0.0
 
     def lifted(self, observations: Sequence[Observation]) -> list[tuple[Click, Float64[np.ndarray, "3"]]]:
-        """Clicks of scenes that have no place yet, in the scene frame, at the nearest measured depth."""
+        """Clicks of scenes in which the object has no pose yet, in the scene frame, at the nearest depth."""
         placed = self.solution.scene_from_object if self.solution else {}
         return [
             (o.click, transform(o.scene_from_camera, o.depths_m[0] * o.ray_camera))
@@ -48,16 +49,16 @@ class Live:
 
 
 class Lifter:
-    """Clicks with depth; a click is lifted once."""
+    """Lifts clicks to 3D by their depth; each click is lifted once and cached."""
 
     def __init__(self, scenes: SceneStore) -> None:
         self.scenes = scenes
         self._kept: dict[tuple[str, int, float, float], Observation] = {}
 
     def observations(self, clicks: Sequence[Click]) -> list[Observation]:
-        """One a click, in order."""
+        """Lift the clicks: one observation per click, in order."""
         found = {}
-        for click in sorted(clicks, key=lambda c: (c.scene, c.frame)):  # so that files are read once
+        for click in sorted(clicks, key=lambda c: (c.scene, c.frame)):  # so that each file is read once
             found[self._key(click)] = self._kept.get(self._key(click)) or self._lift(click)
         self._kept = {**found} if len(found) > 5000 else self._kept | found
         return [_of(found[self._key(click)], click) for click in clicks]
@@ -85,7 +86,7 @@ def _of(observation: Observation, click: Click) -> Observation:
 
 
 def solve_live(annotation: Annotation, observations: Sequence[Observation], solve: Solve) -> Live:
-    """Solve the scenes that the clicks tie together; never raises for what more clicks will mend."""
+    """Solve the scenes that the clicks tie together; raises nothing that more clicks would mend."""
     started = time.perf_counter()
     if annotation.known_points is not None:
         return _solve_known(annotation, observations, solve, started)
@@ -109,7 +110,7 @@ def solve_live(annotation: Annotation, observations: Sequence[Observation], solv
 def _solve_known(
     annotation: Annotation, observations: Sequence[Observation], solve: Solve, started: float
 ) -> Live:
-    """With a known model every scene is placed by itself: one that cannot be does not keep others back."""
+    """Place each scene by itself on a known model, so that a scene that fails does not affect others."""
     loose: dict[str, str] = {}
     placed: list[Observation] = []
     for scene in sorted({o.click.scene for o in observations}):
@@ -126,13 +127,13 @@ def _solve_known(
 def tied_scenes(
     keypoints: Sequence[str], observations: Sequence[Observation]
 ) -> tuple[list[str], dict[str, str]]:
-    """Scenes whose pattern of clicks ties them, and what the others lack."""
+    """Return the scenes that the pattern of clicks ties together, and what the others lack."""
     seen: dict[str, set[int]] = {}
     for o in observations:
         seen.setdefault(o.click.scene, set()).add(o.click.keypoint)
     enough = sorted(scene for scene, clicked in seen.items() if len(clicked) >= FEWEST)
     loose = {
-        scene: f"{len(clicked)} of at least {FEWEST} keypoints clicked"
+        scene: f"{counted(len(clicked), 'keypoint')} clicked; at least {FEWEST} are needed"
         for scene, clicked in seen.items()
         if scene not in enough
     }

@@ -1,4 +1,4 @@
-"""The log of one object as the server sees it: revisions, conflicts, and nothing acknowledged unsaved."""
+"""The server's log of one object: revisions and conflicts; nothing is confirmed before it is saved."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from rpl_data.workspace.workspace import Workspace
 
 
 class Conflict(DataError):
-    """Somebody else changed what this action relies on; it was not saved."""
+    """Another page changed what this action relies on, so it was not saved."""
 
 
 class NotSaved(DataError):
-    """The disk did not take the action."""
+    """The action could not be written to disk."""
 
 
 @dataclass(frozen=True)
 class Revision:
-    """The state of a log after so many events.
+    """The state of a log after a number of events.
 
     Attributes:
-        number: events in the log.
-        undo, redo: what the next undo takes back and the next redo brings back; None = nothing.
+        number: number of events in the log.
+        undo, redo: events that the next undo takes back and the next redo restores; None = nothing.
     """
 
     number: int
@@ -48,7 +48,7 @@ class ObjectLog:
         self._current = Revision(0, Annotation(name, (), ()), None, None)
 
     def now(self) -> Revision:
-        """The state of the log on the disk."""
+        """The state of the log on disk."""
         with self._lock:
             stamp = self._stamp_now()
             if stamp != self._stamp:
@@ -57,18 +57,19 @@ class ObjectLog:
             return self._current
 
     def append(self, actions: Sequence[dict[str, object]], *, seen: int) -> Revision:
-        """Save actions of a page that last saw revision `seen`; they are on the disk when this returns.
+        """Save actions of a page that last saw revision `seen`; they are safely on disk on return.
 
-        An action that is in the log already (its answer was lost, so it was sent again) is passed over.
+        An action that is already in the log (its answer was lost, so it was sent again) is skipped.
 
         Raises:
-            Conflict: what they rely on has changed since. NotSaved: the disk refused.
-            DataError: an action that means nothing here.
+            Conflict: what they rely on has changed since.
+            NotSaved: the log could not be written.
+            DataError: an action is not valid here.
         """
         with self._lock:
             before = self.now()
             known = {event["id"] for event in self._events[-500:] if "id" in event}
-            new = [action for action in actions if action.get("id") not in known]
+            new = [action for action in actions if _id_of(action) not in known]
             self._refuse_conflict(new, seen)
             for action in new:
                 self._append_one(action)
@@ -76,8 +77,8 @@ class ObjectLog:
 
     def _append_one(self, action: dict[str, object]) -> None:
         event = checked(action, self.now().annotation, self.scenes)
-        if action.get("id") is not None:
-            event["id"] = str(action["id"])[:60]
+        if (known_as := _id_of(action)) is not None:
+            event["id"] = known_as
         event["time_s"] = round(time.time(), 3)
         replay(self.name, [*self._events, event])  # an event that cannot be replayed never enters
         try:
@@ -88,12 +89,12 @@ class ObjectLog:
         self._stamp = self._stamp_now()
 
     def _refuse_conflict(self, actions: Sequence[dict[str, object]], seen: int) -> None:
-        """Clicks may cross clicks; undo, and what renumbers keypoints, must have seen everything."""
+        """Clicks may overlap with other clicks; undo and renumbering must have seen everything."""
         since = self._events[seen:] if seen <= len(self._events) else [{"op": "?"}]
         both = [event.get("op") for event in (*since, *actions)]
         if since and actions and any(op not in LOCAL for op in both):
             raise Conflict(
-                f"{self.name} was changed elsewhere meanwhile; this was not saved. "
+                f"{self.name} was changed elsewhere in the meantime; this was not saved. "
                 "Look at what is there now, and do it again if you still want it"
             )
 
@@ -113,3 +114,9 @@ class ObjectLog:
         except FileNotFoundError:
             return None
         return status.st_size, status.st_mtime_ns
+
+
+def _id_of(action: dict[str, object]) -> str | None:
+    """What a page calls an action, to know it again; None where it has no name that could be one."""
+    found = action.get("id")
+    return found[:60] if isinstance(found, str) else None

@@ -1,4 +1,4 @@
-"""A model that is there already: its keypoints from a file, or a mesh to pick them on (paper III-F)."""
+"""Load a known model: its keypoints from a file, or a mesh to pick them on (paper, section III-F)."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ MOST_TRIANGLES = 12_000
 def read_known_points(
     file_name: str, content: bytes, annotation: Annotation, *, metres_per_unit: float
 ) -> list[Event]:
-    """The events that give an object the keypoints of a sparse_model.txt or of MeshLab's picked points.
+    """Make the events that give an object the keypoints of a sparse_model.txt or MeshLab's picked points.
 
-    Numbered keypoints keep the names the object has when there are as many.
+    Numbered keypoints keep the object's names when their number is equal.
 
     Raises:
         DataError: the file is broken, or so large that its unit must be another one.
@@ -55,31 +55,32 @@ def read_known_points(
 def keep_mesh(
     workspace: Workspace, object_name: str, file_name: str, content: bytes, *, metres_per_unit: float
 ) -> None:
-    """Keep a mesh that a person has of the object, in metres; DataError when it is none or too large."""
+    """Store the user's mesh of the object, in metres; DataError when it is not a mesh or too large."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"mesh{Path(file_name).suffix.lower()}"
         path.write_bytes(content)
         try:
             mesh = load_mesh(path)
         except DataError as error:
-            raise DataError(f"{file_name} holds no triangles; choose a mesh: {', '.join(MESHES)}") from error
+            why = str(error).replace(str(path), file_name)
+            raise DataError(f"{why}. Choose a mesh: {', '.join(MESHES)}") from error
     vertices = mesh.vertices * metres_per_unit
     refuse_large(vertices, file_name)
     save_mesh(workspace.given_mesh_file(object_name), Mesh(vertices, mesh.triangles, mesh.colors))
 
 
 def refuse_large(points: Points, file_name: str) -> None:
-    """DataError when an object is larger than a room: then it is in millimetres."""
+    """Raise a DataError when an object is larger than a room, since it is then in millimetres."""
     size_m = float(np.ptp(points, axis=0).max()) if len(points) else 0.0
     if size_m > LARGEST_M:
         raise DataError(
             f"the model of {file_name} would be {size_m:.0f} m large; is it in millimetres? "
-            "Load it again with 0.001 metres a unit"
+            "Load it again with 0.001 metres per unit"
         )
 
 
 def given_mesh_payload(workspace: Workspace, object_name: str) -> Json | None:
-    """The mesh to pick on, in its own frame; its corners stay where they are when triangles are saved."""
+    """The mesh to pick keypoints on, in its own frame; simplifying it does not move its corners."""
     path = workspace.given_mesh_file(object_name)
     if not path.exists():
         return None

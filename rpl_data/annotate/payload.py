@@ -1,4 +1,4 @@
-"""What the server tells the page, JSON-ready."""
+"""The data that the server sends to the page, JSON-ready."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from rpl_data.types import ClickResidual, Solution, Statement
 
 
 def scene_payload(posed: PosedScene) -> Json:
-    """A scene without its frames."""
+    """Describe a scene without its frames."""
     camera = posed.scene.intrinsics
     return {
         "name": posed.scene.name,
@@ -35,7 +35,7 @@ def scene_payload(posed: PosedScene) -> Json:
 
 
 def object_payload(revision: Revision) -> Json:
-    """The state of an object's log."""
+    """Describe the state of an object's log."""
     annotation = revision.annotation
     count = len(annotation.keypoints)
     grasp = annotation.grasp
@@ -60,7 +60,7 @@ def object_payload(revision: Revision) -> Json:
 
 
 def described(event: Event | None, keypoints: tuple[str, ...]) -> str | None:
-    """An action in words, for the buttons that take it back."""
+    """Describe an action in words, for the undo and redo buttons."""
     if event is None:
         return None
     number = event.get("keypoint")
@@ -82,7 +82,7 @@ def described(event: Event | None, keypoints: tuple[str, ...]) -> str | None:
 
 
 def result_payload(result: Result, scenes: Sequence[str]) -> Json:
-    """The solution of a revision, how well it fits every scene and click, and what to do next."""
+    """Describe the solution of a revision, how well it fits each scene and click, and what to do next."""
     revision, live = result.revision, result.live
     solution = live.solution
     return {
@@ -143,7 +143,7 @@ def _residual(residual: ClickResidual) -> Json:
 
 
 def _scenes(revision: Revision, live: Live) -> dict[str, Json]:
-    """A scene with clicks: how many keypoints, whether it is tied, and its errors."""
+    """Describe each scene with clicks: number of keypoints, whether it is tied to others, its errors."""
     annotation, found = revision.annotation, {}
     residuals = live.solution.residuals if live.solution else ()
     for scene in sorted({click.scene for click in annotation.clicks}):

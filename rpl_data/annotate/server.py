@@ -1,4 +1,4 @@
-"""The web server of the annotation page: routes only. What they do is in the modules beside it."""
+"""The web server of the annotation page: it only wires up the routes and the guard."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 
 from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from starlette.middleware.gzip import GZipMiddleware
 
@@ -20,12 +21,12 @@ from rpl_data.annotate.routes.page import add_page
 from rpl_data.annotate.routes.scenes import add_scenes
 from rpl_data.annotate.routes.solid import solid_routes
 from rpl_data.annotate.session import Session
-from rpl_data.annotate.work import Place
+from rpl_data.annotate.work import Address
 from rpl_data.types import DataError
 
 
-def make_app(session: Session, place: Place) -> FastAPI:
-    """The application of one workspace, behind its guard."""
+def make_app(session: Session, address: Address) -> FastAPI:
+    """Make the application of one workspace, behind its guard."""
 
     @asynccontextmanager
     async def life(app: FastAPI) -> AsyncIterator[None]:
@@ -34,9 +35,10 @@ def make_app(session: Session, place: Place) -> FastAPI:
 
     app = FastAPI(lifespan=life, openapi_url=None, docs_url=None, redoc_url=None)
     app.add_middleware(GZipMiddleware, minimum_size=800, compresslevel=5)
-    app.add_middleware(Guard, place=place)
+    app.add_middleware(Guard, address=address)
     for kind, status in ((Conflict, 409), (NotSaved, 507), (DataError, 422)):
         app.add_exception_handler(kind, _answer(status))
+    app.add_exception_handler(RequestValidationError, _name_fields)
     add_scenes(app, session)
     add_objects(app, session)
     app.include_router(solid_routes(session))
@@ -53,3 +55,10 @@ def _answer(status: int) -> Callable[[Request, Exception], JSONResponse]:
         return JSONResponse({"error": str(error)}, status)
 
     return answer
+
+
+def _name_fields(request: Request, error: Exception) -> JSONResponse:
+    """Which fields of a request are wrong, in words; what was sent is not sent back."""
+    assert isinstance(error, RequestValidationError)
+    faults = [f"{'.'.join(map(str, fault['loc'][1:]))}: {fault['msg']}" for fault in error.errors()[:5]]
+    return JSONResponse({"error": f"the request is wrong: {'; '.join(faults)}"}, 422)

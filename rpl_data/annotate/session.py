@@ -1,4 +1,4 @@
-"""Everything the server remembers: logs, scenes, results, and who listens for changes."""
+"""The server's state: logs, scenes, results, and the pages that listen for changes."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ from rpl_data.workspace.workspace import Workspace
 
 @dataclass(frozen=True)
 class Result:
-    """The result of a revision, and the clicks lifted where there is none yet.
+    """The result of a revision, and lifted clicks for scenes without a result yet.
 
     Attributes:
-        grasp: `object_from_grasp`, when one was marked and can be placed; else `grasp_problem` says why not.
+        grasp: `object_from_grasp` if one was marked and can be computed; else `grasp_problem` says why not.
     """
 
     revision: Revision
@@ -56,12 +56,12 @@ class Session:
         self.when_closed: list[Callable[[], object]] = [self.news.close]
 
     def close(self) -> None:
-        """The server ends: so do streams and jobs."""
+        """End streams and jobs, since the server stops."""
         for does in self.when_closed:
             does()
 
     def objects(self) -> list[str]:
-        """Names, in the order of the recipe."""
+        """Names of the objects, in the order of the recipe."""
         return self.work.objects()
 
     def log(self, name: str) -> ObjectLog:
@@ -73,9 +73,9 @@ class Session:
         return self._logs[name]
 
     def add_object(self, name: str, keypoints: Sequence[str]) -> None:
-        """A new object with named keypoints."""
+        """Add an object with named keypoints."""
         if not name.replace("_", "").replace("-", "").isalnum() or len(name) > 60:
-            raise DataError(f"{name!r} is no name for an object: letters, digits, - and _, at most 60")
+            raise DataError(f"{name!r} cannot name an object: use at most 60 letters, digits, - and _")
         if name in self.objects():
             raise DataError(f"there is an object {name} already")
         names = checked_names(keypoints)
@@ -85,13 +85,13 @@ class Session:
         self.news.tell("objects", name)
 
     def act(self, name: str, actions: Sequence[dict[str, object]], *, seen: int) -> Revision:
-        """Save actions, tell the other pages."""
+        """Save actions, and notify the other pages."""
         revision = self.log(name).append(actions, seen=seen)
         self.news.tell("object", name, revision.number)
         return revision
 
     def result(self, name: str) -> Result:
-        """What the clicks say now; solved once a revision."""
+        """The result of the current clicks; solved once per revision."""
         log = self.log(name)
         with self._solving:
             revision = log.now()
@@ -113,13 +113,13 @@ class Session:
             return None, str(error)
 
     def suggestions(self, name: str, scene: str) -> list[Suggestion]:
-        """Frames of a scene worth marking; from all sides of the object once its place there is known."""
+        """Suggest frames of a scene to mark; from all sides of the object once its pose there is known."""
         self.log(name)
         known = self._results.get(name)
         solution = known.live.solution if known else None
-        place = None if solution is None else solution.scene_from_object.get(scene)
-        key = name, scene, place is not None
+        scene_from_object = None if solution is None else solution.scene_from_object.get(scene)
+        key = name, scene, scene_from_object is not None
         if key not in self._suggestions:
-            centre = None if place is None else place[:3, 3]
+            centre = None if scene_from_object is None else scene_from_object[:3, 3]
             self._suggestions[key] = suggest_frames(self.scenes.get(scene), centre)
         return self._suggestions[key]

@@ -1,4 +1,4 @@
-"""Frames worth clicking on: sharp, near, and each from another side. Few pictures are opened for it."""
+"""Suggest frames to click in: sharp, near, and each from another side. Few pictures are read for it."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from rpl_data.annotate.stores.scenes import PosedScene
 from rpl_data.geometry import inside_image, invert, project
 
 MOST, LEAST = 6, 3
-"""Frames a scene; from the same side when there is no other."""
+"""Number of suggestions per scene; from the same side if there is no other."""
 APART_RAD = np.radians(12)
 """Frames from nearly the same side are not suggested twice."""
 OPENED = 4
-"""Neighbouring pictures compared for sharpness, a suggestion."""
+"""Number of neighbouring pictures whose sharpness is compared, per suggestion."""
 
 
 @dataclass(frozen=True)
@@ -28,10 +28,11 @@ class Suggestion:
 
 
 def suggest_frames(posed: PosedScene, centre_scene: Float64[np.ndarray, "3"] | None) -> list[Suggestion]:
-    """At most `MOST` frames, in their order.
+    """Suggest at most `MOST` frames, in their order.
 
     Args:
-        centre_scene: the object in the scene frame, metres; where the cameras look when None.
+        centre_scene: position of the object in the scene frame, metres; None for the point the cameras look
+            at.
     """
     rows = np.flatnonzero(np.isin(posed.trajectory.frames, list(posed.frames)))
     poses = posed.trajectory.scene_from_camera[rows]
@@ -55,7 +56,7 @@ def suggest_frames(posed: PosedScene, centre_scene: Float64[np.ndarray, "3"] | N
 
 
 def looked_at(poses: Float64[np.ndarray, "n 4 4"]) -> Float64[np.ndarray, "3"]:
-    """The point nearest to all optical axes (least squares), 0.7 m ahead where they are parallel."""
+    """Point nearest to all optical axes (least squares), 0.7 m ahead when they are parallel."""
     axes, centres = poses[:, :3, 2], poses[:, :3, 3]
     across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
     ahead = centres + 0.7 * axes
@@ -68,7 +69,7 @@ def looked_at(poses: Float64[np.ndarray, "n 4 4"]) -> Float64[np.ndarray, "3"]:
 def blur_rad(
     poses: Float64[np.ndarray, "n 4 4"], distance_m: Float64[np.ndarray, " n"]
 ) -> Float64[np.ndarray, " n"]:
-    """How far the view turns from a frame to its neighbours: a fast camera blurs."""
+    """Angle that the view turns between a frame and its neighbours: a fast camera blurs."""
     if len(poses) < 2:
         return np.zeros(len(poses))
     turned = np.arccos(np.clip((poses[1:, :3, 2] * poses[:-1, :3, 2]).sum(axis=1), -1, 1))
@@ -79,7 +80,7 @@ def blur_rad(
 
 
 def _in_view(posed: PosedScene, poses: Float64[np.ndarray, "n 4 4"], centre: np.ndarray) -> np.ndarray:
-    """Frames with the centre in the middle part of the image."""
+    """Which frames show the centre in the middle part of the image."""
     camera = posed.scene.intrinsics
     in_camera = np.einsum("nij,j->ni", invert(poses), np.append(centre, 1.0))[:, :3]
     uv = project(camera, in_camera)
@@ -90,7 +91,7 @@ def _in_view(posed: PosedScene, poses: Float64[np.ndarray, "n 4 4"], centre: np.
 def _spread(
     directions: np.ndarray, usable: np.ndarray, distance_m: np.ndarray, speed: np.ndarray
 ) -> list[int]:
-    """Rows whose directions are far apart, beginning with a near and slow one."""
+    """Choose rows whose directions are far apart, starting with a near and slow one."""
     cost = distance_m / np.median(distance_m) + 0.5 * speed / max(float(np.median(speed)), 1e-9)
     chosen = [int(np.where(usable, cost, np.inf).argmin())]
     while len(chosen) < MOST:
@@ -103,7 +104,7 @@ def _spread(
 
 
 def _with_slow_ones(chosen: list[int], usable: np.ndarray, speed: np.ndarray) -> list[int]:
-    """The chosen rows, and, where they are few, slow ones that lie apart from them in time."""
+    """Add slow rows, apart from the chosen ones in time, if those are few."""
     more, apart = list(chosen), max(1, len(speed) // (2 * LEAST))
     for row in np.argsort(speed, kind="stable"):
         if len(more) >= LEAST:
@@ -116,7 +117,7 @@ def _with_slow_ones(chosen: list[int], usable: np.ndarray, speed: np.ndarray) ->
 def _sharpest_near(
     posed: PosedScene, rows: np.ndarray, row: int, usable: np.ndarray, speed: np.ndarray
 ) -> int:
-    """Of the slowest neighbours of a row, the one whose picture has most detail."""
+    """Among the slowest neighbours of a row, choose the one whose picture has most detail."""
     reach = max(1, min(8, len(rows) // 40))
     near = np.arange(max(0, row - reach), min(len(rows), row + reach + 1))
     near = near[usable[near]] if usable[near].any() else near
@@ -125,6 +126,6 @@ def _sharpest_near(
 
 
 def _detail(posed: PosedScene, frame: int) -> float:
-    """Variance of the Laplacian of the picture at half its size; 0 when it cannot be read."""
+    """Variance of the Laplacian of the picture at half its size; 0 if it cannot be read."""
     image = cv2.imread(str(posed.frame(frame).color), cv2.IMREAD_REDUCED_GRAYSCALE_2)
     return 0.0 if image is None else float(cv2.Laplacian(image, cv2.CV_32F).var())

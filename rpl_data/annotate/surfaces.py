@@ -1,8 +1,8 @@
-"""What surrounds an object in a scene, as points for the 3D view: from the first click on, before any build.
+"""Points around an object in a scene for the 3D view, from the first click on, before any build.
 
-Points come from the scene's fused surface when the build has made one, else from the depth of a few frames.
-They stay in the scene frame: the page moves them by the result of every click, so that one sees at once
-whether the scenes lie on one another.
+Points come from the scene's fused surface if a build has made one, else from the depth of a few frames.
+They stay in the scene frame: the page moves them by the result of every click, which shows at once
+whether the scenes coincide.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from rpl_data.types import DataError, DepthImage
 from rpl_data.workspace.workspace import Workspace
 
 MOST_POINTS = 5000
-"""A scene: enough to see whether two surfaces lie on one another, few enough for a slow link."""
+"""Points per scene: enough to see whether two surfaces coincide, few enough for a slow link."""
 MOST_TRIANGLES = 6000
 FRAMES = 6
 STRIDE_PX = 3
@@ -34,14 +34,14 @@ SCENES_KEPT = 8
 
 @dataclass(frozen=True)
 class Coloured:
-    """Points and their RGB, scene frame, metres."""
+    """Points with RGB colours, scene frame, metres."""
 
     points: Float64[np.ndarray, "n 3"]
     colors: UInt8[np.ndarray, "n 3"]
 
 
 class SurfaceStore:
-    """Points of scenes; those used last are kept."""
+    """Points of scenes; the most recently used are cached."""
 
     def __init__(self, scenes: SceneStore) -> None:
         self.scenes = scenes
@@ -49,10 +49,10 @@ class SurfaceStore:
         self._seen = lru_cache(SCENES_KEPT)(self._read_frames)
 
     def near(self, scene: str, ball: Sphere, frames: Sequence[int]) -> Coloured:
-        """At most `MOST_POINTS` points in the ball.
+        """Return at most `MOST_POINTS` points in the ball.
 
         Args:
-            frames: whose depth is used where the scene has no fused surface there yet.
+            frames: frames whose depth is used if the scene has no fused surface there yet.
         """
         found = _inside(self._fused(scene, self._stamp(scene)), ball)
         if len(found.points) < 300:  # none yet, or one around another object
@@ -80,7 +80,7 @@ class SurfaceStore:
 
 
 def _seen(posed: PosedScene, frame: int, depth_m: DepthImage) -> Coloured:
-    """Every third pixel of every third row of a frame that has depth, in the scene frame."""
+    """Points of every third pixel in every third row that has depth, in the scene frame."""
     v, u = np.mgrid[0 : depth_m.shape[0] : STRIDE_PX, 0 : depth_m.shape[1] : STRIDE_PX].reshape(2, -1)
     measured = depth_m[v, u] > 0
     u, v = u[measured], v[measured]
@@ -97,7 +97,7 @@ def _inside(cloud: Coloured, ball: Sphere) -> Coloured:
 
 
 def thinned(cloud: Coloured, *, most: int = MOST_POINTS) -> Coloured:
-    """One point a voxel, the voxel as small as the number allows."""
+    """Reduce to one point per voxel, with the smallest voxel that gives at most `most` points."""
     size_m = 0.003
     while len(cloud.points) > most:
         cells = np.floor(cloud.points / size_m).astype(np.int64)
@@ -108,7 +108,7 @@ def thinned(cloud: Coloured, *, most: int = MOST_POINTS) -> Coloured:
 
 
 def surroundings(result: Result, scene: str) -> Sphere | None:
-    """Around the object where it is placed, else around its lifted clicks; None where there is neither."""
+    """Ball around the object if its pose is known, else around its lifted clicks; None without either."""
     solution = result.live.solution
     if solution is not None and scene in solution.scene_from_object:
         model = solution.model
@@ -119,25 +119,25 @@ def surroundings(result: Result, scene: str) -> Sphere | None:
 
 
 def surface_payload(cloud: Coloured) -> Json:
-    """Points as float32 and colours as bytes, base64."""
+    """Encode points as float32 and colours as bytes, base64."""
     return {"points": packed(cloud.points, "<f4"), "colors": packed(cloud.colors, "u1")}
 
 
 def dense_payload(workspace: Workspace, object_name: str) -> Json | None:
-    """The dense model as it was last made, with few triangles; None when there is none.
+    """Encode the dense model of the last build, with few triangles; None when there is none.
 
     It is in the object frame of the build that made it; `scene_from_object` of one scene of that build
-    lets the page bring it to the frame of the clicks as they are now.
+    lets the page move it to the frame of the current clicks.
     """
     path = workspace.mesh_file(object_name)
     if not path.exists() or not workspace.solution_file(object_name).exists():
         return None
-    places = workspace.load_solution(object_name).scene_from_object
-    if not places:
+    scene_from_object = workspace.load_solution(object_name).scene_from_object
+    if not scene_from_object:
         raise DataError(f"the solution of {object_name} places it in no scene; run the solve stage again")
     mesh = simplified(load_mesh(path), most_triangles=MOST_TRIANGLES)
     return {
-        "places": {name: [float(x) for x in matrix.ravel()] for name, matrix in places.items()},
+        "places": {name: [float(x) for x in matrix.ravel()] for name, matrix in scene_from_object.items()},
         "points": packed(mesh.vertices, "<f4"),
         "colors": None if mesh.colors is None else packed(mesh.colors, "u1"),
         "triangles": packed(mesh.triangles, "<u2"),
@@ -145,5 +145,5 @@ def dense_payload(workspace: Workspace, object_name: str) -> Json | None:
 
 
 def packed(values: np.ndarray, kind: str) -> str:
-    """An array as base64 of its bytes."""
+    """Encode an array's bytes as base64."""
     return base64.b64encode(np.ascontiguousarray(values, dtype=kind).tobytes()).decode("ascii")

@@ -1,6 +1,6 @@
-"""What the annotation server is handed: the stages it lets a person run, as functions.
+"""The functions that the annotation server receives: stages that the user can run from the page.
 
-A stage never imports another one, so solving, building and exporting arrive here as arguments.
+A stage never imports another one, so solving, building and exporting are passed in as arguments.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from rpl_data.geometry import Transform
 from rpl_data.types import ClickResidual, KeypointModel, Observation, Solution
 
 Tell = Callable[[str, int, int], None]
-"""``tell(what, done, total)``: progress of a job; it may raise to stop it."""
+"""``tell(what, done, total)`` reports the progress of a job; it may raise to stop it."""
 
 
 @dataclass(frozen=True)
@@ -21,13 +21,13 @@ class Work:
     """Functions of the other stages.
 
     Attributes:
-        solve: the sparse model and scene transforms of some clicks; DataError when they do not tie.
+        solve: solves the sparse model and scene transforms from clicks; DataError when they do not tie.
         register: `scene_from_object` of one scene from clicks on a known model, and their residuals.
-        objects: names of the objects of the workspace, in order.
-        add_object: (name, keypoint names) makes a new object of the workspace.
-        grasp: `object_from_grasp` of two clicks; DataError where there is no depth or no place.
-        run: (last stage, tell) runs what is out of date up to that stage; lines for a person.
-        fresh: by stage, whether what it made still holds; stages that wait for others are absent.
+        objects: returns the names of the workspace's objects, in order.
+        add_object: (name, keypoint names) adds an object to the workspace.
+        grasp: `object_from_grasp` of two clicks; DataError where there is no depth or no pose.
+        run: (last stage, tell) runs what is out of date up to that stage; returns lines for the user.
+        fresh: whether each stage is up to date; stages that wait for others are absent.
     """
 
     solve: Callable[[Annotation, Sequence[Observation]], Solution]
@@ -40,11 +40,11 @@ class Work:
 
 
 @dataclass(frozen=True)
-class Place:
-    """Where the server listens.
+class Address:
+    """The address that the server listens at.
 
     Attributes:
-        token: what a browser must show; None on this machine's own address only.
+        token: secret that a browser must send; None only on this machine's own address.
     """
 
     host: str
@@ -53,6 +53,6 @@ class Place:
 
     @property
     def url(self) -> str:
-        """What to open in the browser."""
+        """The address to open in the browser."""
         host = f"[{self.host}]" if ":" in self.host else self.host
         return f"http://{host}:{self.port}/" + (f"?token={self.token}" if self.token else "")

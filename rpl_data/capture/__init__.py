@@ -1,1 +1,1 @@
-"""Cameras: recording from a RealSense, and reading the files that its tools record."""
+"""Cameras: record from a RealSense, and read the files that its own tools record."""

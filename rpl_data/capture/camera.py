@@ -1,4 +1,4 @@
-"""The RealSense camera that is plugged in, and the streams to record of it."""
+"""Find the connected RealSense camera, and choose which of its streams to record."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from rpl_data.types import DataError
 
 
 def connected_camera(serial: str | None = None) -> Any:
-    """The RealSense camera that is plugged in, the one with this serial number where there are several.
+    """Return the connected RealSense camera, or the one with this serial number if there are several.
 
     Raises:
         DataError: there is none, or one must be chosen.
@@ -31,7 +31,7 @@ def connected_camera(serial: str | None = None) -> Any:
 
 
 def choices_of(device: Any, width: int, height: int, rate_hz: int) -> tuple[tuple[Any, Any], tuple[Any, Any]]:
-    """Sensor and profile of colour and of depth, depth of the same size or the largest the camera has.
+    """Choose sensor and profile of colour and of depth; depth has the same size or the largest there is.
 
     Raises:
         DataError: the camera has no such streams; the message lists what it has.
@@ -59,7 +59,7 @@ def choices_of(device: Any, width: int, height: int, rate_hz: int) -> tuple[tupl
 
 
 def _of_kind(choices: Sequence[tuple[Any, Any]], kind: str, formats: Sequence[str]) -> list[tuple[Any, Any]]:
-    """Those of a kind, the preferred formats first."""
+    """Choices of one kind, the preferred formats first."""
     found = [c for c in choices if c[1].stream_type().name == kind and c[1].format().name in formats]
     return sorted(found, key=lambda choice: formats.index(choice[1].format().name))
 

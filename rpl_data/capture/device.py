@@ -1,4 +1,4 @@
-"""A RealSense device of any kind: choosing, opening and closing its streams."""
+"""Choose, open and close the streams of a RealSense device of any kind."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rpl_data.types import DataError
 
 
 def choose(profiles: Sequence[Any], kind: str, formats: Sequence[str]) -> Any | None:
-    """The first profile of a kind ("color", "depth"), formats in order of preference."""
+    """The first profile of a kind ("color", "depth"); formats in order of preference."""
     for wanted in formats:
         for profile in profiles:
             if profile.stream_type().name == kind and profile.format().name == wanted:
@@ -25,7 +25,7 @@ COLOR_FORMATS = ("rgb8", "bgr8", "rgba8", "bgra8", "yuyv", "uyvy")
 
 @contextmanager
 def opened(device: Any, choices: Sequence[tuple[Any, Any]], *, lossless: bool) -> Iterator[Streams]:
-    """The streams of a device, running while the block lasts.
+    """Open the streams of a device, and keep them running while the block lasts.
 
     Args:
         device: a camera, a playback or a software device.
@@ -66,7 +66,7 @@ def _start(device: Any, choices: Sequence[tuple[Any, Any]], streams: Streams, st
 
 
 def _stop(sensor: Any) -> None:
-    """Stop a sensor; one whose camera is gone cannot be stopped any more."""
+    """Stop a sensor; one whose camera was unplugged cannot be stopped, which is ignored."""
     for end in (sensor.stop, sensor.close):
         try:
             end()
@@ -75,7 +75,7 @@ def _stop(sensor: Any) -> None:
 
 
 def depth_unit_m(sensor: Any) -> float:
-    """Metres of a unit of the sensor's depth; millimetres where it does not say."""
+    """Metres per unit of the sensor's depth; millimetres where it does not say."""
     import pyrealsense2 as rs
 
     if not sensor.supports(rs.option.depth_units):

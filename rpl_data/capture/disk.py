@@ -1,8 +1,9 @@
-"""Frames to the disk while a camera runs: a scene of a RapidPoseLabels tree that is whole at every moment.
+"""Write frames to disk while a camera runs, so that the recording is complete at every moment.
 
-Encoding and writing run beside the camera, behind a queue with a bound. A frame that finds it full is dropped
-and said so: what is silent is a recording with holes. A frame enters associations.txt when both its images
-are on the disk, in the order of time, so whatever ends the recording, what is listed is whole.
+Encoding and writing run beside the camera, behind a queue of limited size. A frame that finds it full is
+dropped and reported, since silence would mean a recording with unnoticed holes. A frame is listed in
+associations.txt once both its images are on disk, in the order of time; so whatever ends the recording,
+every listed frame is complete.
 """
 
 from __future__ import annotations
@@ -18,11 +19,11 @@ from types import TracebackType
 
 from rpl_data.capture.streams import Shot
 from rpl_data.formats.recordings.rpl import association_line
-from rpl_data.formats.recordings.scene_images import write_images
+from rpl_data.formats.recordings.saved_images import write_images
 from rpl_data.types import DataError
 
 QUEUE_BYTES = 256 * 2**20
-"""Of frames that wait to be written: 6 s of 640x480 at 30 Hz."""
+"""Size of the queue of frames that wait to be written: 6 s of 640x480 at 30 Hz."""
 
 WRITERS = 2
 
@@ -30,17 +31,17 @@ Write = Callable[[Path, int, Shot], tuple[Path, Path]]
 
 
 def write_shot(folder: Path, index: int, shot: Shot) -> tuple[Path, Path]:
-    """Both images of a frame, JPEG and PNG; their paths."""
+    """Write both images of a frame, JPEG and PNG, and return their paths."""
     return write_images(folder, index, shot.color, shot.depth)
 
 
 class SceneWriter:
-    """Writes the frames of one scene.
+    """Writes the frames of one scene, in the layout of a RapidPoseLabels tree.
 
     Attributes:
-        listed: frames that are whole on the disk.
-        dropped: frames that found the queue full.
-        place: the list of frames.
+        listed: number of frames that are complete on disk.
+        dropped: number of frames that found the queue full.
+        list_file: the file that lists the frames, associations.txt.
         failure: why writing ended early; None while all is well.
     """
 
@@ -51,8 +52,8 @@ class SceneWriter:
         self._limit = max(4, QUEUE_BYTES // frame_bytes)
         self._write = write
         self._waiting: deque[tuple[float, Future[tuple[Path, Path]]]] = deque()
-        self.place = folder / "associations.txt"
-        self._list = _opened(self.place)
+        self.list_file = folder / "associations.txt"
+        self._list = _opened(self.list_file)
         self._pool = ThreadPoolExecutor(WRITERS, thread_name_prefix="disk")
 
     def __enter__(self) -> SceneWriter:
@@ -61,7 +62,7 @@ class SceneWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Wait until what was taken is written."""
+        """Wait until all accepted frames are written."""
         try:
             self._enlist(everything=True)
         finally:
@@ -69,7 +70,7 @@ class SceneWriter:
             self._list.close()
 
     def add(self, shot: Shot) -> bool:
-        """Take a frame; False when it was dropped because the disk is behind."""
+        """Accept a frame; False when it was dropped because the disk is too slow."""
         self._enlist()
         if len(self._waiting) >= self._limit:
             self.dropped += 1
@@ -96,7 +97,7 @@ class SceneWriter:
         names = (path.relative_to(self.folder).as_posix() for path in (color, depth))
         line = association_line(timestamp_s, *names).encode()
         begins = self._list.tell()
-        if self._list.write(line) < len(line):  # a full disk takes what still fits
+        if self._list.write(line) < len(line):  # a full disk accepts what still fits
             self._list.truncate(begins)
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         self.listed += 1

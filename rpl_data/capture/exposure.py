@@ -1,10 +1,11 @@
-"""Hold exposure and white balance of the colour camera still, at what the automatic had found.
+"""Lock exposure and white balance of the colour camera at what the automatic control had chosen.
 
 A keypoint that is clicked in one frame must look the same in the next; automatic exposure changes it with
-every white wall. The colour sensor of a D400 does not tell what its automatic chose (librealsense issues
-2549, 5035, 9437: option and metadata show the last manual value), so that is found again by hand: exposure,
-and gain where the frame rate leaves no more time, until the image is as bright as it was; then the white
-balance, until red and blue are to each other as they were.
+every white wall. The colour sensor of a D400 does not report what its automatic chose (librealsense issues
+2549, 5035, 9437: option and metadata show the last manual value), so this is searched again manually:
+exposure,
+and gain where the frame rate allows no more time, until the image is as bright as before; then the white
+balance, until red and blue have the same ratio as before.
 """
 
 from __future__ import annotations
@@ -19,49 +20,49 @@ from jaxtyping import Float64
 
 TRIES = 12
 CLOSE = 0.06
-"""Relative difference that is left alone."""
+"""Relative difference of brightness that is not corrected."""
 
 UNLIKE = 0.25
-"""Relative difference that is too much: the automatic is switched on again."""
+"""Relative difference that is too large: the automatic control is switched on again."""
 
 LARGEST_STEP = 4.0
 GAMMA = 1.8
-"""Brightness goes with about this root of the light."""
+"""Brightness is about the light to the power of 1 / this."""
 
 MeanColor = Callable[[], Float64[np.ndarray, "3"]]
-"""Mean red, green and blue, 0-255, of the next images that are taken with the present settings."""
+"""Mean red, green and blue, 0-255, of the next images taken with the present settings."""
 
 
 @dataclass(frozen=True)
 class Range:
-    """What an option of the sensor allows."""
+    """Values that an option of the sensor allows."""
 
     low: float
     high: float
     step: float
 
     def nearest(self, value: float) -> float:
-        """The allowed value nearest to one."""
+        """The allowed value nearest to `value`."""
         inside = min(max(value, self.low), self.high)
         return self.low + round((inside - self.low) / self.step) * self.step if self.step else inside
 
 
 def steady_rate(sensor: Any) -> None:
-    """Forbid the automatic to take fewer frames a second in dim light."""
+    """Forbid the automatic control to take fewer frames per second in dim light."""
     import pyrealsense2 as rs
 
     if sensor.supports(rs.option.auto_exposure_priority):
-        with suppress(RuntimeError):  # refused by some firmware; then the rate drops in the dark
+        with suppress(RuntimeError):  # some firmware refuses; then the rate drops in the dark
             sensor.set_option(rs.option.auto_exposure_priority, 0)
 
 
 def lock(sensor: Any, mean_color: MeanColor, *, rate_hz: int) -> tuple[str, ...]:
-    """Switch the automatics off and make the images as they were; lines that say how it went.
+    """Switch the automatic controls off, keep the images as they were, and return lines about the result.
 
     Args:
-        sensor: of the colour camera.
-        mean_color: looks at the next images.
-        rate_hz: frames a second, which bounds the time of exposure.
+        sensor: sensor of the colour camera.
+        mean_color: measures the next images.
+        rate_hz: frames per second, which limits the exposure time.
     """
     before = mean_color()
     wanted_red = float((before[0] + 1) / (before[2] + 1))
@@ -93,14 +94,14 @@ def _lock_exposure(sensor: Any, brightness: Callable[[], float], wanted: float, 
 
 
 def _keys(sensor: Any) -> list[str]:
-    """The options that make an image brighter, in the order of use: time first, since gain is noise."""
+    """The options that make an image brighter, in order of use: exposure first, since gain adds noise."""
     import pyrealsense2 as rs
 
     return [key for key in ("exposure", "gain") if sensor.supports(getattr(rs.option, key))]
 
 
 def _match_brightness(sensor: Any, brightness: Callable[[], float], wanted: float, rate_hz: int) -> float:
-    """Change one option after the other until the brightness is right; the brightness reached."""
+    """Change one option after the other until the brightness is right; returns the brightness reached."""
     import pyrealsense2 as rs
 
     found = brightness()
@@ -123,17 +124,17 @@ def _match_brightness(sensor: Any, brightness: Callable[[], float], wanted: floa
 
 
 def _within_a_frame(allowed: Range, rate_hz: int) -> Range:
-    """Exposures that do not lower the frame rate.
+    """Exposure times that do not lower the frame rate.
 
-    Colour sensors count 0.1 ms and reach 1 s, which is 10,000; stereo sensors count microseconds and go
-    further.
+    Colour sensors count in units of 0.1 ms and reach 1 s, which is 10,000; stereo sensors count microseconds
+    and go further.
     """
     unit_s = 1e-4 if allowed.high <= 10_000 else 1e-6
     return Range(allowed.low, min(allowed.high, 1 / rate_hz / unit_s), allowed.step)
 
 
 def _lock_white_balance(sensor: Any, mean_color: MeanColor, wanted_red: float) -> str:
-    """Halve the range of colour temperatures; a higher one makes the image redder."""
+    """Search colour temperatures by bisection; a higher one makes the image redder."""
     import pyrealsense2 as rs
 
     automatic, option = rs.option.enable_auto_white_balance, rs.option.white_balance
@@ -152,7 +153,7 @@ def _lock_white_balance(sensor: Any, mean_color: MeanColor, wanted_red: float) -
         low, high = (middle, high) if red < wanted_red else (low, middle)
     if abs(red - wanted_red) > UNLIKE * wanted_red:
         sensor.set_option(automatic, 1)
-        return "white balance stays automatic: no fixed one gives the colours it gave"
+        return "white balance stays automatic: no fixed value gives the same colours"
     return f"locked white balance {sensor.get_option(option):g} K"
 
 

@@ -1,4 +1,4 @@
-"""librealsense's cameras as OpenCV's."""
+"""Convert librealsense's camera models to OpenCV's."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from rpl_data.types import Intrinsics
 
 
 def intrinsics_of(lens: Any) -> tuple[Intrinsics, tuple[str, ...]]:
-    """OpenCV's camera of a librealsense lens, and a note when it fits badly.
+    """Convert a librealsense lens to OpenCV's model, with a note when it fits badly.
 
-    Brown-Conrady is OpenCV's model. Coefficients of the others are fitted: librealsense projects a grid of
-    rays, and OpenCV's k1 k2 p1 p2 k3 are linear in where they land.
+    Brown-Conrady is OpenCV's model. Coefficients for other models are fitted: librealsense projects a grid of
+    rays, and OpenCV's k1 k2 p1 p2 k3 are linear in the projected positions.
     """
     import pyrealsense2 as rs
 
@@ -40,7 +40,7 @@ def _grid_of_rays(lens: Any) -> Float64[np.ndarray, "n 2"]:
 def _fit_distortion(
     lens: Any, rays: Float64[np.ndarray, "n 2"], landed_px: Float64[np.ndarray, "n 2"]
 ) -> tuple[tuple[float, ...], float]:
-    """k1, k2, p1, p2, k3 by least squares, and the largest error in pixels."""
+    """Fit k1, k2, p1, p2, k3 by least squares; also the largest error in pixels."""
     x, y = rays.T
     r2 = x * x + y * y
     columns_x = [x * r2, x * r2**2, 2 * x * y, r2 + 2 * x * x, x * r2**3]
@@ -55,5 +55,5 @@ def _fit_distortion(
 
 
 def as_meant(value: float) -> float:
-    """A number librealsense holds as float32 (0.001000000047) as it was meant (0.001)."""
+    """Round a number that librealsense holds as float32 (0.001000000047) to the intended one (0.001)."""
     return float(f"{value:.7g}")

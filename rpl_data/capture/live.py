@@ -1,4 +1,4 @@
-"""A RealSense camera -> a scene on the disk: warm up, hold the exposure, count down, record."""
+"""Record a scene from a RealSense camera: warm up, lock the exposure, count down, record."""
 
 from __future__ import annotations
 
@@ -23,30 +23,31 @@ from rpl_data.capture.tally import Tally
 from rpl_data.files import read_text, write_text
 from rpl_data.formats.recordings.camera_file import camera_text
 from rpl_data.types import DataError
+from rpl_data.wording import counted
 
 PATIENCE_S = 3.0
-"""A camera that sends nothing for so long was unplugged, or hangs."""
+"""A camera that sends nothing for this long was unplugged, or hangs."""
 
 WARM_UP_S = 1.0
-"""For the automatic exposure to settle."""
+"""Time for the automatic exposure to settle."""
 
 SETTLING = 6
-"""Images on their way before a new setting shows."""
+"""Number of images already on their way when a new setting takes effect."""
 
 Say = Callable[[str], None]
 Show = Callable[[Shot, str], None]
-"""Gets every image and a word on what happens to it: "get ready: 3", "recording 12.3 s"."""
+"""Receives every image with a line of status: "get ready: 3", "recording 12.3 s"."""
 
 
 @dataclass(frozen=True)
 class CaptureOptions:
-    """How to record.
+    """Settings of a recording.
 
     Attributes:
-        width, height: of the colour images, and so of the depth that is aligned to them.
-        seconds: how long; None = until stopped.
+        width, height: size of the colour images, and so of the depth that is aligned to them.
+        seconds: length of the recording; None = until stopped.
         countdown_s: whole seconds before it starts.
-        exposure: "lock" holds what the automatic found, "auto" leaves it alone.
+        exposure: "lock" holds what the automatic control chose, "auto" leaves it on.
     """
 
     width: int = 640
@@ -59,13 +60,13 @@ class CaptureOptions:
 
 @dataclass(frozen=True)
 class Captured:
-    """What came of it.
+    """Result of a recording.
 
     Attributes:
-        folder: of the scene.
-        frames: that are on the disk.
-        seconds: from the first to the last of them.
-        losses: a line for every reason why frames are missing; empty when nothing was lost.
+        folder: folder of the scene.
+        frames: number of frames on disk.
+        seconds: time from the first to the last of them.
+        losses: one line per reason why frames are missing; empty when nothing was lost.
     """
 
     folder: Path
@@ -86,27 +87,27 @@ def capture(
 ) -> Captured:
     """Record one scene: `<recording>/<scene>`, read by `format: rpl`, and `<recording>/camera.txt`.
 
-    Frames that are lost are counted and said when it happens; a camera that is unplugged ends the
-    recording, and what is on the disk by then is whole.
+    Lost frames are counted and reported when it happens. Unplugging the camera ends the recording; what is on
+    disk by then is complete.
 
     Args:
-        device: of librealsense.
-        recording: the folder of all scenes, made when it is not there.
-        scene: the name of this one.
-        options: how.
-        say: gets lines for a person.
-        show: gets every image.
-        stop: asked at every image; True ends the recording.
+        device: the device of librealsense.
+        recording: the folder of all scenes, made when it does not exist.
+        scene: name of this scene.
+        options: settings of the recording.
+        say: receives lines for the user.
+        show: receives every image.
+        stop: called at every image; True ends the recording.
 
     Raises:
-        DataError: the camera does not start, the scene is there already, camera.txt is of another camera,
+        DataError: the camera does not start, the scene already exists, camera.txt is of another camera,
             or no frame was recorded.
     """
     choices = choices_of(device, options.width, options.height, options.rate_hz)
     folder, sensor = recording / scene, choices[0][0]
     steady_rate(sensor)
     with opened(device, choices, lossless=False) as streams:
-        _check_place(recording, folder, streams.camera)
+        _check_folder(recording, folder, streams.camera)
         shots = streams.shots(patience_s=PATIENCE_S, ended=lambda: not device.is_connected())
         settled = _prepare(sensor, shots, options, say, show, stop)
         say(f"recording to {folder}")
@@ -118,10 +119,10 @@ def capture(
     return captured
 
 
-def _check_place(recording: Path, folder: Path, camera: StreamCamera) -> None:
-    """DataError when the scene is there, or camera.txt, which all scenes share, is of another camera."""
+def _check_folder(recording: Path, folder: Path, camera: StreamCamera) -> None:
+    """DataError when the scene exists, or camera.txt, which all scenes share, is of another camera."""
     if folder.exists():
-        raise DataError(f"{folder} is there already; choose another --scene, or delete it first")
+        raise DataError(f"{folder} already exists; choose another --scene, or delete it first")
     path, text = recording / "camera.txt", _camera_text(camera)
     if path.exists() and read_text(path) != text:
         raise DataError(
@@ -142,7 +143,7 @@ def _prepare(
     show: Show,
     stop: Callable[[], bool],
 ) -> tuple[str, ...]:
-    """Warm up, lock, count down; what was locked."""
+    """Warm up, lock the exposure, count down; returns what was locked."""
     _show_for(WARM_UP_S, shots, "warming up", show, stop)
     lines: tuple[str, ...] = ()
     if options.exposure == "lock":
@@ -171,7 +172,7 @@ def _next(shots: Iterator[Shot]) -> Shot:
 
 
 def _mean_color(shots: Iterator[Shot], show: Show) -> Float64[np.ndarray, "3"]:
-    """Mean colour of three images, those that are on their way left out."""
+    """Mean colour of three images, ignoring those already on their way."""
     for _ in range(SETTLING):
         show(_next(shots), "holding the exposure")
     means = [_next(shots).color[::4, ::4].mean(axis=(0, 1)) for _ in range(3)]
@@ -187,7 +188,7 @@ def _record(
     show: Show,
     stop: Callable[[], bool],
 ) -> Captured:
-    """Everything that comes, to the disk."""
+    """Write every frame to disk until the end."""
     lens, camera_file = streams.camera.intrinsics, folder.parent / "camera.txt"
     first_scene = not camera_file.exists()
     write_text(camera_file, _camera_text(streams.camera))
@@ -203,7 +204,7 @@ def _record(
                 break
             for line in tally.news():
                 say(line)
-            show(shot, f"recording {tally.seconds:.1f} s, {tally.shots} frames")
+            show(shot, f"recording {tally.seconds:.1f} s, {counted(tally.shots, 'frame')}")
     if not writer.listed:
         shutil.rmtree(folder)
         if first_scene:

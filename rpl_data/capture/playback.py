@@ -1,4 +1,4 @@
-"""Recordings of RealSense cameras, .db3 and the .bag of earlier versions: all they need is in the file."""
+"""Read recordings of RealSense cameras: .db3, and .bag of earlier versions. The file holds everything."""
 
 from __future__ import annotations
 
@@ -10,15 +10,16 @@ from typing import Any
 
 from rpl_data.capture.device import COLOR_FORMATS, choose, opened
 from rpl_data.capture.streams import Shot, Streams
+from rpl_data.child import in_child
 from rpl_data.formats.containers.db3 import repair_db3
 from rpl_data.formats.containers.rosbag import repair_bag
 from rpl_data.formats.recordings.frame_files import Camera, Listing, Pair, chosen, examine, without_poses
-from rpl_data.formats.recordings.scene_images import write_images
+from rpl_data.formats.recordings.saved_images import write_images
 from rpl_data.types import DataError, Recording
 
 SUFFIXES = (".db3", ".bag")
 PATIENCE_S = 10.0
-"""A file whose next frame takes longer than this has no more."""
+"""A file whose next frame takes longer than this has no more frames."""
 
 
 def read_realsense(
@@ -29,20 +30,21 @@ def read_realsense(
     metres_per_unit: float | None = None,
     camera: Camera | None = None,
 ) -> list[Recording]:
-    """The recordings of a folder, or one, unpacked; a scene is called as its file.
+    """Read the recordings of a folder, or one, and unpack their images; scenes are named after their files.
 
-    Depth is moved onto the colour pixels. Of a recording that was cut off or never closed, what is whole
+    Each file is read in a process of its own, since librealsense may end the process on a damaged one. Depth
+    is moved onto the colour pixels. Of a recording that was cut off or never closed, what is whole
     is kept and the loss is named in `Recording.skipped`.
 
     Args:
         path: a .db3 or .bag file, or a folder of them.
-        unpack: where the images of a scene go, by its name.
+        unpack: returns the folder for the images of a scene, given its name.
         names: which recordings to read, without suffix.
-        metres_per_unit: instead of what the file says.
-        camera: instead of what the file says.
+        metres_per_unit: used instead of the file's unit.
+        camera: used instead of the file's camera.
 
     Raises:
-        DataError: there is no recording, it lacks colour or depth, or nothing of it is whole.
+        DataError: there is no recording, it lacks colour or depth, or nothing of it is complete.
     """
     path = path.absolute()
     files = [found for found in sorted(path.iterdir()) if is_recording(found)] if path.is_dir() else [path]
@@ -50,12 +52,13 @@ def read_realsense(
     if not recordings:
         raise DataError(f"{path} holds no {' or '.join(SUFFIXES)} file")
     return [
-        _read_file(name, found, unpack(name), metres_per_unit, camera) for name, found in recordings.items()
+        in_child(_read_file, name, found, unpack(name), metres_per_unit, camera, file=found)
+        for name, found in recordings.items()
     ]
 
 
 def is_recording(path: Path) -> bool:
-    """Whether it is called as one."""
+    """Whether the path has the suffix of such a recording."""
     return path.suffix in SUFFIXES
 
 
@@ -86,7 +89,7 @@ def _read_file(name: str, file: Path, folder: Path, unit_m: float | None, camera
 
 @contextmanager
 def playing(file: Path, scratch: Path) -> Iterator[tuple[Iterator[Shot], Streams, tuple[str, ...]]]:
-    """The pairs of a file, its streams, what was lost of it; a repaired copy lies in `scratch` meanwhile."""
+    """Play a file: its image pairs, its streams, and what was lost; a repaired copy may be in `scratch`."""
     if not file.is_file():
         raise DataError(f"{file} does not exist; expected a recording of a RealSense camera")
     repaired = scratch / f"repaired{file.suffix}"
@@ -95,9 +98,9 @@ def playing(file: Path, scratch: Path) -> Iterator[tuple[Iterator[Shot], Streams
         playback = device.as_playback()
         playback.set_real_time(False)
         choices = _choices(playback, file)
-        playback.pause()  # else the first sensor plays before the second has started
+        playback.pause()  # otherwise the first sensor plays before the second starts
         with opened(playback, choices, lossless=True) as streams:
-            # It waits for the first frames to be taken, which only happens when it has returned.
+            # Stopping waits for the first frames to be taken, which happens only after it has returned.
             resuming = threading.Thread(target=playback.resume)
             resuming.start()
             try:
@@ -114,7 +117,7 @@ def _stopped(playback: Any) -> bool:
 
 
 def _loaded(file: Path, repaired: Path) -> tuple[Any, tuple[str, ...]]:
-    """The device of a file, of its repaired copy where the file itself cannot be played."""
+    """Load the device of a file, or of its repaired copy if the file itself cannot be played."""
     import pyrealsense2 as rs
 
     context = rs.context()
@@ -125,24 +128,24 @@ def _loaded(file: Path, repaired: Path) -> tuple[Any, tuple[str, ...]]:
     try:
         return context.load_device(str(repaired)), (lost,)
     except RuntimeError as error:
-        raise DataError(f"{file} cannot be played, nor repaired: {error}; record it again") from error
+        raise DataError(f"{file} can be neither played nor repaired: {error}; record it again") from error
 
 
 def _repair(file: Path, repaired: Path) -> str:
-    """Write the repaired copy; the line that says what is lost."""
+    """Write the repaired copy, and return a line about what was lost."""
     repaired.parent.mkdir(parents=True, exist_ok=True)
     if file.suffix == ".db3":
         kept = repair_db3(file, repaired)
-        return f"{file.name} was cut off: the first {kept.seconds:.1f} s are whole, what came later is lost"
+        return f"{file.name} was cut off: the first {kept.seconds:.1f} s are complete, the rest is lost"
     bag = repair_bag(file, repaired)
     return (
-        f"{file.name} was never closed or cut off: the first {bag.seconds:.1f} s are whole, "
-        f"{bag.lost_bytes} bytes behind them are lost"
+        f"{file.name} was never closed or cut off: the first {bag.seconds:.1f} s are complete, "
+        f"{bag.lost_bytes} bytes after them are lost"
     )
 
 
 def _choices(device: Any, file: Path) -> tuple[tuple[Any, Any], tuple[Any, Any]]:
-    """Sensor and profile of colour and of depth."""
+    """Choose sensor and profile of colour and of depth."""
     found = {}
     for kind, formats in (("color", COLOR_FORMATS), ("depth", ("z16",))):
         for sensor in device.query_sensors():

@@ -1,4 +1,4 @@
-"""What the camera sees, in the browser: colour and depth side by side as a stream of JPEG images."""
+"""Show what the camera sees in the browser: colour and depth side by side, as a stream of JPEG images."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ HOST = "127.0.0.1"
 RATE_HZ = 10.0
 HEIGHT = 360
 FAR_M = 2.0
-"""Shown in the colour of the largest depth."""
+"""Depth that is shown in the colour for the largest distance."""
 
 PAGE = """<!doctype html><meta charset="utf-8"><title>rpl capture</title>
 <style>body{margin:0;background:#111;color:#eee;font:22px sans-serif;text-align:center}
@@ -35,7 +35,7 @@ setInterval(async () => {
 
 
 class Preview:
-    """A page on this machine, served while the block lasts; `show` takes the images."""
+    """A web page on this machine, served while the block lasts; `show` receives the images."""
 
     def __init__(self, port: int, *, metres_per_unit: float = 0.001) -> None:
         self.url = f"http://{HOST}:{port}/"
@@ -48,7 +48,7 @@ class Preview:
         self._open = True
 
     def show(self, shot: Shot, word: str) -> None:
-        """Take an image; those that come faster than `RATE_HZ` only change the word."""
+        """Show an image; those that come faster than `RATE_HZ` only update the status line."""
         self._word = word
         now = time.monotonic()
         if now - self._shown_at < 1 / RATE_HZ:
@@ -88,7 +88,7 @@ class Preview:
         from starlette.middleware.trustedhost import TrustedHostMiddleware
 
         app = FastAPI(openapi_url=None, docs_url=None, redoc_url=None)
-        # Another site must not look through this camera by a name that leads to this machine.
+        # A foreign site must not reach this camera under a host name that resolves to this machine.
         app.add_middleware(TrustedHostMiddleware, allowed_hosts=[HOST, "localhost"])
         parts = "multipart/x-mixed-replace; boundary=frame"
         app.add_api_route("/", lambda: HTMLResponse(PAGE))
@@ -97,7 +97,7 @@ class Preview:
         return app
 
     def _parts(self) -> Iterator[bytes]:
-        """Every new image as a part of the stream."""
+        """Yield every new image as a part of the stream."""
         last = b""
         while self._open:
             with self._news:
@@ -114,7 +114,7 @@ def side_by_side(
     depth: UInt16[np.ndarray, "height width"],
     metres_per_unit: float,
 ) -> UInt8[np.ndarray, "shown wide 3"]:
-    """Colour and depth of `HEIGHT` rows, RGB; near is red, far is blue, no depth is black."""
+    """Colour beside depth, `HEIGHT` rows high, RGB; near is red, far is blue, no depth is black."""
     scale = HEIGHT / color.shape[0]
     small = cv2.resize(color, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     raw = cv2.resize(depth, None, fx=scale, fy=scale, interpolation=cv2.INTER_NEAREST)

@@ -1,8 +1,8 @@
-"""Colour and depth of any RealSense device (a camera, a file, a software device) as pairs, depth on colour.
+"""Read pairs of colour and depth from any RealSense device (camera, file, software device), depth aligned.
 
-Its sensors are read directly: librealsense's pipeline leaves out the first frames of a file and hands out
-some frames twice. Frames are paired by time, then depth is moved onto the colour pixels by librealsense's
-own `align`, unless the two streams already share one camera.
+The sensors are read directly: librealsense's pipeline drops the first frames of a file and delivers some
+frames twice. Frames are paired by time, then depth is moved onto the colour pixels by librealsense's own
+`align`, unless the two streams already share one camera.
 """
 
 from __future__ import annotations
@@ -18,24 +18,25 @@ import numpy as np
 from jaxtyping import UInt8, UInt16
 
 from rpl_data.types import DataError, Intrinsics
+from rpl_data.wording import counted
 
 POLL_S = 0.1
 LIVE_QUEUE = 120
-"""Frames of both streams that a camera may be ahead of their reader: 2 s at 30 Hz."""
+"""Frames of both streams that may wait for their reader: 2 s at 30 Hz."""
 
 LONGEST_WAIT = 30
-"""Frames that wait for their partner; one that is still alone then stays alone."""
+"""Number of frames that may wait for their partner; an older one stays without."""
 
 
 @dataclass(frozen=True)
 class Shot:
-    """A pair of images.
+    """A pair of a colour and a depth image.
 
     Attributes:
-        number: the camera's own count of colour images; a gap is a loss on the way here.
-        timestamp_s: of the colour image, on the camera's clock.
+        number: the camera's own count of colour images; a gap means images lost before they arrived.
+        timestamp_s: time of the colour image, on the camera's clock.
         color: RGB.
-        depth: on the colour pixels, in units of `StreamCamera.metres_per_unit`.
+        depth: aligned to the colour pixels, in units of `StreamCamera.metres_per_unit`.
     """
 
     number: int
@@ -46,12 +47,12 @@ class Shot:
 
 @dataclass(frozen=True)
 class StreamCamera:
-    """What the device says about itself.
+    """What the device reports about itself.
 
     Attributes:
-        intrinsics: of the colour images, and so of the aligned depth.
-        name: of the device, with its serial number where it has one.
-        notes: lines for a person.
+        intrinsics: camera of the colour images, and so of the aligned depth.
+        name: name of the device, with its serial number where it has one.
+        notes: lines for the user.
     """
 
     intrinsics: Intrinsics
@@ -62,7 +63,7 @@ class StreamCamera:
 
 @dataclass
 class StreamCounts:
-    """How many frames came and what became of them."""
+    """Counts of the frames that arrived, by what became of them."""
 
     pairs: int = 0
     color_alone: int = 0
@@ -70,12 +71,12 @@ class StreamCounts:
     late: int = 0
 
     def lines(self) -> list[str]:
-        """A line for every loss."""
+        """One line per kind of loss."""
         lines = []
         if self.color_alone:
-            lines.append(f"{self.color_alone} colour images without depth at their time")
+            lines.append(f"{counted(self.color_alone, 'colour image')} without depth at the same time")
         if self.late:
-            lines.append(f"{self.late} colour images came faster than they could be aligned and were dropped")
+            lines.append(f"{counted(self.late, 'colour image')} dropped: too fast to be aligned")
         return lines
 
 
@@ -83,9 +84,9 @@ class Streams:
     """The open colour and depth streams of a device.
 
     Attributes:
-        camera: what the device says about itself.
-        counts: grow while `shots` is read.
-        settings: exposure, gain and white balance of the last colour image, where the camera tells.
+        camera: what the device reports about itself.
+        counts: counts of frames, which grow while `shots` is read.
+        settings: exposure, gain and white balance of the last colour image, where the camera reports them.
     """
 
     def __init__(self, color: Any, depth: Any, camera: StreamCamera, *, lossless: bool) -> None:
@@ -101,7 +102,7 @@ class Streams:
     # Called by librealsense's threads -----------------------------------------------------------
 
     def receive(self, frame: Any) -> None:
-        """Take a frame; wait for room where nothing may be lost, else count it as late."""
+        """Take a frame; if nothing may be lost, wait for room, otherwise count it as late."""
         frame.keep()
         while not self._closed:
             try:
@@ -113,17 +114,17 @@ class Streams:
                     return
 
     def close(self) -> None:
-        """Let go of threads that wait for room."""
+        """Release threads that wait for room."""
         self._closed = True
 
     # Called by the reader -------------------------------------------------------------------------
 
     def shots(self, *, patience_s: float, ended: Callable[[], bool] = lambda: False) -> Iterator[Shot]:
-        """Pairs in the order of time.
+        """Yield pairs in the order of time.
 
         Args:
-            patience_s: nothing coming for so long is the end.
-            ended: asked when nothing has come for a moment.
+            patience_s: if nothing comes for this long, the stream has ended.
+            ended: called when nothing has come for a moment; True ends the stream.
         """
         for color, depth in self._pairs(patience_s, ended):
             self.counts.pairs += 1
@@ -152,7 +153,7 @@ class Streams:
             try:
                 frame = self._queue.get(timeout=POLL_S)
             except queue.Empty:
-                if end_seen:  # a moment ago already: nothing is on its way any more
+                if end_seen:  # it had ended a moment ago, so nothing is on its way any more
                     return
                 waited_s, end_seen = waited_s + POLL_S, ended()
                 continue
@@ -162,7 +163,7 @@ class Streams:
     def _matched(
         self, colors: deque[Any], depths: deque[Any], apart_ms: float, *, waiting: int
     ) -> Iterator[tuple[Any, Any]]:
-        """Colour images whose nearest depth is known by now; at most `waiting` are left to wait."""
+        """Yield colour images whose nearest depth image is known; at most `waiting` are kept waiting."""
         while colors and (len(colors) > waiting or (depths and depths[-1].timestamp >= colors[0].timestamp)):
             color = colors.popleft()
             nearest = min(depths, key=lambda depth: abs(depth.timestamp - color.timestamp), default=None)
@@ -187,7 +188,7 @@ class Streams:
 
 
 class _Aligner:
-    """librealsense's `align` for a pair that its own syncer did not make."""
+    """librealsense's `align`, for a pair that its own syncer did not make."""
 
     def __init__(self) -> None:
         import pyrealsense2 as rs
@@ -202,7 +203,7 @@ class _Aligner:
         source.frame_ready(source.allocate_composite_frame(self._pair))
 
     def aligned(self, color: Any, depth: Any) -> UInt16[np.ndarray, "height width"]:
-        """The depth image on the pixels of the colour image."""
+        """Move the depth image onto the pixels of the colour image."""
         self._pair = [depth, color]
         self._block.invoke(depth)
         pair = self._joined.wait_for_frame().as_frameset()
@@ -210,11 +211,11 @@ class _Aligner:
 
 
 def _pixels(frame: Any) -> UInt16[np.ndarray, "height width"]:
-    return np.array(np.asanyarray(frame.get_data()), dtype=np.uint16)  # a copy: the buffer is used again
+    return np.array(np.asanyarray(frame.get_data()), dtype=np.uint16)  # a copy: the buffer is reused
 
 
 def _rgb(frame: Any) -> UInt8[np.ndarray, "height width 3"]:
-    """The colour image as RGB, whatever it was recorded as."""
+    """The colour image as RGB, whatever format it was recorded in."""
     name = frame.profile.format().name
     pixels = np.asanyarray(frame.get_data())
     if name == "rgb8":
@@ -235,7 +236,7 @@ def _rgb(frame: Any) -> UInt8[np.ndarray, "height width 3"]:
 
 
 def _settings(frame: Any) -> dict[str, float]:
-    """What the camera says about how it took an image."""
+    """The settings that the camera reports for an image."""
     import pyrealsense2 as rs
 
     keys = {"exposure": "actual_exposure", "gain": "gain_level", "white_balance": "white_balance"}

@@ -1,21 +1,22 @@
-"""What came of the frames of a live camera: how many, over what time, and where the others were lost."""
+"""Count the frames of a live camera: how many arrived, over what time, and where others were lost."""
 
 from __future__ import annotations
 
 from rpl_data.capture.streams import Shot, StreamCounts
+from rpl_data.wording import counted
 
 
 class Tally:
-    """Counts frames as they come; every loss has one of three places.
+    """Counts frames as they come, and where frames were lost.
 
-    A colour image the camera numbered and nobody received was lost on the way here (cable, USB); one came
-    faster than it could be aligned, or without depth, as `StreamCounts` counts; one found the disk's queue
-    full.
+    A colour image that the camera numbered but that never arrived was lost on the way (cable, USB); others
+    came faster than they could be aligned, or without depth, as `StreamCounts` counts them; others found the
+    disk's queue full.
 
     Attributes:
-        shots: pairs that came.
-        seconds: from the first to the last of them, by the camera's clock.
-        at_disk: pairs dropped because the disk was behind.
+        shots: number of pairs that came.
+        seconds: time from the first to the last of them, on the camera's clock.
+        at_disk: number of pairs dropped because the disk was too slow.
     """
 
     def __init__(self, counts: StreamCounts) -> None:
@@ -27,15 +28,15 @@ class Tally:
 
     @property
     def seconds(self) -> float:
-        """From the first to the last pair."""
+        """Time from the first to the last pair."""
         return 0.0 if self._last is None else self.seconds_at(self._last)
 
     def seconds_at(self, shot: Shot) -> float:
-        """From the first pair to this one."""
+        """Time from the first pair to this one."""
         return 0.0 if self._first_s is None else shot.timestamp_s - self._first_s
 
     def add(self, shot: Shot, *, kept: bool) -> None:
-        """Count a pair, and the numbers the camera gave to those between it and the last."""
+        """Count a pair, and the numbers that the camera gave to images between it and the last."""
         if self._last is None:
             self._first_s = shot.timestamp_s
         else:
@@ -46,35 +47,35 @@ class Tally:
 
     @property
     def too_fast(self) -> int:
-        """Colour images between the first pair and the last that came faster than they could be aligned."""
+        """Number of colour images, first to last pair, that came faster than they could be aligned."""
         return min(self._counts.late, self._jumped - self.alone)
 
     @property
     def alone(self) -> int:
-        """Colour images between the first pair and the last without depth at their time."""
+        """Number of colour images, first to last pair, without depth at the same time."""
         return min(self._counts.color_alone, self._jumped)
 
     @property
     def on_the_way(self) -> int:
-        """Colour images between the first pair and the last that never arrived."""
+        """Number of colour images, first to last pair, that never arrived."""
         return self._jumped - self.alone - self.too_fast
 
     def losses(self) -> list[str]:
-        """A line for every place where frames were lost."""
+        """One line per place where frames were lost."""
         found = {
-            f"{self.alone} colour images came without depth at their time": self.alone,
-            f"{self.too_fast} colour images came faster than they could be aligned to and were dropped; "
+            f"{counted(self.alone, 'colour image')} came without depth at the same time": self.alone,
+            f"{counted(self.too_fast, 'colour image')} dropped: they came faster than they could be aligned; "
             "record smaller images, or at a lower --fps": self.too_fast,
-            f"{self.on_the_way} colour images were lost between camera and computer; use a USB 3 port, a "
-            "shorter cable, or a lower --fps": self.on_the_way,
-            f"{self.at_disk} frames were dropped because the disk is too slow; record to a faster one": (
+            f"{counted(self.on_the_way, 'colour image')} lost between camera and computer; use a USB 3 port, "
+            "a shorter cable, or a lower --fps": self.on_the_way,
+            f"{counted(self.at_disk, 'frame')} dropped as the disk is too slow; record to a faster one": (
                 self.at_disk
             ),
         }
         return [line for line, count in found.items() if count]
 
     def news(self) -> list[str]:
-        """The losses, when they have doubled since they were last asked for; else nothing."""
+        """The losses if they have doubled since they were last asked for; otherwise nothing."""
         lost = self.at_disk + self._jumped
         if lost < self._next_news:
             return []

@@ -9,7 +9,7 @@ from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
-from rpl_data.annotate import Place, Work
+from rpl_data.annotate import Address, Work
 from rpl_data.annotate.work import Tell
 from rpl_data.pipeline.build import Progress, build, context_of, recipe_of, save_recipe, stale_steps
 from rpl_data.pipeline.context import Context
@@ -21,7 +21,7 @@ from rpl_data.types import DataError
 from rpl_data.workspace.workspace import Workspace
 
 
-def place_of(host: str, port: int) -> Place:
+def address_of(host: str, port: int) -> Address:
     """Where to listen; a token is made up for every address but this machine's own."""
     try:
         local = host == "localhost" or ipaddress.ip_address(host).is_loopback
@@ -29,7 +29,7 @@ def place_of(host: str, port: int) -> Place:
         local = False
     if not 1 <= port <= 65535:
         raise DataError(f"there is no port {port}; choose one from 1024 to 65535")
-    return Place(host, port, None if local else secrets.token_urlsafe(18))
+    return Address(host, port, None if local else secrets.token_urlsafe(18))
 
 
 def work_of(workspace: Workspace) -> Work:
@@ -93,7 +93,7 @@ def _fresh(workspace: Workspace) -> dict[str, bool]:
     return {stage: bool(steps) and all(holds for _, holds in steps) for stage, steps in found.items()}
 
 
-def serve(workspace: Path, place: Place, *, ready: bool = False) -> None:
+def serve(workspace: Path, address: Address, *, ready: bool = False) -> None:
     """Serve the page until Ctrl-C.
 
     Raises:
@@ -107,13 +107,13 @@ def serve(workspace: Path, place: Place, *, ready: bool = False) -> None:
     from rpl_data.annotate.session import Session
 
     root = Workspace(workspace)
-    app = make_app(Session(root, work_of(root)), place)
-    family = socket.AF_INET6 if ":" in place.host else socket.AF_INET
+    app = make_app(Session(root, work_of(root)), address)
+    family = socket.AF_INET6 if ":" in address.host else socket.AF_INET
     try:
-        taken = socket.create_server((place.host, place.port), family=family)
+        taken = socket.create_server((address.host, address.port), family=family)
     except OSError as error:
         raise DataError(
-            f"cannot listen on {place.host} port {place.port}: {error.strerror or error}; "
+            f"cannot listen on {address.host} port {address.port}: {error.strerror or error}; "
             "another page may be open already; choose another --port"
         ) from error
     # A socket that was made here says no protocol, so asyncio would leave Nagle's delay on: 40 ms an answer.

@@ -6,26 +6,35 @@ import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 # Before NumPy is loaded: our matrices are small, and threads that wait for one another make a solve of
 # 0.15 s take more than a second on a busy machine.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+from rpl_data.cli.stages import (  # noqa: E402
+    HERE,
+    cut,
+    drift,
+    export,
+    label,
+    quality,
+    report,
+    run_build,
+    segment,
+    solve,
+    surface,
+    track,
+)
 from rpl_data.types import DataError  # noqa: E402
-
-if TYPE_CHECKING:
-    from rpl_data.pipeline.ledger import Ledger
-
-HERE = Path(".")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; 0 when all is well, 1 with one line on stderr when the user can mend it."""
-    from jsonargparse import auto_cli
+    from rpl_data.cli.parser import run
 
     try:
-        auto_cli(COMMANDS, args=None if arguments is None else list(arguments), prog="rpl", description=HELP)
+        run(COMMANDS, arguments, program="rpl", description=HELP)
     except DataError as error:
         print(f"rpl: {error}", file=sys.stderr)
         return 1
@@ -44,33 +53,40 @@ def build(
 ) -> None:
     """Make everything a recipe asks for; only what is out of date is run.
 
-    Stages, in order: twin, import, track, clicks, solve, surface, segment, label, export, quality, report.
-    Interrupt it whenever you like: run again, it goes on.
+    Stages, in order: twin, import, track, clicks, drift, cut, solve, surface, segment, label, export,
+    quality, report. Interrupt it whenever you like: run it again and it goes on from there.
+
+    Example: rpl build datasets/demo.yaml --workspace workspaces/demo
 
     Args:
         recipe: the YAML file; datasets/recording.yaml explains every field.
         workspace: folder for everything that is made; workspaces/<name of the file> when left out.
         root: where the relative paths of the recipe start; the recipe's own folder when left out.
-        workers: processes for labelling and rendering; as many as cores when left out, 1 = no other process.
+        workers: number of processes for labelling and rendering; as many as there are cores when left out,
+            1 = only this one.
         again: a stage to run again although nothing it depends on has changed, or `all`.
     """
     from rpl_data.pipeline.recipe import load_recipe
 
-    _run(load_recipe(recipe, root=root), workspace or Path("workspaces") / recipe.stem, None, again, workers)
+    run_build(
+        load_recipe(recipe, root=root), workspace or Path("workspaces") / recipe.stem, None, again, workers
+    )
 
 
 def import_(recipe: Path, workspace: Path = HERE, root: Path | None = None, again: bool = False) -> None:
     """Read the recordings of a recipe into a workspace; what is left out is counted and named.
 
+    Example: rpl import my.yaml --root my-recording --workspace my-workspace
+
     Args:
         recipe: the YAML file.
         workspace: folder for everything that is made.
         root: where the relative paths of the recipe start; the recipe's own folder when left out.
-        again: even if nothing has changed.
+        again: run the stage even if nothing it depends on has changed.
     """
     from rpl_data.pipeline.recipe import load_recipe
 
-    _run(load_recipe(recipe, root=root), workspace, "import", "import" if again else None)
+    run_build(load_recipe(recipe, root=root), workspace, "import", "import" if again else None)
 
 
 def capture(
@@ -90,10 +106,12 @@ def capture(
 
     Put the object on a table among other things (texture helps the tracking), 0.4 to 0.8 m away, and walk
     slowly around it for 20 to 40 seconds. Turn the object over or move it, run the same command again for the
-    next scene; three scenes or more give a test split. What is recorded is whole at every moment: when the
-    camera is unplugged or the disk full, all before it is kept, and every lost frame is said.
+    next scene; three scenes or more give a test split. The recording is whole at every moment: when the
+    camera is unplugged or the disk is full, everything before that is kept, and every lost frame is reported.
 
-    Then: `rpl check OUT` says whether the recording is good; datasets/realsense.yaml makes a dataset of it.
+    Then `rpl check OUT` says whether the recording is good; datasets/realsense.yaml makes a dataset of it.
+
+    Example: rpl capture my-recording --seconds 30 --preview browser
 
     Args:
         out: folder of the recording, of all its scenes; made when it is not there.
@@ -103,11 +121,11 @@ def capture(
         exposure: `lock` holds exposure and white balance at what the automatic finds before the start, so
             that a place looks the same in every frame; `auto` lets them change.
         preview: `browser` shows colour and depth on a page of this machine.
-        width: of the images, pixels.
-        height: of the images, pixels.
-        fps: images a second.
-        serial: of the camera, where several are connected.
-        port: of the preview.
+        width: width of the images, pixels.
+        height: height of the images, pixels.
+        fps: images per second.
+        serial: serial number of the camera, where several are connected.
+        port: port of the preview's page.
     """
     from rpl_data.capture.camera import connected_camera
     from rpl_data.capture.live import CaptureOptions
@@ -125,18 +143,20 @@ def check(
     names: tuple[str, ...] | None = None,
     metres_per_unit: float | None = None,
 ) -> None:
-    """What is wrong with a recording, how sure that is, and what mends it; changes nothing.
+    """Say what is wrong with a recording, how sure that is, and what mends it; changes nothing.
 
-    Looks at about 90 frames of every scene: gaps between frames, repeated images, blur, depth that is
-    missing, lag and shift between colour and depth, and, where there are poses, how they are stored, the
-    unit of depth and the intrinsics.
+    Looks at about 90 frames of each scene: gaps between frames, repeated images, blur, missing depth, lag and
+    shift between colour and depth and, where there are poses, how they are stored, the unit of depth and the
+    intrinsics.
+
+    Example: rpl check my-recording
 
     Args:
         path: a folder of scenes, the folder of one scene, a recording kept in one file (`.bag`, `.db3`,
             `.klg`), or a recipe (`.yaml`): then its recordings, as the recipe reads and mends them.
         format: how the recording is stored; guessed when left out.
         names: only these scenes.
-        metres_per_unit: of the depth images; what the format says when left out.
+        metres_per_unit: metres per unit of the depth images; what the format says when left out.
     """
     from tempfile import TemporaryDirectory
 
@@ -149,35 +169,15 @@ def check(
         )
 
 
-def track(workspace: Path = HERE, again: bool = False) -> None:
-    """Images to camera poses, for a recipe with `reconstruct: {method: track}`.
-
-    Every frame is aligned to keyframes by brightness and depth. Frames that cannot be are left out of
-    `trajectory.txt`, and named.
-
-    Args:
-        workspace: a folder made by `rpl build` or `rpl import`.
-        again: even if nothing has changed.
-    """
-    _stage(workspace, "track", again)
-
-
-def solve(workspace: Path = HERE, again: bool = False) -> None:
-    """Clicks to sparse models: where every keypoint is, and where the objects stand in every scene.
-
-    Args:
-        workspace: a folder made by `rpl build` or `rpl import`.
-        again: even if nothing has changed.
-    """
-    _stage(workspace, "solve", again)
-
-
 def register(object: str, scene: str, workspace: Path = HERE) -> None:
     """Place a known object in one more scene, from three clicks there or more; its model stays as it is.
 
+    Example: rpl register cube 04 --workspace my-workspace
+
     Args:
-        object: its name.
-        scene: its name; the scene must be in the recordings of the recipe, its clicks in the workspace.
+        object: name of the object.
+        scene: name of the scene, which must be in the recordings of the recipe; its clicks must be in the
+            workspace.
         workspace: a folder made by `rpl build` or `rpl import`.
     """
     from rpl_data.pipeline.build import recipe_of, run_step
@@ -189,83 +189,23 @@ def register(object: str, scene: str, workspace: Path = HERE) -> None:
     print("\n".join(entry.outcome.messages))
 
 
-def surface(workspace: Path = HERE, again: bool = False) -> None:
-    """Depth images to a surface near the objects, a scene.
-
-    Args:
-        workspace: a folder made by `rpl build` or `rpl import`.
-        again: even if nothing has changed.
-    """
-    _stage(workspace, "surface", again)
-
-
-def segment(workspace: Path = HERE, again: bool = False) -> None:
-    """Surfaces to the dense model of every object.
-
-    Args:
-        workspace: a folder made by `rpl build` or `rpl import`.
-        again: even if nothing has changed.
-    """
-    _stage(workspace, "segment", again)
-
-
-def label(workspace: Path = HERE, again: bool = False, workers: int | None = None) -> None:
-    """Poses, keypoints, boxes and masks of every object in the chosen frames.
-
-    Args:
-        workspace: a folder made by `rpl build` or `rpl import`.
-        again: even if nothing has changed.
-        workers: processes; as many as cores when left out, 1 = no other process.
-    """
-    _stage(workspace, "label", again, workers)
-
-
-def export(workspace: Path = HERE, labels: Literal["own", "truth"] = "own", again: bool = False) -> None:
-    """Labels to the formats of the recipe, in export/ of the workspace.
-
-    Args:
-        workspace: a folder made by `rpl build` or `rpl import`.
-        labels: `own`, or `truth`: export/coco_truth with the same images, from the truth where it is known.
-        again: even if nothing has changed.
-    """
-    _stage(workspace, "export", again)
-    if labels == "truth":
-        from rpl_data.pipeline.build import context_of
-        from rpl_data.pipeline.stages.export import export_truth
-        from rpl_data.workspace.workspace import Workspace
-
-        summary = export_truth(context_of(Workspace(workspace)))
-        print(f"{Workspace(workspace).export('coco_truth')}: {sum(summary.images.values())} images")
-
-
-def quality(workspace: Path = HERE, again: bool = False) -> None:
-    """Errors against truth, where the recipe has a twin or names the truth: mm, px, IoU.
-
-    Args:
-        workspace: a folder made by `rpl build` or `rpl import`.
-        again: even if nothing has changed.
-    """
-    ledger = _stage(workspace, "quality", again)
-    if "quality" not in ledger.entries:
-        raise DataError(
-            f"the truth of {workspace} is not known; name it with `truth:` in the recipe and build again"
-        )
-
-
 def truth(
     recipe: Path, cads: Path, out: Path, root: Path | None = None, metres_per_unit: float = 1.0
 ) -> None:
-    """True poses that came with recordings (BOP, YCB-Video, LabelFusion), as a file for `truth:` of a recipe.
+    """Write the true poses that came with recordings to a file for `truth:` of a recipe.
 
-    They are poses of CAD models, so the keypoints must be picked on these too: open the CAD in MeshLab, pick
-    them in the order of the recipe (PickPoints) and save <object>.pp beside it. Labelling never sees them.
+    BOP, YCB-Video and LabelFusion have poses of CAD models, so the keypoints must be picked on the CAD models
+    too: open each in MeshLab, pick the keypoints in the order of the recipe (PickPoints) and save <object>.pp
+    beside it. Labelling never sees these poses.
+
+    Example: rpl truth my.yaml models truth.json --metres_per_unit 0.001
 
     Args:
         recipe: the YAML file; its objects are called as in the dataset (obj_000005, 006_mustard_bottle).
         cads: folder with <object>.obj (or .ply, .stl) and <object>.pp.
         out: the JSON file to write.
         root: where the relative paths of the recipe start; the recipe's own folder when left out.
-        metres_per_unit: of the CADs; 0.001 for millimetres, as BOP's are.
+        metres_per_unit: metres per unit of the CAD models; 0.001 for millimetres, as in BOP.
     """
     from tempfile import TemporaryDirectory
 
@@ -285,18 +225,10 @@ def truth(
         print(f"{name}: {frames} frames with a true pose")
 
 
-def report(workspace: Path = HERE, again: bool = False) -> None:
-    """The page to look at: pictures, clicks, models, counts, timings.
-
-    Args:
-        workspace: a folder made by `rpl build` or `rpl import`.
-        again: even if nothing has changed.
-    """
-    _stage(workspace, "report", again)
-
-
 def status(workspace: Path = HERE) -> None:
-    """What a workspace holds and what the next build would run.
+    """Say which stages of a workspace are up to date and what the next build would run; changes nothing.
+
+    Example: rpl status --workspace workspaces/demo
 
     Args:
         workspace: a folder made by `rpl build` or `rpl import`.
@@ -324,23 +256,26 @@ def annotate(
     host: str = "127.0.0.1",
     port: int = 8017,
 ) -> None:
-    """Mark keypoints in the browser: opens a page that says what to do next. Ctrl-C ends it.
+    """Mark keypoints in the browser, on a page that says what to do next. Ctrl-C ends it.
 
     Every click is on the disk before the page shows it as saved; end it whenever you like.
+
+    Example: rpl annotate my-workspace --recipe my.yaml --root my-recording
 
     Args:
         workspace: a folder made by `rpl build` or `rpl import`; with a recipe it may be empty.
         recipe: read its recordings into the workspace first.
         root: where the relative paths of the recipe start; the recipe's own folder when left out.
-        host: the address to listen on; any but this machine's own asks for the token in the printed URL.
+        host: the address to listen on; any other than this machine's own asks for the token in the printed
+            URL.
         port: where the page is served.
     """
-    from rpl_data.cli.annotate import place_of, serve
+    from rpl_data.cli.annotate import address_of, serve
     from rpl_data.pipeline.recipe import load_recipe
 
-    place = place_of(host, port)
+    place = address_of(host, port)
     if recipe is not None:
-        _run(load_recipe(recipe, root=root), workspace, "clicks", None)
+        run_build(load_recipe(recipe, root=root), workspace, "clicks", None)
     print(f"open {place.url}\nend with Ctrl-C", flush=True)
     serve(workspace, place)
 
@@ -348,11 +283,14 @@ def annotate(
 def clicks_import(file: Path, workspace: Path = HERE, proposed: bool = False) -> None:
     """Add the clicks of a CSV file; a click on the same keypoint in the same frame is replaced.
 
+    Example: rpl clicks import corrected.csv --workspace my-workspace
+
     Args:
         file: columns object,keypoint,scene,frame,u_px,v_px; a keypoint by name, or by number from 0.
         workspace: a folder made by `rpl build` or `rpl import`.
         proposed: the clicks are a program's (`python -m training.predict --clicks`): what a person decided
-            stays, they only fill in keypoints that were not clicked in that scene nor declared not visible.
+            stays, and they only fill in keypoints that were neither clicked in that scene nor declared not
+            visible there.
     """
     from rpl_data.pipeline.build import context_of
     from rpl_data.pipeline.stages.clicks import add_clicks
@@ -365,8 +303,10 @@ def clicks_import(file: Path, workspace: Path = HERE, proposed: bool = False) ->
 def clicks_export(file: Path, workspace: Path = HERE) -> None:
     """Write the clicks of all objects to a CSV file.
 
+    Example: rpl clicks export clicks.csv --workspace my-workspace
+
     Args:
-        file: is replaced.
+        file: the CSV file to write; replaced when it is there.
         workspace: a folder made by `rpl build` or `rpl import`.
     """
     from rpl_data.files import write_text
@@ -390,6 +330,8 @@ COMMANDS: dict[str, Any] = {
         "import": clicks_import,
         "export": clicks_export,
     },
+    "drift": drift,
+    "cut": cut,
     "solve": solve,
     "register": register,
     "surface": surface,
@@ -400,34 +342,6 @@ COMMANDS: dict[str, Any] = {
     "truth": truth,
     "report": report,
 }
-
-
-def _stage(workspace: Path, stage: str, again: bool, workers: int | None = None) -> Ledger:
-    """Run a stage of a workspace, and what is out of date before it."""
-    from rpl_data.pipeline.build import recipe_of
-    from rpl_data.workspace.workspace import Workspace
-
-    return _run(recipe_of(Workspace(workspace)), workspace, stage, stage if again else None, workers)
-
-
-def _run(
-    recipe: Any, workspace: Path, until: str | None, again: str | None, workers: int | None = None
-) -> Ledger:
-    """Build with progress on the terminal, and say what came out."""
-    from rpl_data.cli.screen import Screen, print_results
-    from rpl_data.pipeline.build import STAGES, build
-    from rpl_data.workspace.workspace import Workspace
-
-    if again is not None and again not in (*STAGES, "all"):
-        raise DataError(
-            f"there is no stage {again!r} to run again; expected all or one of {', '.join(STAGES)}"
-        )
-    place = Workspace(workspace)
-    with Screen() as screen:
-        chosen = tuple(STAGES) if again == "all" else (again,) if again else ()
-        ledger = build(recipe, place, until=until, again=chosen, workers=workers, tell=screen.tell)
-    print_results(place, ledger, screen, until)
-    return ledger
 
 
 if __name__ == "__main__":

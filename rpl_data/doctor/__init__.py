@@ -1,1 +1,1 @@
-"""The recording doctor: what is wrong with a recording, how sure, and what to do. It changes nothing."""
+"""The recording doctor: find what is wrong with a recording, how sure that is, and how to mend it."""

@@ -1,8 +1,8 @@
-"""Do depth edges lie on colour edges? Lag and registration of the two cameras, from the images alone.
+"""Compare depth edges with colour edges: the lag and registration of the two cameras, from images alone.
 
-An object's outline is an edge in both images. Depth edges of frame t + lag are correlated with colour
-edges of frame t over all shifts, and the correlations are added over the frames: what is wrong in all of
-them alike (a shift, a lag, another field of view) adds up, everything else averages out.
+An object's outline is an edge in both images. The depth edges of frame t + lag are correlated with the
+colour edges of frame t over all shifts, and the correlations are summed over the frames: an error that all
+frames share (a shift, a lag, another field of view) adds up, everything else averages out.
 """
 
 from __future__ import annotations
@@ -16,38 +16,39 @@ from jaxtyping import Complex64, Float, Float64, Int64
 from scipy.fft import irfft2, rfft2
 from scipy.special import ndtr
 
-from rpl_data.doctor.edges import STEP_PX, Edges, Pair
+from rpl_data.doctor.edges import STEP_PX, Edges, FrameEdges
 
 NEARLY_PX = 6.0
-"""Edges of depth are uncertain by this much; a registration within it is as good as can be seen."""
+"""Uncertainty of depth edges; a registration error below this cannot be seen."""
 
 ZOOMS = np.geomspace(1 / 1.7, 1.7, 27)
-"""In steps of 4 %. Without registration a Kinect has 0.9, a D435 at 640 x 480 has 1.6."""
+"""Zooms that are tried, in steps of 4 %. Unregistered, a Kinect has 0.9, a D435 at 640 x 480 has 1.6."""
 
-MUCH_HIGHER = 1.2
-"""A zoom must make the peak higher by this factor than none does, and than all zooms that are not near."""
+ZOOM_PEAK_RATIO = 1.2
+"""A zoom's peak must be this many times higher than without zoom, and than at every zoom not near it."""
 
 NEAR_ZOOM = 1.12
-"""A true zoom is sharp: this far from it, edges at half the way to the sides are 10 px off. Where edges are
-few and close together a zoom and a shift do the same, and the height hardly depends on the zoom."""
+"""Zooms within this factor count as near. A true zoom is sharp: at this factor, edges halfway to the sides
+are 10 px off. Where edges are few and close together, zoom and shift look the same and the peak is flat."""
 
 Spectrum = Complex64[np.ndarray, "rows half"]
 
 
 @dataclass(frozen=True)
 class Alignment:
-    """Where colour and depth edges meet best.
+    """The lag, zoom and shift at which colour and depth edges match best.
 
     Attributes:
         lag_frames: depth images are this many frames late.
-        zoom: depth images must be enlarged by this about the middle of the image, and
-        shift_px: then be moved by this (u, v), to meet the colour images at that lag.
+        zoom: to match the colour images at that lag, depth images must be enlarged by this about their centre
+        shift_px: and then moved by this (u, v).
         lag_sigma, zoom_sigma, shift_sigma_px: standard errors by the jackknife (Efron and Stein, 1981);
-            large where there are too few edges to tell.
-        lag_contrast, shift_contrast: how many times higher the peak is than that of the images as they are
-            (no lag, no zoom, hardly a shift), and than that at the same lag; 1 when that is the peak. Print
-            along an object's edges can make a second peak that is as high.
-        near: heights of the peaks of hardly any shift, a column a lag, a row a group that was left out.
+            large when there are too few edges to tell.
+        lag_contrast, shift_contrast: height of the peak relative to that of unchanged images (no lag, no
+            zoom, almost no shift), and relative to that at the same lag; 1 when they are the same peak. Print
+            along an object's edges can make a second peak just as high.
+        near: heights of the peaks within `NEARLY_PX` of no shift: one column per lag, one row per group
+            that was left out.
     """
 
     lag_frames: float
@@ -61,10 +62,10 @@ class Alignment:
     near: Float64[np.ndarray, "groups lags"]
 
     def prefers(self, lag: int) -> float:
-        """Probability that edges meet better at that lag than at none, without a shift to speak of.
+        """Probability that edges match better at this lag than at no lag, when images are not shifted.
 
-        A question with two answers needs fewer edges than the search for the lag. 0.5 for a lag that was
-        not tried.
+        Choosing between two lags needs fewer edges than searching for the lag. 0.5 for a lag that was not
+        tried.
         """
         middle = self.near.shape[1] // 2
         if not 0 < abs(lag) <= middle:
@@ -73,31 +74,31 @@ class Alignment:
         return _beyond(float(better.mean()), float(np.sqrt(len(better) - 1) * better.std()), 0.0)
 
     def sure_of_lag(self, least_frames: float) -> float:
-        """Probability that the lag is larger than that."""
+        """Probability that the absolute lag is larger than `least_frames`."""
         return _beyond(abs(self.lag_frames), self.lag_sigma, least_frames)
 
     def sure_of_zoom(self, least: float) -> float:
-        """Probability that the zoom differs from 1 by more than that."""
+        """Probability that the zoom differs from 1 by more than `least`."""
         return _beyond(abs(self.zoom - 1), self.zoom_sigma, least)
 
     def sure_of_shift(self, least_px: float) -> float:
-        """Probability that the shift is larger than that."""
+        """Probability that the shift is longer than `least_px`."""
         return _beyond(float(np.linalg.norm(self.shift_px)), self.shift_sigma_px, least_px)
 
 
 def align(
-    pairs: Mapping[int, Pair], *, max_lag: int = 5, reach_px: float = 40.0, groups: int = 8
+    pairs: Mapping[int, FrameEdges], *, max_lag: int = 5, reach_px: float = 40.0, groups: int = 8
 ) -> Alignment:
     """Correlate the depth edges of frame t + lag with the colour edges of frame t, summed over all t.
 
-    The lag is looked for first, then the zoom at that lag; where a zoom is what makes the edges meet, the
-    lag is looked for again with it.
+    The lag is searched first, then the zoom at that lag. If a zoom makes the edges match, the lag is searched
+    again with it.
 
     Args:
-        pairs: edge images by position in the recording; frames whose partner is not there do not count.
+        pairs: edge images, keyed by position in the recording; a frame whose partner is missing is skipped.
         max_lag: lags from -max_lag to max_lag frames are tried.
-        reach_px: shifts up to this are looked at.
-        groups: for the jackknife, which leaves out one group of neighbouring frames after the other.
+        reach_px: shifts up to this are tried.
+        groups: number of groups of neighbouring frames for the jackknife, which leaves out one at a time.
     """
     lags = np.arange(-max_lag, max_lag + 1)
     spectra = _Spectra.of(pairs, groups)
@@ -106,7 +107,7 @@ def align(
     by_lag = _best(lags.astype(float), plain, spectra.shape, reach_px)
     lag = round(by_lag.value) if by_lag.sigma < 0.5 else 0
     by_zoom = _best(ZOOMS, spectra.summed(np.full(len(ZOOMS), lag), ZOOMS), spectra.shape, reach_px)
-    zoomed = by_zoom.height > MUCH_HIGHER * max(by_lag.height, by_zoom.elsewhere(NEAR_ZOOM))
+    zoomed = by_zoom.height > ZOOM_PEAK_RATIO * max(by_lag.height, by_zoom.elsewhere(NEAR_ZOOM))
     if zoomed:
         summed = spectra.summed(lags, np.full(len(lags), by_zoom.value))
         by_lag = _best(lags.astype(float), summed, spectra.shape, reach_px)
@@ -125,23 +126,23 @@ def align(
 
 
 def _beyond(size: float, sigma: float, least: float) -> float:
-    """Probability that a normal variable of that mean and standard deviation is larger than `least`."""
+    """Probability that a normal variable of mean `size` and standard deviation `sigma` exceeds `least`."""
     return float(ndtr((size - least) / max(sigma, 1e-6)))
 
 
 Summed = Complex64[np.ndarray, "groups tried rows half"]
-"""Spectra of the correlations of a group's images, summed, for everything that is tried."""
+"""Spectra of the correlations, summed per group of frames, for each lag or zoom that is tried."""
 
 
 @dataclass(frozen=True)
 class _Spectra:
-    """The frames' edges, ready to be correlated.
+    """The edges of all frames, ready to be correlated.
 
     Attributes:
-        color: Fourier transforms of the colour edges, by position.
-        depth: depth edges, by position; they are transformed when it is known how they are zoomed.
-        groups: positions of neighbouring frames.
-        shape: of the images.
+        color: Fourier transforms of the colour edges, by position in the recording.
+        depth: depth edges by position; transformed once their zoom is known.
+        groups: positions of neighbouring frames, per jackknife group.
+        shape: rows and columns of the edge images.
     """
 
     color: Mapping[int, Spectrum]
@@ -150,7 +151,7 @@ class _Spectra:
     shape: tuple[int, int]
 
     @staticmethod
-    def of(pairs: Mapping[int, Pair], groups: int) -> _Spectra:
+    def of(pairs: Mapping[int, FrameEdges], groups: int) -> _Spectra:
         height, width = next(iter(pairs.values())).color.shape
         return _Spectra(
             {t: rfft2(pair.color) for t, pair in pairs.items()},
@@ -160,7 +161,7 @@ class _Spectra:
         )
 
     def summed(self, lags: Int64[np.ndarray, " tried"], zooms: Float64[np.ndarray, " tried"]) -> Summed:
-        """Colour of frame t with depth of frame t + lag, zoomed, for each lag and zoom."""
+        """Correlate colour of frame t with zoomed depth of frame t + lag, for each lag and zoom."""
         result = np.zeros((len(self.groups), len(lags), *next(iter(self.color.values())).shape), np.complex64)
         for zoom in np.unique(zooms).tolist():
             depth = {t: rfft2(_zoomed(edges, zoom)) for t, edges in self.depth.items()}
@@ -173,7 +174,7 @@ class _Spectra:
 
 
 def _zoomed(edges: Edges, zoom: float) -> Edges:
-    """The image enlarged about its middle."""
+    """Enlarge the image about its centre."""
     if zoom == 1:
         return edges
     height, width = edges.shape
@@ -182,7 +183,7 @@ def _zoomed(edges: Edges, zoom: float) -> Edges:
 
 
 def _near(summed: Summed, shape: tuple[int, int], reach_px: float) -> Float64[np.ndarray, "groups tried"]:
-    """Height of the peak of hardly any shift of everything tried, leaving out a group at a time."""
+    """Heights of the peaks near no shift, for everything tried, leaving out one group at a time."""
     total = summed.sum(axis=0)
     return np.array(
         [
@@ -194,10 +195,10 @@ def _near(summed: Summed, shape: tuple[int, int], reach_px: float) -> Float64[np
 
 @dataclass(frozen=True)
 class _Best:
-    """What makes the highest peak, of all that was tried; see `Alignment`.
+    """The lag or zoom with the highest peak; see `Alignment`.
 
     Attributes:
-        tried, heights: all that was tried, and the peaks it makes.
+        tried, heights: all values that were tried, and the heights of their peaks.
     """
 
     value: float
@@ -209,7 +210,7 @@ class _Best:
     heights: Float64[np.ndarray, " tried"]
 
     def elsewhere(self, factor: float) -> float:
-        """The highest peak of what is larger or smaller than the best by more than a factor."""
+        """Highest peak among the values that differ from the best by more than a factor."""
         apart = np.abs(np.log(self.tried / self.value)) > np.log(factor)
         return float(self.heights[apart].max(initial=0.0))
 
@@ -217,7 +218,7 @@ class _Best:
 def _best(
     tried: Float64[np.ndarray, " tried"], summed: Summed, shape: tuple[int, int], reach_px: float
 ) -> _Best:
-    """The value with the highest peak, and its standard error by leaving out a group at a time."""
+    """Find the value with the highest peak, and its standard error by leaving out one group at a time."""
     total = summed.sum(axis=0)
     value, shift_px, heights = _highest(tried, total, shape, reach_px)
     without = [_highest(tried, total - group, shape, reach_px) for group in summed]
@@ -233,7 +234,7 @@ def _highest(
     shape: tuple[int, int],
     reach_px: float,
 ) -> tuple[float, Float64[np.ndarray, "2"], Float64[np.ndarray, " tried"]]:
-    """The value with the highest peak, refined by a parabola; the shift there; the heights of all."""
+    """Return the value with the highest peak (refined by a parabola), its shift, and all heights."""
     peaks = [_peak(irfft2(spectrum, s=shape), reach_px) for spectrum in total]
     heights = np.array([height for height, _ in peaks], dtype=float)
     best = int(np.argmax(heights))
@@ -245,9 +246,9 @@ def _highest(
 def _peak(
     correlation: Float[np.ndarray, "rows columns"], reach_px: float, *, within_px: float | None = None
 ) -> tuple[float, Float64[np.ndarray, "2"]]:
-    """The highest peak with a shift up to `within_px` (`reach_px` when left out), and its place.
+    """Return the height and position of the highest peak within `within_px` (by default `reach_px`).
 
-    Its height is above the mean of all shifts within `reach_px`, in their standard deviations.
+    The height is measured from the mean over all shifts within `reach_px`, in standard deviations.
     """
     reach = int(reach_px / STEP_PX)
     around = np.roll(correlation, (reach, reach), axis=(0, 1))[: 2 * reach + 1, : 2 * reach + 1]
@@ -262,6 +263,6 @@ def _peak(
 
 
 def _vertex(before: float, at: float, after: float) -> float:
-    """Offset of the top of the parabola through three values, -0.5 to 0.5."""
+    """Offset of the vertex of the parabola through three values, -0.5 to 0.5."""
     bend = before - 2 * at + after
     return float(np.clip(0.5 * (before - after) / bend, -0.5, 0.5)) if bend < 0 else 0.0

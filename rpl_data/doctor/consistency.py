@@ -1,7 +1,7 @@
-"""How well depth images agree under the given poses.
+"""Measure how well depth images agree with each other under the given poses.
 
-A point seen in frame i, taken to frame j by the poses, must lie at the depth that j measured. Under wrong
-poses, a wrong depth unit or wrong intrinsics it does not, and a fused surface would be blurred.
+A point seen in frame i and taken to frame j by the poses must lie at the depth that frame j measured. With
+wrong poses, a wrong depth unit or wrong intrinsics it does not, and a fused surface would be blurred.
 """
 
 from __future__ import annotations
@@ -15,21 +15,21 @@ from jaxtyping import Bool, Float32, Float64, Int64
 from rpl_data.geometry import invert, rays
 from rpl_data.types import Intrinsics
 
-WORST = 0.05
-"""Relative differences of depth are cut off here: beyond it, it is another surface or a wrong pose."""
+MAX_DIFFERENCE = 0.05
+"""Relative differences of depth are clipped here: a larger one means another surface or a wrong pose."""
 
-FEWEST = 50
-"""With fewer points a pair of images says nothing."""
+FEWEST_POINTS = 50
+"""A pair of images with fewer common points is not judged."""
 
 
 @dataclass(frozen=True)
 class Geometry:
-    """What relates depth images to one another.
+    """The camera geometry that relates depth images to one another.
 
     Attributes:
-        intrinsics: of the depth images.
-        scene_from_camera: a pose a depth image; NaN where there is none.
-        metres_factor: depths are multiplied by this.
+        intrinsics: intrinsics of the depth images.
+        scene_from_camera: one pose per depth image; NaN where there is none.
+        metres_factor: factor that corrects the depths.
     """
 
     intrinsics: Intrinsics
@@ -38,14 +38,14 @@ class Geometry:
 
 
 @dataclass(frozen=True)
-class Views:
-    """Depth images to be compared two by two.
+class ComparedImages:
+    """Depth images, and the pairs of them that are compared.
 
     Attributes:
-        depths_m: the images, 0 = none.
+        depths_m: the depth images, 0 = none.
         grid_px: (u, v) of the pixels that are compared.
-        pairs: rows (i, j) of images.
-        runs: (first, behind the last) rows of images that follow one another in the recording.
+        pairs: row numbers (i, j) of the images in each pair.
+        runs: (first, last + 1) row numbers of images that follow one another in the recording.
     """
 
     depths_m: Float32[np.ndarray, "n height width"]
@@ -54,14 +54,14 @@ class Views:
     runs: tuple[tuple[int, int], ...]
 
 
-def views_of(
+def choose_pairs(
     depths_m: Float32[np.ndarray, "n height width"],
     runs: Sequence[tuple[int, int]],
     *,
     columns: int = 50,
     most_pairs: int = 40,
-) -> Views:
-    """Pairs of images an eighth, a quarter and half a run apart, at most `most_pairs`, evenly chosen."""
+) -> ComparedImages:
+    """Choose pairs of images 1/8, 1/4 and 1/2 of a run apart, at most `most_pairs`, evenly."""
     _, height, width = depths_m.shape
     grid = max(1, width // columns)
     v, u = np.mgrid[grid // 2 : height : grid, grid // 2 : width : grid]
@@ -73,53 +73,53 @@ def views_of(
     ]
     chosen = np.unique(np.linspace(0, len(pairs) - 1, min(most_pairs, len(pairs))).astype(int))
     rows = np.array([pairs[number] for number in chosen.tolist()], dtype=np.int64).reshape(-1, 2)
-    return Views(depths_m, np.column_stack([u.ravel(), v.ravel()]).astype(float), rows, tuple(runs))
+    return ComparedImages(depths_m, np.column_stack([u.ravel(), v.ravel()]).astype(float), rows, tuple(runs))
 
 
-def differences(views: Views, geometry: Geometry) -> Float64[np.ndarray, " pairs"]:
-    """Median relative difference of depth of each pair of images.
+def differences(compared: ComparedImages, geometry: Geometry) -> Float64[np.ndarray, " pairs"]:
+    """Median relative difference of depth for each pair of images.
 
-    Differences are cut off at `WORST`, and points that leave the image count as that, so that a pose that
-    takes everything out of sight does not win. NaN for a pair without a pose or with too little depth.
+    Differences are clipped at `MAX_DIFFERENCE`, and points that leave the image count as that, so that a pose
+    that takes everything out of sight does not win. NaN for a pair without poses or with too little depth.
     """
-    i, j = views.pairs.T
-    u, v = views.grid_px.astype(int).T
-    depth_m = views.depths_m[i[:, None], v, u].astype(float) * geometry.metres_factor
+    i, j = compared.pairs.T
+    u, v = compared.grid_px.astype(int).T
+    depth_m = compared.depths_m[i[:, None], v, u].astype(float) * geometry.metres_factor
     j_from_i = invert(geometry.scene_from_camera[j]) @ geometry.scene_from_camera[i]
-    points_i = rays(geometry.intrinsics, views.grid_px) * depth_m[..., None]
+    points_i = rays(geometry.intrinsics, compared.grid_px) * depth_m[..., None]
     points_j = points_i @ j_from_i[:, :3, :3].transpose(0, 2, 1) + j_from_i[:, None, :3, 3]
-    found_m, inside = _looked_up(views, j, geometry, points_j)
+    found_m, inside = _looked_up(compared, j, geometry, points_j)
     with np.errstate(divide="ignore", invalid="ignore"):
-        relative = np.minimum(np.abs(1 - found_m / points_j[..., 2]), WORST)
-    relative[~inside] = WORST
+        relative = np.minimum(np.abs(1 - found_m / points_j[..., 2]), MAX_DIFFERENCE)
+    relative[~inside] = MAX_DIFFERENCE
     relative[(depth_m == 0) | (inside & (found_m == 0))] = np.nan
     relative[~np.isfinite(j_from_i).all(axis=(1, 2))] = np.nan
     return _medians(relative)
 
 
 def _medians(values: Float64[np.ndarray, "rows n"]) -> Float64[np.ndarray, " rows"]:
-    """The upper median of the numbers of each row; NaN where they are fewer than `FEWEST`."""
+    """Upper median of the numbers in each row; NaN where there are fewer than `FEWEST_POINTS`."""
     counts = np.isfinite(values).sum(axis=1)
     middle = np.sort(values, axis=1)[np.arange(len(values)), counts // 2 % values.shape[1]]  # NaN goes last
-    return np.where(counts >= FEWEST, middle, np.nan)
+    return np.where(counts >= FEWEST_POINTS, middle, np.nan)
 
 
 def _looked_up(
-    views: Views,
+    compared: ComparedImages,
     rows: Int64[np.ndarray, " pairs"],
     geometry: Geometry,
     points_camera: Float64[np.ndarray, "pairs n 3"],
 ) -> tuple[Float64[np.ndarray, "pairs n"], Bool[np.ndarray, "pairs n"]]:
-    """The depth measured where each point projects (0 = none), and which points project into the image.
+    """Look up the depth measured where each point projects (0 = none), and whether it is in the image.
 
-    Lens distortion is left out: here the question is one of factors, not of pixels.
+    Lens distortion is ignored: what is sought here are factors, not pixels.
     """
     camera, z = geometry.intrinsics, points_camera[..., 2]
-    _, height, width = views.depths_m.shape
+    _, height, width = compared.depths_m.shape
     ahead = np.where(z > 1e-3, z, np.inf)
     u = camera.fx * points_camera[..., 0] / ahead + camera.cx
     v = camera.fy * points_camera[..., 1] / ahead + camera.cy
     inside = np.isfinite(ahead) & (u > 0) & (u < width - 1) & (v > 0) & (v < height - 1)
     column, row = (np.rint(np.where(inside, number, 0)).astype(int) for number in (u, v))
-    found_m = np.where(inside, views.depths_m[rows[:, None], row, column].astype(float), 0.0)
+    found_m = np.where(inside, compared.depths_m[rows[:, None], row, column].astype(float), 0.0)
     return found_m * geometry.metres_factor, inside

@@ -1,8 +1,8 @@
-"""Faults of poses, depth unit and intrinsics: what would mend a recording says what is wrong with it.
+"""Find faults of poses, depth unit and intrinsics by trying the correction of each known fault.
 
-Every known fault is tried as a correction. The one under which the depth images agree best is a finding
-when they agree much better than as recorded, in resamples of the image pairs too; the search then goes
-on from the corrected geometry, so two faults at a time are found one after the other.
+A correction becomes a finding when the depth images agree best under it, and much better than as recorded,
+also in resamples of the image pairs. The search then goes on from the corrected geometry, so that two
+faults are found one after the other.
 """
 
 from __future__ import annotations
@@ -14,19 +14,20 @@ from itertools import product
 import numpy as np
 from jaxtyping import Float64
 
-from rpl_data.doctor.consistency import Geometry, Views, differences
+from rpl_data.doctor.consistency import ComparedImages, Geometry, differences
 from rpl_data.doctor.findings import Finding, Kind, option
 from rpl_data.recordings.mend import Mend, mended_poses
+from rpl_data.wording import counted
 
-MUCH_BETTER = 0.7
-"""A correction must bring the differences of depth down to this share."""
+MUCH_BETTER_SHARE = 0.7
+"""A correction must reduce the differences of depth to this share of what they were."""
 
-BETTER, LEAST_FACTOR = 0.95, 1.1
-"""Of a focal length a smaller gain will do, when the best one is surely this factor away: what is left is
-the noise of depth, which has no say in where the best one lies. Calibrations are right to 1 %."""
+BETTER_SHARE, LEAST_FACTOR = 0.95, 1.1
+"""For a focal length, this smaller gain is enough when the best one surely differs by at least this factor:
+the rest is depth noise, which does not move the optimum. Calibrations are right to 1 %."""
 
 SURE = 0.9
-"""And do so in this share of resamples."""
+"""Share of resamples in which a correction must pass."""
 
 FEWEST_PAIRS = 5
 
@@ -38,11 +39,15 @@ SIZE_FACTORS = (1 / 3, 0.5, 2 / 3, 0.75, 4 / 3, 1.5, 2.0, 3.0)
 
 @dataclass(frozen=True)
 class Correction:
-    """A fault, by what mends it: `what` is wrong, `todo` is done about it, `geometry` is then true.
+    """A possible fault and its correction.
 
     Attributes:
-        mend: the option that does it, where there is one.
-        sure: of a factor, share of resamples that put it beyond `LEAST_FACTOR`.
+        kind: the kind of fault.
+        what: description of the fault.
+        todo: advice on how to mend it.
+        geometry: the corrected geometry.
+        mend: the recipe option that corrects it, where there is one.
+        sure: for a factor, share of resamples that find it farther from 1 than `LEAST_FACTOR`.
     """
 
     kind: Kind
@@ -53,14 +58,14 @@ class Correction:
     sure: float = 0.0
 
 
-def faults(views: Views, geometry: Geometry, *, most: int = 3) -> list[Finding]:
-    """What is wrong with the geometry of a recording, the fault that spoils it most first."""
+def faults(compared: ComparedImages, geometry: Geometry, *, most: int = 3) -> list[Finding]:
+    """Find what is wrong with the geometry of a recording, the worst fault first."""
     findings: list[Finding] = []
-    now = differences(views, geometry)
+    now = differences(compared, geometry)
     while len(findings) < most:
-        tried = [(found, differences(views, found.geometry)) for found in _corrections(views, geometry)]
+        tried = [(found, differences(compared, found.geometry)) for found in _corrections(compared, geometry)]
         best, then = min(tried, key=lambda pair: _mean(now, pair[1]))
-        sure = max(_sure(now, then, MUCH_BETTER), min(best.sure, _sure(now, then, BETTER)))
+        sure = max(_sure(now, then, MUCH_BETTER_SHARE), min(best.sure, _sure(now, then, BETTER_SHARE)))
         if sure < SURE:
             break
         share = f"depth images then agree {_mean(now, now) / _mean(now, then):.1f} times better"
@@ -70,13 +75,13 @@ def faults(views: Views, geometry: Geometry, *, most: int = 3) -> list[Finding]:
 
 
 def _mean(now: Float64[np.ndarray, " pairs"], then: Float64[np.ndarray, " pairs"]) -> float:
-    """Mean of `then` over the pairs that both could judge; infinite when that is less than half of them."""
+    """Mean of `then` over pairs judged both times; infinite if they are less than half of those in `now`."""
     both = np.isfinite(now) & np.isfinite(then)
     return float(then[both].mean()) if 2 * both.sum() > np.isfinite(now).sum() else float("inf")
 
 
 def _sure(now: Float64[np.ndarray, " pairs"], then: Float64[np.ndarray, " pairs"], share: float) -> float:
-    """Share of bootstrap resamples of the pairs in which `then` is at most that share of `now`."""
+    """Share of bootstrap resamples of the pairs in which `then` averages below `share` times `now`."""
     both = np.isfinite(now) & np.isfinite(then)
     if both.sum() < FEWEST_PAIRS:
         return 0.0
@@ -87,25 +92,25 @@ def _sure(now: Float64[np.ndarray, " pairs"], then: Float64[np.ndarray, " pairs"
 def _resampled_means(
     values: Float64[np.ndarray, "rows pairs"], *, resamples: int = 200
 ) -> Float64[np.ndarray, "rows resamples"]:
-    """Means of each row over the same resamples of the pairs."""
+    """Means of each row, over the same resamples of the pairs for all rows."""
     count = values.shape[1]
     chosen = np.random.default_rng(0).choice(count, (resamples, count))
     means: Float64[np.ndarray, "rows resamples"] = values[:, chosen].mean(axis=2)
     return means
 
 
-def _corrections(views: Views, geometry: Geometry) -> Iterator[Correction]:
+def _corrections(compared: ComparedImages, geometry: Geometry) -> Iterator[Correction]:
     yield from _readings(geometry)
-    yield from _pose_lags(views, geometry)
-    yield _best_factor(views, DEPTH_FACTORS, lambda factor: _other_depth_unit(geometry, factor))
+    yield from _pose_lags(compared, geometry)
+    yield _best_factor(compared, DEPTH_FACTORS, lambda factor: _other_depth_unit(geometry, factor))
     yield _best_factor(
-        views, FOCAL_FACTORS, lambda factor: _other_focal_length(geometry, factor), with_sureness=True
+        compared, FOCAL_FACTORS, lambda factor: _other_focal_length(geometry, factor), with_sureness=True
     )
     yield from (_other_size(geometry, factor) for factor in SIZE_FACTORS)
 
 
 def _readings(geometry: Geometry) -> Iterator[Correction]:
-    """The seven other readings of poses: quaternion order x direction x camera axes."""
+    """The seven other ways to read poses: quaternion order x direction x camera axes."""
     for wxyz, inverted, opengl in list(product((False, True), repeat=3))[1:]:
         mend = Mend(wxyz_quaternions=wxyz, inverted_poses=inverted, opengl_cameras=opengl)
         said = {
@@ -113,16 +118,17 @@ def _readings(geometry: Geometry) -> Iterator[Correction]:
             "they are camera_from_scene": inverted,
             "their cameras look along -z with y up (OpenGL)": opengl,
         }
-        what = f"the poses are stored another way: {', '.join(text for text, true in said.items() if true)}"
+        convention = ", ".join(text for text, true in said.items() if true)
+        what = f"the poses are stored in another convention: {convention}"
         poses = mended_poses(geometry.scene_from_camera, mend)
         read = replace(geometry, scene_from_camera=poses)
         yield Correction("pose convention", what, option(mend), read, mend)
 
 
-def _pose_lags(views: Views, geometry: Geometry) -> Iterator[Correction]:
+def _pose_lags(compared: ComparedImages, geometry: Geometry) -> Iterator[Correction]:
     for lag in LAGS:
-        poses = shifted(geometry.scene_from_camera, views.runs, lag)
-        what = f"poses belong to images {abs(lag)} frames {'earlier' if lag > 0 else 'later'}"
+        poses = shifted(geometry.scene_from_camera, compared.runs, lag)
+        what = f"poses belong to images {counted(abs(lag), 'frame')} {'earlier' if lag > 0 else 'later'}"
         mend = Mend(pose_lag=lag)
         paired = replace(geometry, scene_from_camera=poses)
         yield Correction("pose lag", what, option(mend), paired, mend)
@@ -131,7 +137,7 @@ def _pose_lags(views: Views, geometry: Geometry) -> Iterator[Correction]:
 def shifted(
     poses: Float64[np.ndarray, "n 4 4"], runs: Sequence[tuple[int, int]], lag: int
 ) -> Float64[np.ndarray, "n 4 4"]:
-    """Every image with the pose of `lag` images later in the same run; NaN at the ends."""
+    """Give every image the pose of the image `lag` places later in its run; NaN at the ends."""
     result = np.full_like(poses, np.nan)
     for first, behind in runs:
         for row in range(max(first, first - lag), min(behind, behind - lag)):
@@ -140,18 +146,20 @@ def shifted(
 
 
 def _best_factor(
-    views: Views,
+    compared: ComparedImages,
     factors: Sequence[float],
     corrected: Callable[[float], Correction],
     *,
     with_sureness: bool = False,
 ) -> Correction:
-    """The best correction of a family with one factor: the best of a coarse, a finer and a fine grid."""
+    """Find the best correction of a family with one factor, on a coarse, a finer and a fine grid."""
     tried: dict[float, Float64[np.ndarray, " pairs"]] = {}
     grid = [1.0, *factors]
     for step in (0.04, 0.01, 0.0):
         tried |= {
-            factor: differences(views, corrected(factor).geometry) for factor in grid if factor not in tried
+            factor: differences(compared, corrected(factor).geometry)
+            for factor in grid
+            if factor not in tried
         }
         best = min(tried, key=lambda factor: np.nanmean(tried[factor]) if factor != 1 else np.inf)
         grid = [best * float(np.exp(step * n)) for n in range(-3, 4)]
@@ -180,7 +188,7 @@ def _other_depth_unit(geometry: Geometry, factor: float) -> Correction:
 def _other_focal_length(geometry: Geometry, factor: float) -> Correction:
     camera = geometry.intrinsics
     fitting = replace(camera, fx=camera.fx * factor, fy=camera.fy * factor)
-    what = f"the focal length {camera.fx:.0f} px does not fit, about {fitting.fx:.0f} px would"
+    what = f"the focal length {camera.fx:.0f} px does not fit; about {fitting.fx:.0f} px would"
     todo = (
         "ask the camera's own tool for the intrinsics of these images, and give the scenes "
         "`camera: [fx, fy, cx, cy]` in the recipe"

@@ -1,4 +1,4 @@
-"""A scene's examination: looks at some stretches of it, asks every check, and collects what they say."""
+"""Examine a scene: read some stretches of it, run every check, and collect the findings."""
 
 from __future__ import annotations
 
@@ -10,68 +10,71 @@ from jaxtyping import Float32, Float64
 
 from rpl_data.doctor import images, timing
 from rpl_data.doctor.alignment import Alignment, align
-from rpl_data.doctor.consistency import Geometry, Views, differences, views_of
+from rpl_data.doctor.consistency import ComparedImages, Geometry, choose_pairs, differences
 from rpl_data.doctor.corrections import faults, shifted
-from rpl_data.doctor.edges import Pair, edges_of
+from rpl_data.doctor.edges import FrameEdges, edges_of
 from rpl_data.doctor.findings import Diagnosis, Finding
-from rpl_data.doctor.pairing import SURE, lag_findings, lag_of, misregistered, which_lags
+from rpl_data.doctor.pairing import SURE, decide_what_lags, lag_findings, lag_of, misregistered
 from rpl_data.drift import MAX_DRIFT_MM, cut, measure_drift
 from rpl_data.images import read_color, read_depth_m
 from rpl_data.types import DataError, DepthImage, Frame, Recording, Scene, Trajectory
+from rpl_data.wording import counted
 
 UNSURE_FRAMES, UNSURE_PX = 1.0, 8.0
-LEFT_OUT = "copy these images again, or take them off the list; nothing is done with them"
+LEFT_OUT = "copy these images again, or remove them from the list; they are not used"
 STILL_M, STILL_RAD = 0.02, 0.05
-"""A camera that moves and turns less than this in a stretch proves nothing about its poses."""
+"""A camera that moves and turns less than this within a stretch says nothing about its poses."""
 
 
 @dataclass(frozen=True)
-class _Look:
-    """What was read of a scene.
+class _Sample:
+    """The frames that were read of a scene.
 
     Attributes:
-        positions: rows of `Scene.frames`.
-        runs: stretches of frames that follow one another, as rows of the lists here.
+        positions: their positions in `Scene.frames`.
+        runs: stretches of consecutive frames: (first, last + 1) row numbers of the fields here.
     """
 
     positions: tuple[int, ...]
     runs: tuple[tuple[int, int], ...]
     depths_m: Float32[np.ndarray, "n height width"]
-    edges: tuple[Pair, ...]
+    edges: tuple[FrameEdges, ...]
     sharpness: tuple[float, ...]
 
 
 def examine(recording: Recording, *, progress: Callable[[int, int], None] | None = None) -> Diagnosis:
-    """What is wrong with a scene; about 90 of its frames are looked at, however long it is.
+    """Find what is wrong with a scene. About 90 of its frames are read, however long it is.
 
     Args:
-        recording: as its reader returns it.
-        progress: called with the frames read and how many will be.
+        recording: the recording, as its reader returns it.
+        progress: called with the number of frames read and the total.
     """
     scene, trajectory = recording.scene, recording.trajectory
-    look, unreadable = _look(scene, progress)
+    sample, unreadable = _read_sample(scene, progress)
     findings = [Finding("left out", line, 1.0, LEFT_OUT) for line in recording.skipped]
     if unreadable:
-        what = f"{len(unreadable)} of the images looked at cannot be read: {unreadable[0]}"
-        findings.append(Finding("unreadable", what, 1.0, "record again, or take them off the list"))
+        what = f"{len(unreadable)} of the images examined cannot be read; the first: {unreadable[0]}"
+        findings.append(Finding("unreadable", what, 1.0, "record again, or remove them from the list"))
     findings += timing.dropped_frames(scene, recording.left_out)
-    facts = [_summary(scene, look), *recording.notes]
-    if not len(look.depths_m):
+    facts = [_summary(scene, sample), *recording.notes]
+    if not len(sample.depths_m):
         return Diagnosis(scene.name, tuple(facts), tuple(findings))
-    findings += images.repeated(_repeats(scene, look), len(look.positions))
-    findings += images.blur(look.sharpness)
-    findings += images.missing_depth([images.missing_share(depth_m) for depth_m in look.depths_m])
-    aligned = align(dict(zip(look.positions, look.edges, strict=True)))
+    findings += images.repeated(_repeats(scene, sample), len(sample.positions))
+    findings += images.blur(sample.sharpness)
+    findings += images.missing_depth([images.missing_share(depth_m) for depth_m in sample.depths_m])
+    aligned = align(dict(zip(sample.positions, sample.edges, strict=True)))
     facts.append(_alignment_fact(aligned))
     lag = lag_of(aligned)
     if trajectory is None:
-        facts.append("no poses: depth unit, intrinsics and poses were not judged; track it first (rpl build)")
+        facts.append(
+            "no poses: depth unit, intrinsics and poses were not judged; let `rpl build` track first"
+        )
         found: list[Finding] = []
     else:
-        said, found = _geometry(scene, trajectory, look, lag.whole)
+        said, found = _geometry(scene, trajectory, sample, lag.whole)
         facts.append(said)
-        lag, found = which_lags(aligned, lag, found)
-        if not found and not lag.whole:  # else it is not the poses' fault
+        lag, found = decide_what_lags(aligned, lag, found)
+        if not found and not lag.whole:  # otherwise disagreement is not the poses' fault
             said, found = _drift(scene, trajectory, progress)
             facts.append(said)
         found = timing.pose_jumps(scene, trajectory) + found
@@ -79,25 +82,25 @@ def examine(recording: Recording, *, progress: Callable[[int, int], None] | None
     return Diagnosis(scene.name, tuple(facts), tuple(findings))
 
 
-# Looking ------------------------------------------------------------------------------------------
+# Reading ------------------------------------------------------------------------------------------
 
 
 def stretches(frames: int, *, count: int = 2, length: int = 45) -> list[range]:
-    """Some stretches of frames at the start and the end of the recording; all of a short one."""
+    """Choose stretches of frames at the start and the end of the recording; all of a short one."""
     if frames <= count * length:
         return [range(frames)]
     starts = np.linspace(0, frames - length, count).astype(int)
     return [range(start, start + length) for start in starts.tolist()]
 
 
-def _look(scene: Scene, progress: Callable[[int, int], None] | None) -> tuple[_Look, list[str]]:
-    """Read the stretches; images that cannot be read are left out and named."""
+def _read_sample(scene: Scene, progress: Callable[[int, int], None] | None) -> tuple[_Sample, list[str]]:
+    """Read the stretches; images that cannot be read are left out, and their errors returned."""
     chosen = stretches(len(scene.frames))
     total, done = sum(map(len, chosen)), 0
     positions: list[int] = []
     runs: list[tuple[int, int]] = []
     depths: list[DepthImage] = []
-    edges: list[Pair] = []
+    edges: list[FrameEdges] = []
     sharpness: list[float] = []
     unreadable: list[str] = []
     for stretch in chosen:
@@ -118,71 +121,72 @@ def _look(scene: Scene, progress: Callable[[int, int], None] | None) -> tuple[_L
         runs.append((first, len(positions)))
     size = (0, scene.intrinsics.height, scene.intrinsics.width)
     stack = np.stack(depths) if depths else np.zeros(size, np.float32)
-    return _Look(tuple(positions), tuple(runs), stack, tuple(edges), tuple(sharpness)), unreadable
+    return _Sample(tuple(positions), tuple(runs), stack, tuple(edges), tuple(sharpness)), unreadable
 
 
-def _repeats(scene: Scene, look: _Look) -> list[int]:
-    numbers = [scene.frames[at].index for at in look.positions]
-    found = [images.repeats(list(look.depths_m[a:b]), numbers[a:b]) for a, b in look.runs]
+def _repeats(scene: Scene, sample: _Sample) -> list[int]:
+    numbers = [scene.frames[at].index for at in sample.positions]
+    found = [images.repeats(list(sample.depths_m[a:b]), numbers[a:b]) for a, b in sample.runs]
     return [number for numbers_of_run in found for number in numbers_of_run]
 
 
 # Judging ------------------------------------------------------------------------------------------
 
 
-def _geometry(scene: Scene, trajectory: Trajectory, look: _Look, lag: int) -> tuple[str, list[Finding]]:
-    """What the poses say about poses, depth unit and intrinsics, when depth is `lag` frames late."""
-    poses = _poses_of(scene, trajectory, look)  # the depth image of frame t is at t + lag, its pose at t
-    poses = shifted(poses, look.runs, -lag)
-    if _still(poses, look.runs):
+def _geometry(scene: Scene, trajectory: Trajectory, sample: _Sample, lag: int) -> tuple[str, list[Finding]]:
+    """Judge poses, depth unit and intrinsics, given that depth is `lag` frames late."""
+    poses = _poses_of(scene, trajectory, sample)  # the depth image of frame t is at t + lag, its pose at t
+    poses = shifted(poses, sample.runs, -lag)
+    if _still(poses, sample.runs):
         return "the camera hardly moves: poses, depth unit and intrinsics could not be judged", []
-    views = views_of(look.depths_m, look.runs)
+    compared = choose_pairs(sample.depths_m, sample.runs)
     geometry = Geometry(scene.intrinsics, poses)
-    fit = _agreement(views, geometry)
-    return f"depth images agree to {fit:.1%} of the depth under the given poses", faults(views, geometry)
+    fit = _agreement(compared, geometry)
+    return f"depth images agree to {fit:.1%} of the depth under the given poses", faults(compared, geometry)
 
 
 def _drift(
     scene: Scene, trajectory: Trajectory, progress: Callable[[int, int], None] | None
 ) -> tuple[str, list[Finding]]:
-    """How far the poses stray from the start to the end."""
+    """Measure how far the poses drift from the start to the end."""
 
     def depth_m(frame: Frame) -> DepthImage:
         try:
             return read_depth_m(scene, frame)
-        except DataError:  # said already
+        except DataError:  # already a finding
             return np.zeros((scene.intrinsics.height, scene.intrinsics.width), np.float32)
 
     drift = measure_drift(scene, trajectory, depth_m, advance=progress or (lambda done, total: None))
     said = (
-        f"over the recording the poses stray by {1000 * drift.whole_m:.0f} mm, beyond the "
+        f"over the recording the poses drift by {1000 * drift.whole_m:.0f} mm, beyond the "
         f"{1000 * drift.noise_m:.0f} mm that neighbouring depth images differ by"
     )
     sure = drift.sure_beyond(MAX_DRIFT_MM / 1000)
     if sure < SURE:
         return said, []
     spans = cut(drift, max_drift_m=MAX_DRIFT_MM / 1000)
-    what = f"the poses stray by {1000 * drift.whole_m:.0f} mm over the recording, and labels with them"
-    todo = "too fast for cutting to mend that: record again, more slowly, or have it tracked"
+    what = f"the poses drift by {1000 * drift.whole_m:.0f} mm over the recording, and so would labels"
+    todo = "too fast for cutting to mend it: record again, more slowly, or have the camera tracked"
     if spans is not None:
         todo = (
-            f"`rpl build` cuts it into {len(spans)} scenes when each has clicks on 4 keypoints (frames "
+            f"`rpl build` cuts the recording into {len(spans)} scenes when each has clicks on 4 keypoints "
+            "(frames "
             f"{', '.join(f'{first} to {last}' for first, last in spans)}); the limit is "
             f"`reconstruct: {{max_drift_mm: {MAX_DRIFT_MM:.0f}}}`"
         )
     return said, [Finding("drift", what, sure, todo)]
 
 
-def _agreement(views: Views, geometry: Geometry) -> float:
-    found = differences(views, geometry)
+def _agreement(compared: ComparedImages, geometry: Geometry) -> float:
+    found = differences(compared, geometry)
     return float(np.nanmean(found)) if np.isfinite(found).any() else float("nan")
 
 
-def _poses_of(scene: Scene, trajectory: Trajectory, look: _Look) -> Float64[np.ndarray, "n 4 4"]:
-    """The pose of each frame looked at; NaN where it has none."""
+def _poses_of(scene: Scene, trajectory: Trajectory, sample: _Sample) -> Float64[np.ndarray, "n 4 4"]:
+    """Pose of each frame that was read; NaN where it has none."""
     row_of = {int(index): row for row, index in enumerate(trajectory.frames)}
-    poses = np.full((len(look.positions), 4, 4), np.nan)
-    for row, at in enumerate(look.positions):
+    poses = np.full((len(sample.positions), 4, 4), np.nan)
+    for row, at in enumerate(sample.positions):
         index = scene.frames[at].index
         if index in row_of:
             poses[row] = trajectory.scene_from_camera[row_of[index]]
@@ -190,7 +194,7 @@ def _poses_of(scene: Scene, trajectory: Trajectory, look: _Look) -> Float64[np.n
 
 
 def _still(poses: Float64[np.ndarray, "n 4 4"], runs: tuple[tuple[int, int], ...]) -> bool:
-    """Whether no stretch has the camera move or turn."""
+    """Whether the camera neither moves nor turns in any stretch."""
     for first, behind in runs:
         whole = poses[first:behind][np.isfinite(poses[first:behind]).all(axis=(1, 2))]
         if len(whole) < 2:
@@ -202,14 +206,15 @@ def _still(poses: Float64[np.ndarray, "n 4 4"], runs: tuple[tuple[int, int], ...
     return True
 
 
-# Saying -------------------------------------------------------------------------------------------
+# Facts --------------------------------------------------------------------------------------------
 
 
-def _summary(scene: Scene, look: _Look) -> str:
+def _summary(scene: Scene, sample: _Sample) -> str:
     camera, interval_s = scene.intrinsics, timing.interval_s(scene)
     rate = f" at {1 / interval_s:.3g} Hz" if interval_s > 0 else ""
-    text = f"{len(scene.frames)} frames{rate}, {camera.width} x {camera.height}, f = {camera.fx:.0f} px"
-    measured = look.depths_m[look.depths_m > 0]
+    size = f"{camera.width} x {camera.height}, f = {camera.fx:.0f} px"
+    text = f"{counted(len(scene.frames), 'frame')}{rate}, {size}"
+    measured = sample.depths_m[sample.depths_m > 0]
     if not len(measured):
         return f"{text}, no depth"
     near, middle, far = np.percentile(measured[:: max(1, len(measured) // 100_000)], (2, 50, 98))
@@ -218,10 +223,10 @@ def _summary(scene: Scene, look: _Look) -> str:
 
 def _alignment_fact(aligned: Alignment) -> str:
     if aligned.lag_sigma > UNSURE_FRAMES or aligned.shift_sigma_px > UNSURE_PX:
-        return "too few edges that colour and depth share: lag and registration could not be judged"
+        return "too few edges common to colour and depth: lag and registration could not be judged"
     du, dv = aligned.shift_px
     zoom = "" if aligned.zoom == 1 else f"zoom {aligned.zoom:.3f} +- {aligned.zoom_sigma:.3f}, "
     return (
-        f"colour and depth edges meet at lag {aligned.lag_frames:+.1f} +- {aligned.lag_sigma:.1f} frames, "
+        f"colour and depth edges match at lag {aligned.lag_frames:+.1f} +- {aligned.lag_sigma:.1f} frames, "
         f"{zoom}shift ({du:+.0f}, {dv:+.0f}) +- {aligned.shift_sigma_px:.0f} px"
     )

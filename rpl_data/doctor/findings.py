@@ -1,4 +1,4 @@
-"""What the doctor says."""
+"""Results of an examination: findings, facts and the diagnosis that holds them."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ Kind = Literal[
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that is wrong.
+    """One fault of a recording.
 
     Attributes:
-        what: what is wrong, with the figures.
-        sure: how sure, 0 to 1: the share of resamples of the evidence that say the same; 1 where it
-            was counted, not inferred.
-        todo: what to do about it, and the option of the recipe that mends it where there is one.
-        mend: that option.
+        what: description of the fault, with its figures.
+        sure: how sure it is, 0 to 1: the share of resamples of the evidence that agree; 1 where it was
+            counted, not inferred.
+        todo: what to do about it, with the recipe option that mends it where there is one.
+        mend: that recipe option.
     """
 
     kind: Kind
@@ -35,11 +35,11 @@ class Finding:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What was found in a scene.
+    """Everything that was found in a scene.
 
     Attributes:
-        facts: what the scene is: frames, rate, depths, motion; and what could not be judged, and why.
-        findings: what is wrong with it; empty when all is well.
+        facts: properties of the scene (frames, rate, depths, motion), and what could not be judged, and why.
+        findings: its faults; empty when all is well.
     """
 
     scene: str
@@ -48,5 +48,5 @@ class Diagnosis:
 
 
 def option(mend: Mend) -> str:
-    """The line of a recipe that mends it."""
+    """Advice to put a mending option into the recipe."""
     return f"in the recipe, give these scenes `{in_recipe(mend)}`"

@@ -1,4 +1,4 @@
-"""Do colour, depth and poses belong together: in time (lags) and in the image (registration)?"""
+"""Judge whether colour, depth and poses belong together: in time (lags) and in the image (registration)."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from rpl_data.types import Intrinsics, Scene
 
 LEAST_LAG_FRAMES = 0.25
 LEAST_CONTRAST = 1.2
-"""The peak of a lag or a shift must be higher than that of the images as they are by this factor."""
+"""The peak of a lag or a shift must be this many times higher than that of the images as they are."""
 
 LEAST_SHIFT = 0.01
-"""Of the image's width; a good registration errs by less, and edges of depth are no sharper."""
+"""Smallest shift reported, as a share of the image's width: good registration and depth edges err by less."""
 LEAST_ZOOM = 0.02
-"""That is 6 px at the sides of an image of 640."""
+"""Smallest difference of a zoom from 1 that is reported: 6 px at the sides of an image 640 px wide."""
 
 SURE = 0.9
 
@@ -28,8 +28,10 @@ class Lag:
     """How far depth is behind colour, in frames.
 
     Attributes:
-        whole: the part that can be mended.
-        poses_too: the poses are as late as depth, as those of a tracker that looks at depth only are.
+        frames: the measured lag.
+        whole: the lag in whole frames, which can be mended; 0 when it is not sure.
+        sure: probability that there is a lag.
+        poses_too: the poses are as late as depth, as those of a tracker that uses depth only are.
     """
 
     frames: float
@@ -39,7 +41,7 @@ class Lag:
 
 
 def lag_of(aligned: Alignment) -> Lag:
-    """The lag that the edges show; none in whole frames where it is not sure."""
+    """Return the lag that the edges show; 0 whole frames when it is not sure."""
     sure = aligned.sure_of_lag(LEAST_LAG_FRAMES)
     whole = round(aligned.lag_frames)
     if whole and aligned.lag_contrast < LEAST_CONTRAST:
@@ -47,11 +49,11 @@ def lag_of(aligned: Alignment) -> Lag:
     return Lag(aligned.lag_frames, whole if sure >= SURE else 0, sure)
 
 
-def which_lags(aligned: Alignment, lag: Lag, found: list[Finding]) -> tuple[Lag, list[Finding]]:
-    """Depth images that are late under poses that are not look like late poses: the colour images decide.
+def decide_what_lags(aligned: Alignment, lag: Lag, found: list[Finding]) -> tuple[Lag, list[Finding]]:
+    """Decide whether depth or the poses lag. Depth alone cannot tell, so colour edges break the tie.
 
-    Poses and depth tell how far they are apart to the frame; colour and depth edges tell whether it is
-    depth that is late, with a likelihood.
+    Late depth with punctual poses looks the same as late poses: poses and depth show to the frame how far
+    apart they are. Colour and depth edges give the probability that it is depth that is late.
     """
     late = next((finding for finding in found if finding.kind == "pose lag"), None)
     if late is None or late.mend is None:
@@ -71,17 +73,17 @@ def which_lags(aligned: Alignment, lag: Lag, found: list[Finding]) -> tuple[Lag,
 
 
 def lag_findings(lag: Lag) -> list[Finding]:
-    """A finding when depth is late or early."""
+    """Return a finding when depth is late or early."""
     if lag.sure < SURE and not lag.whole:
         return []
     what = f"{'depth and poses are' if lag.poses_too else 'depth is'} {_behind(lag.frames)} colour"
     if not lag.whole:
-        todo = "less than a frame cannot be mended: move slowly, and click in the slowest frames"
+        todo = "a lag below one frame cannot be mended: move slowly, and click where the camera is slowest"
         return [Finding("depth lag", what, lag.sure, todo)]
     mend = Mend(depth_lag=lag.whole, pose_lag=lag.whole if lag.poses_too else 0)
     todo = option(mend)
     if lag.sure < SURE:
-        todo += f"; or the poses are as much off, and {option(Mend(pose_lag=-lag.whole))} is right"
+        todo += f"; or the poses are off by as much, and {option(Mend(pose_lag=-lag.whole))} is right"
     return [Finding("depth lag", what, lag.sure, todo, mend)]
 
 
@@ -90,7 +92,7 @@ def _behind(frames: float) -> str:
 
 
 def misregistered(scene: Scene, aligned: Alignment) -> list[Finding]:
-    """A shift or another field of view between colour and depth."""
+    """Return a finding when depth is shifted against colour or has another field of view."""
     sure_of_shift = aligned.sure_of_shift(LEAST_SHIFT * scene.intrinsics.width)
     sure_of_zoom = aligned.sure_of_zoom(LEAST_ZOOM) if aligned.zoom != 1 else 0.0
     sure = max(sure_of_shift, sure_of_zoom)
@@ -116,7 +118,7 @@ def misregistered(scene: Scene, aligned: Alignment) -> list[Finding]:
 
 
 def _camera_line(camera: Intrinsics, zoom: float, shift_px: tuple[float, float]) -> str:
-    """The intrinsics of depth images after they were put on the colour images."""
+    """Recipe line with the intrinsics of depth images that were warped to the colour images."""
     cx = zoom * camera.cx + (1 - zoom) * (camera.width - 1) / 2 + shift_px[0]
     cy = zoom * camera.cy + (1 - zoom) * (camera.height - 1) / 2 + shift_px[1]
     return f"also `camera: [{zoom * camera.fx:.1f}, {zoom * camera.fy:.1f}, {cx:.1f}, {cy:.1f}]`"

@@ -1,4 +1,4 @@
-"""A diagnosis as text for a terminal."""
+"""Format a diagnosis as text for a terminal."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from rpl_data.doctor.findings import Diagnosis
 
 
 def describe(diagnosis: Diagnosis, *, width: int = 110) -> str:
-    """A heading, what the scene is, and what is wrong: how sure, what, and what to do."""
+    """Write a heading, the facts, and for each finding what is wrong, how sure it is, and what to do."""
     count = len(diagnosis.findings)
     things = "1 thing" if count == 1 else f"{count} things"
     verdict = f"{things} wrong" if count else "nothing wrong was found"

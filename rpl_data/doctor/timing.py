@@ -1,4 +1,4 @@
-"""Timestamps: frames that are missing between others, and poses that jump."""
+"""Check timestamps for missing frames, and poses for jumps."""
 
 from __future__ import annotations
 
@@ -9,16 +9,17 @@ from jaxtyping import Float64
 
 from rpl_data.doctor.findings import Finding
 from rpl_data.types import Scene, Trajectory
+from rpl_data.wording import counted
 
 GAP = 1.6
 """An interval this many times the usual one lacks a frame: a camera's clock jitters by less than half."""
 
 FASTEST_M_S = 3.0
-"""Nobody moves a camera faster by hand when filming an object."""
+"""Speed of the camera that no hand reaches when filming an object."""
 
 
 def interval_s(scene: Scene) -> float:
-    """The usual time between two frames; NaN for a single one."""
+    """Usual time between two frames; NaN for a single frame."""
     steps = np.diff(times_s(scene))
     return float(np.median(steps)) if len(steps) else float("nan")
 
@@ -29,14 +30,14 @@ def times_s(scene: Scene) -> Float64[np.ndarray, " n"]:
 
 
 def dropped_frames(scene: Scene, left_out: Sequence[int] = ()) -> list[Finding]:
-    """Intervals so long that frames must be missing in them, beside those left out on purpose."""
+    """Return a finding when intervals are so long that frames not left out on purpose must be missing."""
     steps = np.diff(times_s(scene))
     if len(steps) < 2:
         return []
     usual = float(np.median(steps))
     if usual <= 0 or (steps < 0).any():
         back = int((steps <= 0).sum())
-        what = f"{back} frames are not later than the one before"
+        what = f"{counted(back, 'frame')} not later than the one before"
         return [Finding("dropped frames", what, 1.0, "sort the list of frames by time; use seconds")]
     numbers = [frame.index for frame in scene.frames]
     known = np.diff(np.searchsorted(np.sort(np.asarray(left_out, dtype=int)), numbers))
@@ -45,20 +46,23 @@ def dropped_frames(scene: Scene, left_out: Sequence[int] = ()) -> list[Finding]:
     if not len(gaps):
         return []
     missing = int(np.rint(steps[gaps] / usual - 1).sum())
-    places = ", ".join(
+    longest = ", ".join(
         f"{steps[gap]:.2f} s after frame {scene.frames[gap].index}"
         for gap in sorted(gaps, key=lambda gap: -steps[gap])[:3]
     )
     todo = (
-        "record to a faster disk or at a lower rate; what is there can be labelled, but do not take "
-        "row numbers for times, and expect a tracker to lose its way at the long gaps"
+        "record to a faster disk or at a lower rate; the frames that are there can be labelled, but do not "
+        "compute times from row numbers, and expect a tracker to lose its way at the long gaps"
     )
-    what = f"about {missing} frames are missing in {len(gaps)} gaps ({places}); usual: {usual:.3f} s"
+    what = (
+        f"about {counted(missing, 'frame')} missing in {counted(len(gaps), 'gap')} ({longest}); "
+        f"the usual interval is {usual:.3f} s"
+    )
     return [Finding("dropped frames", what, 1.0, todo)]
 
 
 def pose_jumps(scene: Scene, trajectory: Trajectory) -> list[Finding]:
-    """Steps of the camera no hand can make; leaves the answer to one line."""
+    """Return a finding when the camera moves faster than a hand can."""
     time_of = {frame.index: frame.timestamp_s for frame in scene.frames}
     known = np.array([int(index) in time_of for index in trajectory.frames], dtype=bool)
     indices = trajectory.frames[known]
@@ -71,8 +75,8 @@ def pose_jumps(scene: Scene, trajectory: Trajectory) -> list[Finding]:
         return []
     worst = fast[int(np.argmax(steps_m[fast]))]
     what = (
-        f"the camera jumps {len(fast)} times, {steps_m[worst]:.2f} m at most, "
-        f"behind frame {int(indices[worst])}"
+        f"the camera jumps {counted(len(fast), 'time')}, by {steps_m[worst]:.2f} m at most, "
+        f"after frame {int(indices[worst])}"
     )
-    todo = "the tracker lost its way: cut the scene there, or delete the poses and have the camera tracked"
+    todo = "the tracker lost its way: cut the scene there, or delete the poses to have the camera tracked"
     return [Finding("pose jump", what, 1.0, todo)]

@@ -1,1 +1,1 @@
-"""Labels and models compared with the truth, where it is known (paper IV-A)."""
+"""Compare labels and models with the ground truth, where it is known (paper, section IV-A)."""

@@ -1,9 +1,9 @@
-"""The paper's evaluation: a CAD model aligned by ICP stands for truth (section IV-A).
+"""The paper's evaluation, in which a CAD model aligned by ICP serves as truth (section IV-A).
 
-GT-CAD is moved onto the sparse model and onto every scene's surface: a person picks the keypoints on
-the CAD once, which gives the start, and ICP does the rest. GT-SPARSE are the points of the CAD that
-are closest to the aligned sparse model. Aligning absorbs part of the error that is to be measured, so
-these figures flatter; where true poses are known, `quality.py`'s strict protocol stands beside them.
+GT-CAD is aligned to the sparse model and to every scene's surface: a person picks the keypoints on the CAD
+once, which gives the start, and ICP does the rest. GT-SPARSE are the points of the CAD that are closest to
+the aligned sparse model. Aligning absorbs part of the error that is to be measured, so these figures flatter;
+where true poses are known, the strict protocol of `quality.py` is reported beside them.
 """
 
 from __future__ import annotations
@@ -21,24 +21,25 @@ from rpl_data.geometry import Points, Transform, fit_rigid, invert, rigid, trans
 from rpl_data.meshes import load_mesh, oriented_points, select, thinned
 from rpl_data.raycast import RayScene
 from rpl_data.types import DataError, KeypointModel, Mesh, PointCloud
+from rpl_data.wording import counted
 
 MESHES = (".obj", ".ply", ".stl", ".glb", ".off")
 
 REACHES_M = (0.015, 0.010, 0.006, 0.004)
-"""How far a surface may lie from the CAD to be taken for it, from the first to the last rounds."""
+"""How far a surface may lie from the CAD to count, from the first to the last rounds of ICP."""
 ROUNDS = 15
-"""Rounds of ICP a reach."""
+"""Rounds of ICP per distance in `REACHES_M`."""
 LEAST_POINTS = 60
-"""Fewer surface points near the CAD say nothing about six degrees of freedom."""
+"""With fewer surface points near the CAD, six degrees of freedom cannot be determined."""
 
 
 @dataclass(frozen=True)
 class Cad:
-    """GT-CAD of an object.
+    """GT-CAD: the CAD model of an object.
 
     Attributes:
         mesh: triangles in the CAD's frame, metres.
-        picked: a row a keypoint, where a person picked it on the CAD; NaN where not. Only starts ICP.
+        picked: one row per keypoint, where a person picked it on the CAD; NaN where not. Only starts ICP.
     """
 
     object: str
@@ -46,7 +47,7 @@ class Cad:
     picked: Points
 
     def __post_init__(self) -> None:
-        """Refuse what no alignment can start from, and a mesh in millimetres."""
+        """Refuse a CAD without enough picked points, and a mesh in millimetres."""
         size_m = np.ptp(self.mesh.vertices, axis=0).max()
         if size_m > 5:
             raise DataError(
@@ -61,11 +62,11 @@ class Cad:
 
 @dataclass(frozen=True)
 class SparseOnCad:
-    """The sparse model on the CAD.
+    """The sparse model aligned to the CAD.
 
     Attributes:
-        gt_sparse: GT-SPARSE, a row a keypoint, CAD frame; NaN where the model has none.
-        distances_m: of every keypoint from its row of `gt_sparse`.
+        gt_sparse: GT-SPARSE, one row per keypoint, CAD frame; NaN where the model has none.
+        distances_m: distance of every keypoint from its row of `gt_sparse`.
     """
 
     cad_from_object: Transform
@@ -75,10 +76,11 @@ class SparseOnCad:
 
 @dataclass(frozen=True)
 class CadInScene:
-    """The CAD on a scene's surface.
+    """The CAD aligned to a scene's surface.
 
     Attributes:
-        points: surface points that lie on it. rms_m: of their distances.
+        points: number of surface points that lie on it.
+        rms_m: root mean square of their distances.
     """
 
     scene_from_cad: Transform
@@ -87,7 +89,7 @@ class CadInScene:
 
 
 def align_sparse(cad: Cad, model: KeypointModel, *, rounds: int = 200) -> SparseOnCad:
-    """ICP of the keypoints onto the CAD, point to closest point, from the picked points.
+    """Align the keypoints to the CAD by ICP, point to closest point, from the picked points.
 
     Raises:
         DataError: fewer than three keypoints are both known and picked.
@@ -115,14 +117,14 @@ def align_sparse(cad: Cad, model: KeypointModel, *, rounds: int = 200) -> Sparse
 
 
 def align_scene(cad: Cad, surface: Mesh, start: Transform, *, voxel_m: float = 0.003) -> CadInScene:
-    """ICP of the CAD onto a scene's surface, point to plane, taking nearer surfaces only as it settles.
+    """Align the CAD to a scene's surface by ICP, point to plane, with ever nearer surface points.
 
-    A surface point counts when it lies near the CAD and faces the way the CAD does there, which leaves
-    out the support beside the object.
+    A surface point counts when it lies near the CAD and faces the same way as the CAD there, which excludes
+    the support beside the object.
 
     Args:
-        surface: of the scene, scene frame.
-        start: `scene_from_cad` to begin with; a few centimetres and ten degrees are forgiven.
+        surface: surface of the scene, in the scene frame.
+        start: initial `scene_from_cad`; it may be off by a few centimetres and ten degrees.
 
     Raises:
         DataError: too little of the surface is near the CAD at the start.
@@ -136,7 +138,7 @@ def align_scene(cad: Cad, surface: Mesh, start: Transform, *, voxel_m: float = 0
             found = _step(shape, _around(cad.mesh, seen, before, reach_m), before, reach_m)
             if found.points < LEAST_POINTS:
                 raise DataError(
-                    f"object {cad.object}: only {found.points} points of the surface lie within "
+                    f"object {cad.object}: only {counted(found.points, 'point')} of the surface lie within "
                     f"{1e3 * reach_m:.0f} mm of the CAD; check its picked points and its unit"
                 )
             if np.abs(found.scene_from_cad - before).max() < 1e-6:
@@ -146,7 +148,7 @@ def align_scene(cad: Cad, surface: Mesh, start: Transform, *, voxel_m: float = 0
 
 @dataclass(frozen=True)
 class _Fit:
-    """An alignment, and how well the points that count lay on the CAD before it."""
+    """An alignment, with the number and RMS distance of the points that counted before it."""
 
     scene_from_cad: Transform
     rms_m: float
@@ -154,14 +156,14 @@ class _Fit:
 
 
 def _around(mesh: Mesh, seen: PointCloud, scene_from_cad: Transform, reach_m: float) -> PointCloud:
-    """The points in the CAD's box and its reach; of the others the closest points would cost most."""
+    """The points within reach of the CAD's box; closest-point queries on the others would cost most."""
     points = transform(invert(scene_from_cad), seen.points)
     low, high = mesh.vertices.min(axis=0) - reach_m, mesh.vertices.max(axis=0) + reach_m
     return select(seen, ((points > low) & (points < high)).all(axis=1))
 
 
 def _step(shape: RayScene, seen: PointCloud, scene_from_cad: Transform, reach_m: float) -> _Fit:
-    """A Gauss-Newton step on the distances from the CAD's planes, Huber-weighted (Chen & Medioni, 1992)."""
+    """Make a Gauss-Newton step on Huber-weighted distances from the CAD's planes (Chen & Medioni, 1992)."""
     cad_from_scene = invert(scene_from_cad)
     points = transform(cad_from_scene, seen.points)
     closest = shape.closest(points)
@@ -177,7 +179,7 @@ def _step(shape: RayScene, seen: PointCloud, scene_from_cad: Transform, reach_m:
     centre = points.mean(axis=0)
     rows = np.hstack([np.cross(points - centre, normals), normals])
     normal_matrix = (rows * weights[:, None]).T @ rows
-    # Where the surface leaves a turn free (a can about its axis) the start keeps it.
+    # Where the surface leaves a rotation free (a can about its axis), the start's rotation is kept.
     damped = normal_matrix + 1e-6 * np.trace(normal_matrix) * np.eye(6)
     step = np.linalg.solve(damped, -rows.T @ (weights * distances))
     turn = Rotation.from_rotvec(step[:3]).as_matrix()
@@ -187,12 +189,12 @@ def _step(shape: RayScene, seen: PointCloud, scene_from_cad: Transform, reach_m:
 
 
 def cads_in(folder: Path, objects: Mapping[str, Sequence[str]], *, metres_per_unit: float) -> dict[str, Cad]:
-    """The CADs of a folder: `<object>.obj` (or .ply .stl .glb .off) with `<object>.pp` beside it.
+    """Read the CADs of a folder: `<object>.obj` (or .ply .stl .glb .off) with `<object>.pp` beside it.
 
     Args:
-        folder: where they are.
+        folder: the folder of the CADs.
         objects: names of the keypoints by object.
-        metres_per_unit: of the meshes and the points picked on them.
+        metres_per_unit: unit of the meshes and of the points picked on them.
 
     Raises:
         DataError: the folder has a CAD for none of the objects, or one without picked points.
@@ -217,17 +219,17 @@ def cads_in(folder: Path, objects: Mapping[str, Sequence[str]], *, metres_per_un
 
 
 def mesh_of(folder: Path, name: str) -> Path | None:
-    """The file with the CAD of an object; None where there is none."""
+    """The CAD file of an object; None where there is none."""
     return next((path for path in (folder / f"{name}{suffix}" for suffix in MESHES) if path.exists()), None)
 
 
 def picked_in_order(
     names: Sequence[str], points: Points, keypoints: Sequence[str], *, source: str
 ) -> Float64[np.ndarray, "k 3"]:
-    """A row a keypoint; NaN where it was not picked. Points are found by name, or by number from 0.
+    """Sort picked points: one row per keypoint, NaN where not picked; matched by name, or number from 0.
 
     Raises:
-        DataError: a point is neither the name nor the number of a keypoint.
+        DataError: a picked point has neither the name nor the number of a keypoint.
     """
     ordered = np.full((len(keypoints), 3), np.nan)
     rows = {name: k for k, name in enumerate(keypoints)}
@@ -235,7 +237,7 @@ def picked_in_order(
         row = rows.get(name, int(name) if name.isdecimal() else -1)
         if not 0 <= row < len(keypoints):
             raise DataError(
-                f"{source}: picked point {name!r} is no keypoint; name the points like the keypoints "
+                f"{source}: picked point {name!r} is not a keypoint; name the points like the keypoints "
                 f"({', '.join(keypoints)}) or number them from 0"
             )
         ordered[row] = point
@@ -243,5 +245,5 @@ def picked_in_order(
 
 
 def scaled(mesh: Mesh, metres_per_unit: float) -> Mesh:
-    """A mesh in metres."""
+    """Convert a mesh to metres."""
     return replace(mesh, vertices=mesh.vertices * metres_per_unit)

@@ -1,10 +1,9 @@
-"""Labels and models against truth: mm, px and IoU.
+"""Compare labels and models with the ground truth, in mm, px and IoU.
 
-The strict protocol: keypoint i of the model is compared with keypoint i of the truth, and a label
-with the truth of the same frame, without aligning anything in the image. Only the 3D model, whose
-frame is its own, is first moved on the truth by one rigid transform. Another protocol is another
-truth: the paper's (GT-SPARSE as the closest points of a CAD aligned by ICP) hands its own model and
-labels to the same functions.
+In the strict protocol, keypoint i of the model is compared with keypoint i of the truth, and a label with the
+truth of the same frame; nothing is aligned in the image. Only the 3D model, which has its own frame, is first
+moved onto the truth by one rigid transform. Another protocol means another truth: the paper's (GT-SPARSE as
+the closest points of a CAD aligned by ICP) passes its own model and labels to the same functions.
 """
 
 from __future__ import annotations
@@ -17,15 +16,16 @@ from jaxtyping import Float64
 
 from rpl_data.geometry import Transform, fit_rigid, invert, rotation_angle_rad, transform
 from rpl_data.types import DataError, FrameLabel, InstanceLabel, KeypointModel, QualityRow, Rle
+from rpl_data.wording import counted
 from rpl_data.workspace.workspace import Workspace
 
 
 @dataclass(frozen=True)
 class ModelError:
-    """A sparse model against truth.
+    """Errors of a sparse model.
 
     Attributes:
-        keypoints_m: distance of every keypoint from the truth after the fit; NaN where unknown.
+        keypoints_m: distance of every keypoint from the truth, after the fit; NaN where unknown.
         truth_from_object: the rigid fit, from the model's object frame to the truth's.
     """
 
@@ -35,10 +35,10 @@ class ModelError:
 
 @dataclass(frozen=True)
 class InstanceError:
-    """One object in one frame against truth.
+    """Errors of one object in one frame.
 
     Attributes:
-        keypoints_px: distance of every keypoint labelled (v > 0) from the truth; NaN for the others.
+        keypoints_px: distance of every labelled keypoint (v > 0) from the truth; NaN for the others.
         position_m, rotation_rad: error of the pose at the object's origin; NaN without alignment.
     """
 
@@ -58,7 +58,7 @@ class InstanceError:
 
 @dataclass(frozen=True)
 class LabelErrors:
-    """All frames of one object; the counts are explained in `types.QualityRow`."""
+    """Errors in all frames of one object; `types.QualityRow` explains the counts."""
 
     instances: tuple[InstanceError, ...]
     truth_frames: int
@@ -67,14 +67,14 @@ class LabelErrors:
 
 
 def model_error(model: KeypointModel, truth: KeypointModel) -> ModelError:
-    """3D keypoint errors after a rigid fit (no scale, no reflection) over the keypoints both know.
+    """Measure 3D keypoint errors after a rigid fit (no scale, no reflection) over the keypoints both know.
 
     Raises:
         DataError: the models differ in the number of keypoints, or share fewer than three.
     """
     if len(model.keypoints) != len(truth.keypoints):
         raise DataError(
-            f"object {model.name} has {len(model.keypoints)} keypoints and its truth "
+            f"object {model.name} has {counted(len(model.keypoints), 'keypoint')} and its truth "
             f"{len(truth.keypoints)}; keypoint i is compared with keypoint i: correct the recipe"
         )
     both = model.known & truth.known
@@ -88,12 +88,12 @@ def label_errors(
     truth: Iterable[FrameLabel],
     truth_from_object: Mapping[str, Transform] | None = None,
 ) -> dict[str, LabelErrors]:
-    """Errors of the labels, by object; frames without truth are left out.
+    """Measure the errors of labels, per object; frames without truth are ignored.
 
     Args:
         labels: any number of scenes, in any order.
-        truth: keypoints_px are the true projections, whether seen or not.
-        truth_from_object: alignment of the models by object (`ModelError`), for the pose errors.
+        truth: true labels, in which keypoints_px are the true projections, visible or not.
+        truth_from_object: alignment of each object's model (`ModelError`), for the pose errors.
     """
     alignments = truth_from_object or {}
     true_frames = {(label.scene, label.frame): _by_object(label) for label in truth}
@@ -171,7 +171,7 @@ def mask_iou(a: Rle, b: Rle) -> float:
 def summarise(
     object_name: str, model: KeypointModel, error: ModelError, labels: LabelErrors | None
 ) -> QualityRow:
-    """The row of one object; `labels` is None for an object without truth in any frame."""
+    """Summarise one object in a row; `labels` is None for an object without truth in any frame."""
     labels = labels or LabelErrors((), 0, 0, 0)
     pixels = np.array([instance.mean_px for instance in labels.instances])
     pixels = pixels[np.isfinite(pixels)]
@@ -209,15 +209,15 @@ def _mean(values: np.ndarray) -> float:
 
 
 def compare_workspaces(workspace: Workspace, truth: Workspace) -> list[QualityRow]:
-    """A row an object that both workspaces have.
+    """Compare each object that both workspaces have; one row per object.
 
     Raises:
-        DataError: they share no object, or the models of one cannot be compared.
+        DataError: they have no object in common, or the models of one cannot be compared.
     """
     shared = [name for name in workspace.object_names() if truth.solution_file(name).exists()]
     if not shared:
         raise DataError(
-            f"{truth.root} holds no truth for {', '.join(workspace.object_names()) or 'any object'}; "
+            f"{truth.root} has no truth for {', '.join(workspace.object_names()) or 'any object'}; "
             f"it has {', '.join(truth.object_names()) or 'no objects'}; objects must have the same names"
         )
     models = {name: workspace.load_solution(name).model for name in shared}
@@ -240,7 +240,7 @@ def compare_workspaces(workspace: Workspace, truth: Workspace) -> list[QualityRo
 
 
 def merged(parts: Sequence[LabelErrors]) -> LabelErrors:
-    """The errors of several scenes as those of one."""
+    """Merge the errors of several scenes as if they were one."""
     return LabelErrors(
         instances=tuple(instance for part in parts for instance in part.instances),
         truth_frames=sum(part.truth_frames for part in parts),
@@ -266,7 +266,7 @@ COLUMNS: dict[str, tuple[str, int]] = {
 
 
 def format_table(rows: Sequence[QualityRow]) -> str:
-    """The rows as plain text, a line an object; "-" where nothing could be measured."""
+    """Format the rows as plain text, one line per object; "-" where nothing could be measured."""
     header = [
         "object",
         "keypoints",

@@ -1,10 +1,9 @@
-"""A truth workspace out of true poses: projected keypoints and ray-cast silhouettes.
+"""Make a truth workspace from true poses: projected keypoints and ray-cast silhouettes.
 
-The poses come as JSON: `points_<object>` (a row a keypoint, metres, object frame; null where unknown) and
-`camera_from_<object>`: {scene: [a 4x4 matrix a frame, by `Frame.index`]}; a null in place of a
-matrix is a frame whose pose is not known. `mesh_<object>`: {file, metres_per_unit} is its mesh in the
-object frame, the file relative to the JSON; an object without one is taken to be the box of its points'
-extents.
+The poses come as JSON: `points_<object>` (one row per keypoint, metres, object frame; null where unknown) and
+`camera_from_<object>`: {scene: [one 4x4 matrix per frame, by `Frame.index`]}, with null for a frame whose
+pose is unknown. `mesh_<object>`: {file, metres_per_unit} is its mesh in the object frame, with the file
+relative to the JSON; an object without one is assumed to be the bounding box of its points.
 """
 
 from __future__ import annotations
@@ -43,7 +42,7 @@ from rpl_data.types import (
 from rpl_data.workspace.workspace import Workspace
 
 HIDDEN_BEHIND_M = 0.004
-"""A keypoint this far behind the surface is hidden; less is the mesh's own inaccuracy."""
+"""A keypoint this far behind the surface is hidden; less is due to the mesh's inaccuracy."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +50,7 @@ class TrueObject:
     """An object with its true poses.
 
     Attributes:
-        camera_from_object: by scene name and `Frame.index`.
+        camera_from_object: poses by scene name and `Frame.index`.
     """
 
     model: KeypointModel
@@ -60,10 +59,10 @@ class TrueObject:
 
 
 def truth_from_poses(workspace: Workspace, truth: Workspace, poses: Path) -> None:
-    """Write models, meshes and labels of the scenes of `workspace` for which `poses` has the truth.
+    """Write models, meshes and labels of those scenes of `workspace` whose truth `poses` has.
 
     Raises:
-        DataError: the file has no object, a matrix is not 4x4, or no scene of it is in the workspace.
+        DataError: the file has no object, a matrix is not 4x4, or none of its scenes is in the workspace.
     """
     content = read_json(poses)
     objects = true_objects(content, source=str(poses), meshes=_meshes(content, poses))
@@ -72,7 +71,7 @@ def truth_from_poses(workspace: Workspace, truth: Workspace, poses: Path) -> Non
     if not known:
         raise DataError(
             f"{poses} has poses for the scenes {sorted(scenes)}; the workspace has "
-            f"{workspace.video_names()}; name them alike"
+            f"{workspace.video_names()}; give them the same names"
         )
     for one in objects:
         count = len(one.model.keypoints)
@@ -86,7 +85,7 @@ def truth_from_poses(workspace: Workspace, truth: Workspace, poses: Path) -> Non
 def true_objects(
     content: Mapping[str, Any], *, source: str, meshes: Mapping[str, Mesh]
 ) -> tuple[TrueObject, ...]:
-    """The objects of the JSON, in its order; keypoints are named by their number."""
+    """Read the objects of the JSON, in its order; keypoints are named by their number."""
     names = [key.removeprefix("points_") for key in content if key.startswith("points_")]
     if not names:
         raise DataError(f"{source} has no points_<object>; it has {', '.join(content) or 'nothing'}")
@@ -105,7 +104,7 @@ def true_objects(
 
 
 def _meshes(content: Mapping[str, Any], source: Path) -> dict[str, Mesh]:
-    """The meshes the JSON names, by object, in metres."""
+    """Load the meshes that the JSON names, by object, in metres."""
     meshes = {}
     for key, entry in content.items():
         if key.startswith("mesh_"):
@@ -123,7 +122,7 @@ def _matrix(values: Any, where: str) -> Transform:
 
 
 def box_mesh(points: Float64[np.ndarray, "n 3"]) -> Mesh:
-    """The twelve triangles of the points' axis-aligned extents, counter-clockwise from outside."""
+    """Make the twelve triangles of the points' bounding box, counter-clockwise seen from outside."""
     low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
     corners = np.array([[(low, high)[(i >> axis) & 1][axis] for axis in range(3)] for i in range(8)])
     quads = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
@@ -132,7 +131,7 @@ def box_mesh(points: Float64[np.ndarray, "n 3"]) -> Mesh:
 
 
 def true_labels(scene: Scene, objects: tuple[TrueObject, ...]) -> Iterator[FrameLabel]:
-    """The labels of every frame whose truth is known; nothing hides an object but itself."""
+    """Make labels of every frame whose truth is known; an object is hidden only by itself."""
     casters = [RayScene([one.mesh]) for one in objects]
     for frame in scene.frames:
         found = [
@@ -149,7 +148,7 @@ def true_labels(scene: Scene, objects: tuple[TrueObject, ...]) -> Iterator[Frame
 def true_instance(
     intrinsics: Intrinsics, one: TrueObject, caster: RayScene, camera_from_object: Transform
 ) -> InstanceLabel | None:
-    """The label of one object at its true pose; None when it is not in the image."""
+    """Make the label of one object at its true pose; None when it is not in the image."""
     points_camera = transform(camera_from_object, one.model.points_object)
     pixels = project(intrinsics, points_camera)
     surface = project(intrinsics, transform(camera_from_object, one.mesh.vertices))
@@ -181,7 +180,7 @@ def true_instance(
 def _depth_image_m(
     intrinsics: Intrinsics, caster: RayScene, camera_from_object: Transform, surface_px: Pixels
 ) -> Float32[np.ndarray, "height width"]:
-    """Rendered depth of the whole image, rays cast only where the projected vertices reach."""
+    """Render the depth of the whole image; rays are cast only where the projected vertices reach."""
     width, height = intrinsics.width, intrinsics.height
     depth_m = np.zeros((height, width), dtype=np.float32)
     left, top, right, bottom = 0, 0, width, height
@@ -208,7 +207,7 @@ def _visibility(
     pixels: Pixels,
     keypoint_depth_m: Float64[np.ndarray, " k"],
 ) -> Int64[np.ndarray, " k"]:
-    """COCO's v: seen unless every pixel around it shows a surface nearer than the keypoint."""
+    """COCO's v: seen unless every pixel around the keypoint shows a surface nearer than it."""
     inside = inside_image(intrinsics, pixels)
     visibility = np.where(inside, 2, 0).astype(np.int64)
     for k in np.flatnonzero(inside):

@@ -1,6 +1,6 @@
-"""Labels of a workspace -> folders that trainers read.
+"""Write the labels of a workspace to folders that trainers read.
 
-`coco` is made of the labels and holds everything; the other dialects are made of it, with the same split.
+`coco` is made from the labels and holds everything; the other dialects are made from it, with the same split.
 """
 
 from rpl_data.export.bop import export_bop

@@ -4,10 +4,10 @@
 
     <folder>/camera.json, dataset_info.md, test_targets_bop19.json
              models/obj_000001.ply, models_info.json          millimetres, the object frame
-             {train,val,test}/000001/                         a folder a scene, see `formats.bop`
+             {train,val,test}/000001/                         one folder per scene, see `recordings.bop`
                 rgb/ depth/ mask/ mask_visib/ scene_camera.json scene_gt.json scene_gt_info.json
 
-A scene has its number in every split; image ids are frame numbers.
+A scene has the same number in every split; image ids are frame numbers.
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ from rpl_data.types import Mesh
 
 
 def export_bop(folder: Path, coco: Path, metres_per_unit: Mapping[str, float]) -> DialectSummary:
-    """Write `folder` from an exported COCO folder; images are linked, masks written.
+    """Write `folder` from an exported COCO folder; images are linked, masks are written.
 
     Args:
-        folder: replaced as a whole.
-        coco: the exported folder.
-        metres_per_unit: of the depth images, by scene name.
+        folder: folder to write; its old content is replaced.
+        coco: the exported COCO folder.
+        metres_per_unit: unit of the depth images, by scene name.
 
     Raises:
-        DataError: the COCO folder is not there or broken, a lens has distortion, which the layout cannot
-            hold, or the folder cannot be written.
+        DataError: the COCO folder is missing or broken, a lens has distortion, which the layout cannot hold,
+            or the folder cannot be written.
     """
     numbers = {name: number for number, name in enumerate(sorted(metres_per_unit), start=1)}
     images: dict[str, int] = {}
@@ -50,8 +50,8 @@ def export_bop(folder: Path, coco: Path, metres_per_unit: Mapping[str, float]) -
             images[split.name] = len(split.images)
             for scene in sorted({image["scene"] for image in split.images}):
                 mine = [image for image in split.images if image["scene"] == scene]
-                place = building / split.name / f"{numbers[scene]:06d}"
-                instances += _write_scene(place, coco, mine, split, metres_per_unit[scene])
+                scene_folder = building / split.name / f"{numbers[scene]:06d}"
+                instances += _write_scene(scene_folder, coco, mine, split, metres_per_unit[scene])
                 targets += _targets(numbers[scene], mine, split) if split.name == "test" else []
                 cameras.append(_camera(mine[0], metres_per_unit[scene]))
             without_mesh = _write_models(building / "models", coco, split.data)
@@ -83,50 +83,50 @@ def _info(numbers: Mapping[str, int]) -> str:
 
 
 def _write_scene(
-    place: Path, coco: Path, images: Sequence[Json], split: Split, metres_per_unit: float
+    folder: Path, coco: Path, images: Sequence[Json], split: Split, metres_per_unit: float
 ) -> int:
-    """Write a scene's images of a split; the number of instances."""
+    """Write a scene's images of one split, and return the number of instances."""
     labels = {image["frame"]: split.annotations.get(image["id"], []) for image in images}
     info = {}
     for image in images:
         frame = image["frame"]
         source = coco / image["file_name"]
-        link(source, place / "rgb" / f"{frame:06d}{source.suffix}")
+        link(source, folder / "rgb" / f"{frame:06d}{source.suffix}")
         measured = None
         if image["depth_file_name"] is not None:
             depth = coco / image["depth_file_name"]
-            link(depth, place / "depth" / f"{frame:06d}{depth.suffix}")
+            link(depth, folder / "depth" / f"{frame:06d}{depth.suffix}")
             measured = cv2.imread(str(depth), cv2.IMREAD_UNCHANGED)
         info[str(frame)] = [
-            _write_instance(place, f"{frame:06d}_{number:06d}.png", annotation, measured)
+            _write_instance(folder, f"{frame:06d}_{number:06d}.png", annotation, measured)
             for number, annotation in enumerate(labels[frame])
         ]
     write_scene_camera(
-        place,
+        folder,
         intrinsics_from_coco(images[0]),
         metres_per_unit,
         {image["frame"]: matrix_from_json(image["scene_from_camera"]) for image in images},
     )
     write_scene_gt(
-        place,
+        folder,
         {
             frame: [(a["category_id"], matrix_from_json(a["camera_from_object"])) for a in annotations]
             for frame, annotations in labels.items()
         },
     )
-    write_json(place / "scene_gt_info.json", info)
+    write_json(folder / "scene_gt_info.json", info)
     return sum(map(len, labels.values()))
 
 
-def _write_instance(place: Path, name: str, annotation: Json, measured: np.ndarray | None) -> Json:
-    """Write both masks of an instance; its entry of scene_gt_info.json."""
+def _write_instance(scene_folder: Path, name: str, annotation: Json, measured: np.ndarray | None) -> Json:
+    """Write both masks of an instance, and return its entry of scene_gt_info.json."""
     from pycocotools import mask as masks
 
     full = masks.decode(annotation["segmentation_full"]).view(np.bool_)
     visible = masks.decode(annotation["segmentation"]).view(np.bool_)
     for folder, mask in (("mask", full), ("mask_visib", visible)):
         content: bytes = cv2.imencode(".png", mask.astype(np.uint8) * 255)[1].tobytes()
-        write_bytes(place / folder / name, content)
+        write_bytes(scene_folder / folder / name, content)
     valid = full if measured is None else full & (measured > 0)
     return {
         "bbox_obj": _box(full),
@@ -158,8 +158,8 @@ def _targets(scene: int, images: Sequence[Json], split: Split) -> list[Json]:
 # Models -------------------------------------------------------------------------------------------
 
 
-def _write_models(place: Path, coco: Path, data: Json) -> list[str]:
-    """Write the meshes in millimetres and models_info.json; the objects without a mesh."""
+def _write_models(folder: Path, coco: Path, data: Json) -> list[str]:
+    """Write the meshes in millimetres and models_info.json; returns the objects without a mesh."""
     info, missing = {}, []
     for number, item in enumerate(objects_from_coco(data), start=1):
         if item.mesh is None:
@@ -167,9 +167,9 @@ def _write_models(place: Path, coco: Path, data: Json) -> list[str]:
             continue
         mesh = load_mesh(coco / item.mesh)
         mesh = replace(mesh, vertices=1000 * mesh.vertices)
-        write_bytes(place / f"obj_{number:06d}.ply", mesh_to_ply(mesh))
+        write_bytes(folder / f"obj_{number:06d}.ply", mesh_to_ply(mesh))
         info[str(number)] = _model_info(mesh) | _symmetries(item.symmetries)
-    write_json(place / "models_info.json", info)
+    write_json(folder / "models_info.json", info)
     return missing
 
 
@@ -181,7 +181,7 @@ def _model_info(mesh: Mesh) -> Json:
 
 
 def _diameter(points: Float64[np.ndarray, "n 3"]) -> float:
-    """The largest distance of two points, which are corners of the convex hull."""
+    """Largest distance between two points, which are corners of the convex hull."""
     from scipy.spatial import ConvexHull
     from scipy.spatial.distance import pdist
 
@@ -189,7 +189,7 @@ def _diameter(points: Float64[np.ndarray, "n 3"]) -> float:
 
 
 def _symmetries(symmetries: Sequence[Sequence[float]]) -> Json:
-    """Rigid transforms that change nothing, translations in millimetres."""
+    """Rigid transforms that leave the object looking the same, translations in millimetres."""
     if not symmetries:
         return {}
     matrices = [np.array(values, dtype=np.float64).reshape(4, 4) for values in symmetries]

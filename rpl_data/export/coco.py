@@ -1,7 +1,7 @@
-"""Labels of scenes -> a COCO folder: train, val and test files, and the images linked beside them.
+"""Write the labels of scenes to a COCO folder: train, val and test files, with the images linked beside them.
 
-The folder is built under a temporary name beside its place and takes it only when complete. Labels are read
-once, in one pass; memory does not grow with the masks.
+The folder is built under a temporary name and renamed only when it is complete. Labels are read in one pass;
+memory does not grow with the masks.
 """
 
 from __future__ import annotations
@@ -20,10 +20,11 @@ from rpl_data.export.split import FrameKey, SplitName, SplitRule, choose_splits
 from rpl_data.export.view_distances import View, ViewDistance, view_distances, view_of
 from rpl_data.files import read_json, write_bytes
 from rpl_data.formats.datasets.coco import CocoObject, image_to_coco, instance_to_coco, writing_coco
-from rpl_data.formats.recordings.scene_images import encoded
+from rpl_data.formats.recordings.saved_images import encoded
 from rpl_data.geometry import Transform
 from rpl_data.images import read_depth_units
 from rpl_data.types import DataError, Frame, FrameLabel, KeypointModel, Scene, Trajectory
+from rpl_data.wording import counted
 
 Json = dict[str, Any]
 
@@ -33,7 +34,7 @@ class ExportScene:
     """A labelled scene.
 
     Attributes:
-        labels: one a frame that is to be exported; may be an iterator, it is read once.
+        labels: one per frame to export; may be an iterator, which is read once.
     """
 
     scene: Scene
@@ -43,16 +44,16 @@ class ExportScene:
 
 @dataclass(frozen=True)
 class ExportSummary:
-    """What was written.
+    """Counts and messages about an export.
 
     Attributes:
-        images: how many, by split; a split without images has no file.
-        instances: how many, by split and object.
-        scenes: names of the scenes of each split.
-        invisible: instances left out because no pixel of them is visible.
-        links: how many files were hard-linked, symlinked, copied.
-        views: how near the views of val and test are to training's, by split.
-        messages: lines for a person.
+        images: number of images per split; a split without images has no file.
+        instances: number of instances per split and object.
+        scenes: names of the scenes in each split.
+        invisible: number of instances left out because none of their pixels is visible.
+        links: number of files that were hard-linked, symlinked, copied.
+        views: distance of the views of val and test from those of training, per split.
+        messages: lines for the user.
     """
 
     images: Mapping[SplitName, int]
@@ -77,14 +78,14 @@ def export_coco(
     """Write `folder`: {train,val,test}.json, images/<scene>/, depth/<scene>/, meshes/ and nothing else.
 
     Args:
-        folder: replaced as a whole.
-        scenes: with their labels.
+        folder: folder to write; its old content is replaced.
+        scenes: the scenes with their labels.
         models: the objects; category ids are 1, 2, ... in this order.
-        split: which frames train, validate and test.
+        split: rule for which frames train, validate and test.
         meshes: files of dense models by object name; linked too, as meshes/<object><suffix>.
         grasps: `object_from_grasp` by object name.
-        as_in: an exported folder whose split and image ids are kept (for labels made from truth); frames
-            that it does not have are left out.
+        as_in: an exported folder whose split and image ids are kept (for labels made from truth); frames that
+            it does not have are left out.
 
     Raises:
         DataError: an image is missing, a label names an unknown object or frame, nothing is labelled, or the
@@ -105,10 +106,10 @@ def export_coco(
 
 @dataclass(frozen=True)
 class _Collected:
-    """What one pass over the labels leaves in memory: names and viewing directions, no masks.
+    """What one pass over the labels keeps in memory: names and viewing directions, no masks.
 
     Attributes:
-        frames: the objects of every frame.
+        frames: names of the objects in every frame.
     """
 
     frames: Mapping[FrameKey, frozenset[str]]
@@ -124,10 +125,10 @@ def _collect(
     links: Counter[str],
     fixed: Mapping[FrameKey, tuple[SplitName, int]] | None,
 ) -> _Collected:
-    """Link the images and write a line a frame, image and annotations, to the spool.
+    """Link the images, and write one line per frame, image and annotations, to the temporary file `spool`.
 
-    The split is a choice over all frames and their objects, so no line can go to its file before the last
-    label was seen.
+    The split depends on all frames and their objects, so no line can go to its file before the last label
+    was read.
     """
     frames: dict[FrameKey, frozenset[str]] = {}
     views: list[View] = []
@@ -162,8 +163,8 @@ def _collect(
 def _frame(scene: Scene, by_index: Mapping[int, Frame], label: FrameLabel) -> Frame:
     if label.scene != scene.name or label.frame not in by_index:
         raise DataError(
-            f"a label of scene {label.scene}, frame {label.frame} was given for scene {scene.name}, "
-            f"which has {len(by_index)} frames and not this one; label the scene again"
+            f"a label of scene {label.scene}, frame {label.frame} was given for scene {scene.name}, which "
+            f"has {counted(len(by_index), 'frame')} and not this one; label the scene again"
         )
     return by_index[label.frame]
 
@@ -177,7 +178,7 @@ def _check_object(name: str, categories: Mapping[str, int], key: FrameKey) -> No
 
 
 def _image(building: Path, item: ExportScene, frame: Frame, image_id: int, links: Counter[str]) -> Json:
-    """The entry of an image, its files linked into the folder."""
+    """Make the entry of an image, and link its files into the folder."""
     scene = item.scene
     name = f"images/{scene.name}/{frame.index:06d}{frame.color.suffix}"
     links[link(frame.color, building / name)] += 1
@@ -185,7 +186,7 @@ def _image(building: Path, item: ExportScene, frame: Frame, image_id: int, links
     if frame.depth is not None:
         suffix = frame.depth.suffix if scene.depth_warp is None else ".png"
         depth_name = f"depth/{scene.name}/{frame.index:06d}{suffix}"
-        links[_place_depth(scene, frame, building / depth_name)] += 1
+        links[_link_depth(scene, frame, building / depth_name)] += 1
     return image_to_coco(
         image_id,
         frame,
@@ -197,8 +198,8 @@ def _image(building: Path, item: ExportScene, frame: Frame, image_id: int, links
     )
 
 
-def _place_depth(scene: Scene, frame: Frame, target: Path) -> str:
-    """The depth image as it lies on the colour image; how it came there."""
+def _link_depth(scene: Scene, frame: Frame, target: Path) -> str:
+    """Link the depth image, or write it if it must be warped onto the colour image; returns which."""
     assert frame.depth is not None
     if scene.depth_warp is None:
         return link(frame.depth, target)
@@ -232,7 +233,7 @@ def _write_splits(
     links: Counter[str],
     messages: Sequence[str],
 ) -> ExportSummary:
-    """Deal the lines of the spool out to the files of the splits."""
+    """Distribute the lines of the spool to the files of the splits."""
     frames = {key: splits[key] for key in collected.frames}
     names: list[SplitName] = [n for n in ("train", "val", "test") if n in frames.values()]
     spool.seek(0)
@@ -254,7 +255,7 @@ def _write_splits(
 
 
 def _assignment(folder: Path) -> dict[FrameKey, tuple[SplitName, int]]:
-    """The split and image id of every frame of an exported folder."""
+    """Read the split and image id of every frame of an exported folder."""
     names: tuple[SplitName, ...] = ("train", "val", "test")
     found = {
         (image["scene"], image["frame"]): (name, image["id"])

@@ -1,4 +1,4 @@
-"""What the dialects have in common: they are made of an exported COCO folder, split by split."""
+"""What all dialects share: they are made from an exported COCO folder, split by split."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ SPLITS = ("train", "val", "test")
 
 @dataclass(frozen=True)
 class DialectSummary:
-    """What was written.
+    """Counts and messages about an exported dialect.
 
     Attributes:
-        images: how many, by split.
-        instances: how many labels were written.
-        messages: lines for a person.
+        images: number of images per split.
+        instances: number of labels that were written.
+        messages: lines for the user.
     """
 
     images: Mapping[str, int]
@@ -31,10 +31,10 @@ class DialectSummary:
 
 @dataclass(frozen=True)
 class Split:
-    """A file of the COCO folder.
+    """One split: a file of the COCO folder.
 
     Attributes:
-        annotations: by image id; an image without any has none.
+        annotations: annotations by image id; an image without any has no entry.
     """
 
     name: str
@@ -49,10 +49,10 @@ class Split:
 
 
 def splits_of(coco: Path) -> Iterator[Split]:
-    """The splits of an exported folder, in the order train, val, test; one is in memory at a time.
+    """Read the splits of an exported folder in the order train, val, test; one is in memory at a time.
 
     Raises:
-        DataError: there is none.
+        DataError: there are no splits.
     """
     names = [name for name in SPLITS if (coco / f"{name}.json").exists()]
     if not names:

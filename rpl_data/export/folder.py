@@ -1,4 +1,4 @@
-"""Folders of an export: built beside their place, filled with links."""
+"""Folders of an export: built under a temporary name, and filled with links."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rpl_data.types import DataError
 
 
 def link(source: Path, target: Path) -> str:
-    """Make `target` the same bytes as `source` without writing them, where the file system allows."""
+    """Make `target` have the same bytes as `source`, by a link where the file system allows it."""
     if not source.is_file():
         raise DataError(f"{source} is missing; put it back or read the recording again")
     source = source.resolve()
@@ -22,7 +22,7 @@ def link(source: Path, target: Path) -> str:
         try:
             make(source, target)
             return how
-        except OSError:  # another file system, or one that has no such links
+        except OSError:  # another file system, or one without such links
             continue
     shutil.copyfile(source, target)
     return "copy"
@@ -30,7 +30,7 @@ def link(source: Path, target: Path) -> str:
 
 @contextmanager
 def replacing(folder: Path) -> Iterator[Path]:
-    """A temporary folder that takes the place of `folder` when the block ends well."""
+    """Yield a temporary folder that replaces `folder` when the block ends well."""
     building: Path | None = None
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)

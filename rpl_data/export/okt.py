@@ -1,17 +1,17 @@
-"""ObjectKeypointTrainer's datasets, which RapidPoseLabels writes: one a folder, of one object each.
+"""ObjectKeypointTrainer's datasets, as RapidPoseLabels writes them: one folder per object.
 
 ::
 
     <folder>/<object>/frames/frame_00000.jpg
                       center/center_00000.txt      two lines: x, y of the square box's centre, pixels
                       scale/scales_00000.txt       its side / 200
-                      label/label_00000.txt        a line "u v" a keypoint, seen or not, in the image or not
+                      label/label_00000.txt        one line "u v" per keypoint, even if hidden or outside
                       bboxes/frame_00000.txt       darknet: class 0, centre and size as shares of the image
                       masks/mask_00000.png         255 where the object is visible
                       train.txt, valid.txt         absolute paths of the images; test.txt is ours
                       camera_matrix.npy            3 x 3, for its PnP
 
-The layout has no word for a keypoint without a position: those never clicked are left out of every frame, so
+The layout cannot express a keypoint without a position: those never clicked are left out of every frame, so
 keypoint n is line n of `keypoints.txt`.
 """
 
@@ -29,19 +29,19 @@ from rpl_data.export.folder import link, replacing
 from rpl_data.files import write_bytes, write_text, writing
 from rpl_data.formats.datasets.coco import intrinsics_from_coco, objects_from_coco
 from rpl_data.formats.datasets.yolo import detect_line
-from rpl_data.formats.recordings.scene_images import encoded
+from rpl_data.formats.recordings.saved_images import encoded
 from rpl_data.types import DataError, KeypointModel
 
 LISTS = {"train": "train.txt", "val": "valid.txt", "test": "test.txt"}
 UNIT_PX = 200.0
-"""Of a scale; the human pose datasets' convention."""
+"""Pixels per unit of a scale, as in datasets of human pose."""
 
 
 def export_okt(folder: Path, coco: Path) -> DialectSummary:
     """Write `folder` from an exported COCO folder; JPEG images are linked, others converted.
 
     Raises:
-        DataError: the COCO folder is not there or broken, or the folder cannot be written.
+        DataError: the COCO folder is missing or broken, or the folder cannot be written.
     """
     images: dict[str, int] = {}
     counts: Counter[str] = Counter()
@@ -52,10 +52,10 @@ def export_okt(folder: Path, coco: Path) -> DialectSummary:
             for number, item in enumerate(objects_from_coco(split.data), start=1):
                 model, first = item.model, counts[item.model.name]
                 pairs, incomplete = _whole(split, number, model.known)
-                left_out[f"{model.name}: frames left out, a keypoint is not in front of the camera"] += (
+                left_out[f"{model.name}: frames left out, as a keypoint is not in front of the camera"] += (
                     incomplete
                 )
-                left_out[f"{model.name}: keypoints left out, they were never clicked"] = int(
+                left_out[f"{model.name}: keypoints left out, as they were never clicked"] = int(
                     (~model.known).sum()
                 )
                 for index, (image, annotation) in enumerate(pairs, start=first):
@@ -69,7 +69,7 @@ def export_okt(folder: Path, coco: Path) -> DialectSummary:
 
 
 def _whole(split: Split, category: int, known: Bool[np.ndarray, " k"]) -> tuple[list[tuple[Json, Json]], int]:
-    """Images with the object and its annotations, where every known keypoint has a place; how many others."""
+    """Images with the object where every known keypoint has a position, annotations; number of others."""
     by_id = {image["id"]: image for image in split.images}
     every = [
         one for several in split.annotations.values() for one in several if one["category_id"] == category
@@ -79,7 +79,7 @@ def _whole(split: Split, category: int, known: Bool[np.ndarray, " k"]) -> tuple[
 
 
 def _write_list(building: Path, folder: Path, split: str, name: str, indices: range) -> None:
-    """The paths of a split's images, where they will be."""
+    """Write the paths of a split's images, where they will be."""
     frames = folder.absolute() / name / "frames"
     lines = [f"{frames / _stem(index)}.jpg\n" for index in indices]
     write_text(building / name / LISTS[split], "".join(lines))
@@ -89,39 +89,39 @@ def _stem(index: int) -> str:
     return f"frame_{index:05d}"
 
 
-def _write_object(place: Path, model: KeypointModel, image: Json) -> None:
-    """What all frames share: names of the keypoints, and the camera."""
+def _write_object(folder: Path, model: KeypointModel, image: Json) -> None:
+    """Write what all frames share: names of the keypoints, and the camera."""
     names = [name for name, known in zip(model.keypoints, model.known, strict=True) if known]
-    write_text(place / "keypoints.txt", "".join(f"{name}\n" for name in names))
-    with writing(place / "camera_matrix.npy", "wb") as file:
+    write_text(folder / "keypoints.txt", "".join(f"{name}\n" for name in names))
+    with writing(folder / "camera_matrix.npy", "wb") as file:
         np.save(file, intrinsics_from_coco(image).matrix)
 
 
 def _write_frame(
-    place: Path, index: int, coco: Path, image: Json, annotation: Json, known: Bool[np.ndarray, " k"]
+    folder: Path, index: int, coco: Path, image: Json, annotation: Json, known: Bool[np.ndarray, " k"]
 ) -> None:
     from pycocotools import mask as masks
 
-    _place_jpeg(coco / image["file_name"], place / "frames" / f"{_stem(index)}.jpg")
+    _link_jpeg(coco / image["file_name"], folder / "frames" / f"{_stem(index)}.jpg")
     cx, cy, side = annotation["square_box"]
     keypoints = np.array(annotation["keypoints"], dtype=np.float64).reshape(-1, 3)[known, :2]
     box = detect_line(image, annotation, ()).split()[1:]
-    write_text(place / "center" / f"center_{index:05d}.txt", f"{cx!r}\n{cy!r}\n")
-    write_text(place / "scale" / f"scales_{index:05d}.txt", f"{side / UNIT_PX!r}\n")
+    write_text(folder / "center" / f"center_{index:05d}.txt", f"{cx!r}\n{cy!r}\n")
+    write_text(folder / "scale" / f"scales_{index:05d}.txt", f"{side / UNIT_PX!r}\n")
     write_text(
-        place / "label" / f"label_{index:05d}.txt", "".join(f"{u!r} {v!r}\n" for u, v in keypoints.tolist())
+        folder / "label" / f"label_{index:05d}.txt", "".join(f"{u!r} {v!r}\n" for u, v in keypoints.tolist())
     )
-    write_text(place / "bboxes" / f"{_stem(index)}.txt", "\t".join(["0", *box]) + "\n")
+    write_text(folder / "bboxes" / f"{_stem(index)}.txt", "\t".join(["0", *box]) + "\n")
     mask = masks.decode(annotation["segmentation"]) * np.uint8(255)
-    write_bytes(place / "masks" / f"mask_{index:05d}.png", encoded(mask, "png"))
+    write_bytes(folder / "masks" / f"mask_{index:05d}.png", encoded(mask, "png"))
 
 
-def _place_jpeg(source: Path, target: Path) -> None:
-    """Link a JPEG; make one of anything else."""
+def _link_jpeg(source: Path, target: Path) -> None:
+    """Link a JPEG; convert any other image to one."""
     if source.suffix.lower() in (".jpg", ".jpeg"):
         link(source, target)
         return
     image = cv2.imread(str(source), cv2.IMREAD_COLOR)
     if image is None:
-        raise DataError(f"{source} is missing or broken; put it back and export again")
+        raise DataError(f"{source} is missing or damaged; put it back and export again")
     write_bytes(target, encoded(image, "jpg"))

@@ -1,4 +1,4 @@
-"""Which frames train, validate and test: `test` is whole scenes, `val` a random share of the other frames."""
+"""Choose which frames train, validate and test: `test` is whole scenes, `val` random frames of the others."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from rpl_data.types import DataError
 
 SplitName = Literal["train", "val", "test"]
 FrameKey = tuple[str, int]
-"""Scene and frame index."""
+"""Name of the scene and index of the frame."""
 
 
 @dataclass(frozen=True)
 class SplitRule:
-    """How frames are dealt out.
+    """Rule for dividing frames into splits.
 
     Attributes:
-        test_scenes: how many scenes at least training never sees (more where that takes in every object), or
+        test_scenes: least number of scenes that training never sees (more if that covers every object), or
             their names.
-        val_fraction: share of the frames of the other scenes; neighbours in time of training frames.
+        val_fraction: share of the frames of the other scenes; they are close in time to training frames.
         seed: the same seed and frames give the same split.
     """
 
@@ -34,11 +34,11 @@ class SplitRule:
 def choose_splits(
     frames: Mapping[FrameKey, frozenset[str]], rule: SplitRule
 ) -> tuple[dict[FrameKey, SplitName], tuple[str, ...]]:
-    """The split of every frame, and lines for a person.
+    """Choose the split of every frame; also returns lines for the user.
 
     Args:
-        frames: the objects seen in each frame.
-        rule: what is asked for.
+        frames: the objects visible in each frame.
+        rule: the requested split.
 
     Raises:
         DataError: a test scene that does not exist, or a fraction outside 0 to 1.
@@ -61,10 +61,10 @@ def choose_splits(
 def choose_test_scenes(
     objects_of: Mapping[str, set[str]], wanted: int | tuple[str, ...], rng: np.random.Generator
 ) -> tuple[set[str], list[str]]:
-    """Scenes for the test split, and lines for a person.
+    """Choose scenes for the test split; also returns lines for the user.
 
-    Scenes are taken in an order drawn from `rng`, those with most objects not yet tested first, until there
-    are `wanted` and every object is tested; no object loses its last training scene.
+    Scenes are taken in random order (from `rng`), but those with most objects not yet tested come first,
+    until there are `wanted` and every object is tested; no object loses its last training scene.
     """
     if isinstance(wanted, tuple):
         return _named(objects_of, wanted)
@@ -106,7 +106,7 @@ def _complaints(objects_of: Mapping[str, set[str]], test: set[str], wanted: int)
     if untested:
         messages.append(f"no test scene for {', '.join(untested)}: too few scenes show it to spare one")
     if len(test) < wanted:
-        messages.append(f"only {len(test)} test scenes of the {wanted} asked for could be spared")
+        messages.append(f"only {len(test)} of the {wanted} requested test scenes could be spared")
     return messages
 
 
@@ -115,6 +115,6 @@ def _objects(objects_of: Mapping[str, set[str]], scenes: set[str]) -> set[str]:
 
 
 def _spares(objects_of: Mapping[str, set[str]], test: set[str]) -> bool:
-    """Every object keeps a training scene, and there is one at all."""
+    """Whether every object keeps a training scene, and there is one at all."""
     left = set(objects_of) - test
     return bool(left) and _objects(objects_of, left) == _objects(objects_of, set(objects_of))

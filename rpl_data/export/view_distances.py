@@ -1,4 +1,4 @@
-"""How near the views of a split are to training's: views that training has seen prove little."""
+"""Measure how near the views of a split are to those of training: views that training saw prove little."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rpl_data.types import InstanceLabel
 
 @dataclass(frozen=True)
 class View:
-    """From where an object is seen in a frame.
+    """The direction from which an object is seen in a frame.
 
     Attributes:
         direction_object: unit vector from the object's origin to the camera, object frame.
@@ -29,12 +29,13 @@ class View:
 
 @dataclass(frozen=True)
 class ViewDistance:
-    """Distance of the views of a split to the nearest training view of the same object.
+    """Distance from the views of a split to the nearest training view of the same object.
 
     Attributes:
-        views: how many views were compared.
-        angle_median_deg, angle_p90_deg: between viewing directions in the object frame, over all scenes.
-        time_median_s, time_p90_s: within the same scene; None where no scene is shared.
+        views: number of views compared.
+        angle_median_deg, angle_p90_deg: angle between viewing directions in the object frame, over all
+            scenes.
+        time_median_s, time_p90_s: time difference within the same scene; None where no scene is shared.
     """
 
     views: int
@@ -45,7 +46,7 @@ class ViewDistance:
 
 
 def view_of(frame: FrameKey, timestamp_s: float, instance: InstanceLabel) -> View:
-    """The view of a labelled instance."""
+    """Compute the view of a labelled instance."""
     towards = invert(instance.camera_from_object)[:3, 3]
     return View(instance.object, frame, timestamp_s, towards / np.linalg.norm(towards))
 
@@ -53,7 +54,7 @@ def view_of(frame: FrameKey, timestamp_s: float, instance: InstanceLabel) -> Vie
 def view_distances(
     views: Sequence[View], splits: Mapping[FrameKey, SplitName]
 ) -> dict[SplitName, ViewDistance]:
-    """The distances of val's and test's views to training's; a split with nothing to compare is absent."""
+    """Distances of val's and test's views from those of training; splits without any are absent."""
     train = [view for view in views if splits[view.frame] == "train"]
     names: tuple[SplitName, ...] = ("val", "test")
     distances = {}

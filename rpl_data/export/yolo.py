@@ -4,10 +4,10 @@
 
     <folder>/{detect,segment,pose}/data.yaml
                                    images/{train,val,test}/<scene>_<frame>.jpg
-                                   labels/{train,val,test}/<scene>_<frame>.txt     a line an instance
+                                   labels/{train,val,test}/<scene>_<frame>.txt     one line per instance
 
-The trainer finds the labels by the name of the images' folder, so each task has a folder of its own. What the
-lines hold is in `formats.yolo`.
+The trainer finds the labels by the name of the images' folder, so each task has a folder of its own. The
+lines are described in `formats.datasets.yolo`.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ def export_yolo(folder: Path, coco: Path) -> DialectSummary:
     """Write `folder` from an exported COCO folder; images are linked.
 
     Raises:
-        DataError: the COCO folder is not there or broken, or the folder cannot be written.
+        DataError: the COCO folder is missing or broken, or the folder cannot be written.
     """
     images: Counter[str] = Counter()
     instances = 0

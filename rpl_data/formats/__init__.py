@@ -1,1 +1,1 @@
-"""Other people's formats: one a file, with its reader and its writer together."""
+"""Formats of other tools: one module per format, with its reader and its writer together."""

@@ -1,1 +1,1 @@
-"""Recipe -> workspace: which steps there are, which of them still hold, and running the others."""
+"""Build a workspace from a recipe: plan the steps, find out which are still valid, and run the others."""

@@ -1,7 +1,7 @@
-"""Recipe -> workspace: the stages in order, only the steps that no longer hold.
+"""Build a workspace from a recipe: the stages in order, running only steps that are out of date.
 
-Every finished step is in `stages.json` before the next one starts, and every file is written whole or
-not at all, so a build may be interrupted anywhere and goes on where it was when it is run again.
+Every finished step is in `stages.json` before the next one starts, and every file is written completely or
+not at all, so a build can be interrupted anywhere and continues where it was when it is run again.
 """
 
 from __future__ import annotations
@@ -48,17 +48,17 @@ STAGES: dict[str, Callable[[Context], list[Step]]] = {
     "quality": quality.quality_steps,
     "report": report.report_steps,
 }
-"""In order. Each plans its steps when those of the stages before it hold."""
+"""The stages in order. Each plans its steps once those of the stages before it are up to date."""
 
 
 @dataclass(frozen=True)
 class Progress:
-    """What a build tells its caller.
+    """Progress of a build, as its caller receives it.
 
     Attributes:
-        state: `runs` (with `done` of `total` frames; total 0 = not known), `ran`, or `kept`: nothing
+        state: `runs` (with `done` of `total` frames; total 0 = unknown), `ran`, or `kept`: nothing that
             it depends on has changed, so it was not run.
-        seconds: how long it took, now or when it last ran.
+        seconds: time it took, now or when it last ran.
     """
 
     stage: str
@@ -82,23 +82,23 @@ def build(
     workers: int | None = None,
     tell: Tell = lambda progress: None,
 ) -> Ledger:
-    """Run what is stale, in order.
+    """Run the steps that are out of date, in order.
 
     Args:
-        until: the last stage to run; all of them when None.
-        again: stages whose steps run even if they hold.
-        workers: processes; the number of cores when None, 1 = this process only.
+        until: the last stage to run; None for all.
+        again: stages whose steps run even if they are up to date.
+        workers: number of processes; None for the number of cores, 1 for this process only.
         tell: called with every step's progress.
 
     Returns:
-        The ledger: what every step ran with, how long it took and what it had to say.
+        The ledger: what every step ran with, how long it took, and its messages.
 
     Raises:
         DataError: what the user can mend; steps that were finished stay finished.
     """
     export.refuse_unknown_exports(recipe.export)
     save_recipe(recipe, workspace)
-    busy = f"another build is at work in {workspace.root}; wait for its end, or stop it"
+    busy = f"another build is running in {workspace.root}; wait until it ends, or stop it"
     with locked(workspace.build_lock, busy), Pool(workers) as pool:
         ledger = Ledger(workspace.stages_file)
         context = Context(recipe, workspace, pool)
@@ -125,9 +125,9 @@ def _bring_up_to_date(ledger: Ledger, step: Step, anyway: bool, tell: Tell) -> N
 
 
 def stale_steps(recipe: Recipe, workspace: Workspace) -> dict[str, list[tuple[str, bool]]]:
-    """(scene or object, whether it holds) of every step that can be planned, by stage.
+    """List (scene or object, whether it is up to date) of every step that can be planned, by stage.
 
-    Planning ends at the first stage with a step that does not hold: what comes after depends on it.
+    Planning ends at the first stage with a step that is out of date, since later stages depend on it.
     """
     ledger = Ledger(workspace.stages_file)
     found: dict[str, list[tuple[str, bool]]] = {}
@@ -141,25 +141,25 @@ def stale_steps(recipe: Recipe, workspace: Workspace) -> dict[str, list[tuple[st
 
 
 def run_step(recipe: Recipe, workspace: Workspace, make: Callable[[Context], Step]) -> Entry:
-    """Bring recordings and clicks up to date, then run one step whatever the ledger says."""
+    """Bring recordings and clicks up to date, then run one step regardless of the ledger."""
     ledger = build(recipe, workspace, until="clicks")
     return ledger.run(make(Context(recipe, workspace, Pool(1))), lambda done, total: None)
 
 
 def context_of(workspace: Workspace) -> Context:
-    """What a stage is given, for work on a workspace that is there already."""
+    """Make the context of the stages, for work on an existing workspace."""
     return Context(recipe_of(workspace), workspace, Pool(1))
 
 
 def save_recipe(recipe: Recipe, workspace: Workspace) -> None:
-    """Write the resolved recipe that later commands on this workspace go by."""
+    """Write the resolved recipe, which later commands on this workspace use."""
     text = recipe_to_yaml(recipe)
     if not workspace.recipe_file.exists() or workspace.recipe_file.read_text(encoding="utf-8") != text:
         write_text(workspace.recipe_file, text)
 
 
 def recipe_of(workspace: Workspace) -> Recipe:
-    """The recipe a workspace was built with."""
+    """Load the recipe that a workspace was built with."""
     if not workspace.recipe_file.exists():
         raise DataError(
             f"{workspace.root} is not a workspace (it has no {workspace.recipe_file.name}); "

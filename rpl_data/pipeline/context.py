@@ -1,4 +1,4 @@
-"""What every stage is given, and what its steps have in common."""
+"""The context that every stage receives, and how its steps are made."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from rpl_data.workspace.workspace import Workspace
 
 @dataclass(frozen=True)
 class Context:
-    """What every stage is given."""
+    """The recipe, workspace and process pool that every stage receives."""
 
     recipe: Recipe
     workspace: Workspace
@@ -26,12 +26,12 @@ class Context:
 
     @property
     def scene_sources(self) -> tuple[SceneSource, ...]:
-        """Where scenes come from; a twin's recording when the recipe names none."""
+        """Sources of the scenes; the twin's recording when the recipe names none."""
         return self.recipe.scenes or (SceneSource(self.workspace.recording, metres_per_unit=0.001),)
 
     @property
     def objects(self) -> tuple[ObjectRecipe, ...]:
-        """The objects; those a twin wrote when the recipe names none."""
+        """The objects; those that the twin wrote when the recipe names none."""
         return self.recipe.objects or tuple(self._twin_objects())
 
     def _twin_objects(self) -> Iterator[ObjectRecipe]:
@@ -43,40 +43,40 @@ class Context:
 
     @property
     def object_names(self) -> list[str]:
-        """Names in the recipe's order, which is that of the categories."""
+        """Names of the objects in the recipe's order, which is that of the exported categories."""
         return [item.name for item in self.objects]
 
     @property
     def tracks(self) -> bool:
-        """Camera poses are computed from the images."""
+        """Whether camera poses are computed from the images."""
         return self.recipe.reconstruct.method == "track"
 
     def poses_of(self, *scenes: str) -> list[str]:
-        """Names of the steps that the poses of scenes (of all, when none is named) come from."""
+        """Names of the steps that yield the poses of these scenes (of all scenes when none is named)."""
         if not self.tracks:
             return ["import"]
         parts, known = self.workspace.parts(), scenes or tuple(self.workspace.scene_names())
         return ["import", *sorted({f"track/{parts.video_of(scene)}" for scene in known})]
 
     def solutions_in(self, scene: str) -> list[Solution]:
-        """Solutions of the objects that stand in a scene."""
+        """Solutions of the objects that have a pose in a scene."""
         solutions = [self.workspace.load_solution(name) for name in self.object_names]
         return [solution for solution in solutions if scene in solution.scene_from_object]
 
     def placed_videos(self) -> list[str]:
-        """Recordings in which at least one object has a place."""
+        """Recordings in which at least one object has a pose."""
         parts = self.workspace.parts()
         return sorted({parts.video_of(scene) for scene in self.placed_scenes()})
 
     def clicks_source(self, object_name: str) -> Json:
-        """What of the log the stages depend on: not on crop and grasp, nor on what was undone again."""
+        """The part of the click log that stages depend on: without crop, grasp, and what was undone."""
         annotation, parts = self.workspace.load_annotation(object_name), self.workspace.parts()
         clicks = [astuple(parts.click_in_video(click)) for click in annotation.clicks]
         content = json.dumps([annotation.keypoints, clicks, annotation.known_points])
         return {object_name: hashlib.sha256(content.encode()).hexdigest()[:16]}
 
     def frames_of(self, scene: str) -> Json:
-        """Which frames of its recording a scene is, for the options of steps; nothing when it is whole."""
+        """The frames of its recording that a scene has, for the options of steps; empty when it is whole."""
         parts = self.workspace.parts()
         video = parts.video_of(scene)
         if video not in parts.spans:
@@ -84,7 +84,7 @@ class Context:
         return {"frames": list(parts.spans[video][parts.scenes_of(video).index(scene)])}
 
     def placed_scenes(self) -> list[str]:
-        """Scenes in which at least one object has a place."""
+        """Scenes in which at least one object has a pose."""
         solutions = [self.workspace.load_solution(name) for name in self.object_names]
         placed = {scene for solution in solutions for scene in solution.scene_from_object}
         return [scene for scene in self.workspace.scene_names() if scene in placed]
@@ -101,10 +101,10 @@ def step(
     after: Sequence[str] = (),
     outputs: Sequence[Path] = (),
 ) -> Step:
-    """A step, with nothing where nothing is said.
+    """Make a step; what is not given is empty.
 
     Args:
-        version: of the stage, kept beside it as `VERSION`.
+        version: version of the stage, which its module holds as `VERSION`.
     """
     return Step(stage, item, version, options or {}, sources or {}, tuple(after), tuple(outputs), run)
 

@@ -1,4 +1,4 @@
-"""Steps of a build and the ledger (`stages.json`) that knows which of them still hold.
+"""Steps of a build, and the ledger (`stages.json`) that knows which of them are up to date.
 
 A step is a stage applied to one scene or object. Its key is made of everything it depends on: its
 version, its options, sizes and times of its sources, and the keys of the steps before it. Recordings
@@ -24,12 +24,12 @@ IMAGE_SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff"}
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a step leaves behind besides its files.
+    """Result of a step besides its files.
 
     Attributes:
-        frames: how many frames it worked through; 0 for work that is not by frame.
-        messages: lines for a person.
-        details: JSON-ready figures for the report and the steps after it.
+        frames: number of frames it processed; 0 for work that is not per frame.
+        messages: lines for the user.
+        details: JSON-ready figures for the report and later steps.
     """
 
     frames: int = 0
@@ -38,7 +38,7 @@ class Outcome:
 
 
 Advance = Callable[[int, int], None]
-"""``advance(done, total)``: a step tells how many of its frames are done."""
+"""``advance(done, total)``: a step reports how many of its frames are done."""
 
 
 @dataclass(frozen=True)
@@ -48,11 +48,11 @@ class Step:
     Attributes:
         stage: name of the stage.
         item: scene or object; empty when the stage works on all at once.
-        version: raised when the code of the stage changes what it writes.
-        options: the part of the recipe it depends on, JSON-ready.
-        sources: sizes and times of the files from outside it depends on, as `stamps` gives them.
+        version: increased when the code of the stage changes what it writes.
+        options: the part of the recipe that it depends on, JSON-ready.
+        sources: sizes and times of the external files that it depends on, from `stamps`.
         after: names of the steps whose results it reads.
-        outputs: files that must be there for the step to hold.
+        outputs: files that must exist for the step to be up to date.
         run: does the work.
     """
 
@@ -73,7 +73,7 @@ class Step:
 
 @dataclass(frozen=True)
 class Entry:
-    """What the ledger knows about a step that ran to its end."""
+    """What the ledger records about a step that ran to its end."""
 
     key: str
     version: int
@@ -85,7 +85,7 @@ class Entry:
 
 
 class Ledger:
-    """The content of `stages.json`; written after every step, so a build can be cut off anywhere."""
+    """The content of `stages.json`; written after every step, so a build can be interrupted anywhere."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -93,19 +93,19 @@ class Ledger:
         self.entries: dict[str, Entry] = {name: _entry(data) for name, data in stored.items()}
 
     def key(self, step: Step) -> str:
-        """The key of the step as things stand now."""
+        """The key of the step at this moment."""
         content = [step.version, step.options, step.sources, self._before(step)]
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
     def holds(self, step: Step) -> bool:
-        """The step ran with exactly what it would run with now, and its files are there."""
+        """Whether the step is up to date: it ran with the same input as now, and its files exist."""
         entry = self.entries.get(step.name)
         return (
             entry is not None and entry.key == self.key(step) and all(path.exists() for path in step.outputs)
         )
 
     def run(self, step: Step, advance: Advance) -> Entry:
-        """Run the step and remember it; when it fails or is interrupted, nothing is remembered."""
+        """Run the step and record it; when it fails or is interrupted, nothing is recorded."""
         if self.entries.pop(step.name, None) is not None:
             self._save()  # its files are about to change
         started = time.perf_counter()
@@ -119,7 +119,7 @@ class Ledger:
         return entry
 
     def keep_only(self, stage: str, items: Iterable[str]) -> None:
-        """Forget the steps of a stage whose scene or object is gone."""
+        """Remove the steps of a stage whose scene or object no longer exists."""
         kept = {f"{stage}/{item}" if item else stage for item in items}
         gone = [name for name in self.entries if name.split("/")[0] == stage and name not in kept]
         for name in gone:
@@ -146,18 +146,18 @@ def _entry(data: Mapping[str, Any]) -> Entry:
 
 
 MANY = 64
-"""Files of one kind in a folder; more are summed up."""
+"""Largest number of files of one kind in a folder that are listed singly; more are summed up."""
 
 
 def stamps(*paths: Path, but_not: Path | None = None, names: Sequence[str] | None = None) -> Json:
-    """Size and time of files by path; of a folder, those of its files, images only counted.
+    """Size and time of files, by path. For a folder, of the files in it; its images are only counted.
 
-    More than `MANY` files of one kind in a folder, such as one a frame, are summed up: their number, their
+    More than `MANY` files of one kind in a folder, such as one per frame, are summed up: their number, their
     size, and the time of the newest.
 
     Args:
-        but_not: a folder inside that is left out (a workspace kept within the recording).
-        names: where folders of these names lie, only they are looked into.
+        but_not: a folder to skip (a workspace inside the recording).
+        names: if there are folders with these names, only they are searched.
     """
     found: Json = {}
     for path in paths:

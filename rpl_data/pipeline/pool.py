@@ -1,4 +1,4 @@
-"""Work spread over processes, its results in order and in constant memory."""
+"""Spread work over processes; results come in order, in constant memory."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from typing import Any, TypeVar
 
 Result = TypeVar("Result")
 RANGE = 100
-"""Most items a task: what a finished task keeps in memory until its turn."""
+"""Largest number of items per task: a finished task keeps them in memory until its turn."""
 WORTH_A_POOL = 300
-"""Fewer items than this are done before other processes have imported what they need."""
+"""Fewer items than this are done before other processes have finished their imports."""
 
 
 class Pool:
-    """Processes that start when there is first enough for them to do; one worker = this process.
+    """Worker processes, started once there is enough work for them; one worker = this process.
 
     Args:
-        workers: how many; the number of cores when None.
-        executor: one that is there already (Dask's `client.get_executor()`, say); not shut down.
+        workers: number of processes; None for the number of cores.
+        executor: an existing executor, such as Dask's `client.get_executor()`; it is not shut down.
     """
 
     def __init__(self, workers: int | None = None, executor: Executor | None = None) -> None:
@@ -41,7 +41,7 @@ class Pool:
             self._own.shutdown(wait=True, cancel_futures=True)
 
     def ranges(self, count: int) -> list[tuple[int, int]]:
-        """Pairs (start, stop) that cut `count` items into tasks; a single one in this process."""
+        """Pairs (start, stop) that divide `count` items into tasks; a single task runs in this process."""
         if self._given is None and (self.workers == 1 or count < WORTH_A_POOL):
             return [(0, count)]
         size = min(RANGE, -(-count // self.workers))
@@ -50,7 +50,7 @@ class Pool:
     def stream(
         self, work: Callable[..., Iterator[Result]], tasks: Sequence[tuple[Any, ...]]
     ) -> Iterator[Result]:
-        """The results of all tasks in order; a single task runs here, one result at a time."""
+        """Yield the results of all tasks in order; a single task runs here, one result at a time."""
         if len(tasks) <= 1:
             for task in tasks:
                 yield from work(*task)
@@ -72,17 +72,17 @@ class Pool:
         if self._given is not None:
             return self._given
         if self._own is None:
-            # Not forked: Open3D's threads do not survive it.
+            # Not forked: Open3D's threads do not survive a fork.
             context = multiprocessing.get_context("spawn")
             self._own = ProcessPoolExecutor(self.workers, mp_context=context, initializer=ignore_interrupts)
         return self._own
 
 
 def collect(work: Callable[..., Iterator[Result]], task: tuple[Any, ...]) -> list[Result]:
-    """What a task yields, as a list that can be sent."""
+    """Collect what a task yields in a list that can be sent to another process."""
     return list(work(*task))
 
 
 def ignore_interrupts() -> None:
-    """Ctrl-C is for the process that started the others."""
+    """Ignore Ctrl-C, which is for the process that started the others."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)

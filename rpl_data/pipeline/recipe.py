@@ -1,7 +1,7 @@
-"""Recipes: one YAML file says where scenes come from, what the objects are and what to make of them.
+"""Recipes: a YAML file that says where scenes come from, which objects they show, and what to make.
 
-The dataclasses below are the grammar; a recipe file holds exactly their fields. Keys that are none of
-them are refused with the nearest one that is, so a misspelt option never passes for a default.
+The dataclasses below are the grammar; a recipe file has exactly their fields. Other keys are refused,
+naming the nearest valid key, so a misspelt option never passes for a default.
 """
 
 from __future__ import annotations
@@ -29,20 +29,20 @@ AnyRecipe = TypeVar("AnyRecipe")
 
 @dataclass(frozen=True)
 class SceneSource:
-    """Where some scenes come from.
+    """Source of some scenes.
 
     Attributes:
         path: a folder of scenes, or one scene.
-        format: how they are stored; `rpl` is a RapidPoseLabels tree (`camera.txt` and, a scene,
+        format: how they are stored; `rpl` is a RapidPoseLabels tree (`camera.txt` and, per scene,
             `rgb/`, `depth/`, `associations.txt`, `camera.poses`). The README lists the others.
-        names: only these scenes of the folder; all of them when left out.
-        metres_per_unit: metres of one unit of the stored depth; what the format says when left out
+        names: the scenes of the folder to use; all when left out.
+        metres_per_unit: metres per unit of the stored depth; the format's own when left out
             (0.001 for `rpl`: millimetres).
-        camera: fx, fy, cx, cy in pixels, then 0, 4, 5 or 8 numbers of OpenCV's lens distortion; what the
-            recording says when left out.
-        registered: whether depth lies on the pixels of the colour image; what the format says when left
-            out.
-        mend: faults of these recordings to put right while they are read; `rpl check` names them.
+        camera: fx, fy, cx, cy in pixels, then 0, 4, 5 or 8 numbers of OpenCV's lens distortion; that of the
+            recording when left out.
+        registered: whether depth is aligned to the pixels of the colour image; as the format implies when
+            left out.
+        mend: faults of these recordings to correct while they are read; `rpl check` names them.
     """
 
     path: Path
@@ -71,11 +71,11 @@ class ObjectRecipe:
 
     Attributes:
         name: its name; the category of the exported dataset.
-        keypoints: how many, or their names in order.
-        clicks: CSV file `object,keypoint,scene,frame,u_px,v_px` with the clicks; left out when they
+        keypoints: their number, or their names in order.
+        clicks: CSV file with the clicks, `object,keypoint,scene,frame,u_px,v_px`; left out when they
             are already in the workspace (`rpl clicks import`, the annotation page).
         skeleton: pairs of keypoint numbers (from 0) to draw a line between.
-        crop: cut the dense model to this box; hardly ever needed.
+        crop: cut the dense model to this box; rarely needed.
     """
 
     name: str
@@ -86,7 +86,7 @@ class ObjectRecipe:
 
     @property
     def keypoint_names(self) -> tuple[str, ...]:
-        """Names in order; "0", "1", ... where only a count is given."""
+        """Names in order; "0", "1", ... when only a number is given."""
         if isinstance(self.keypoints, int):
             return tuple(str(number) for number in range(self.keypoints))
         return self.keypoints
@@ -94,13 +94,13 @@ class ObjectRecipe:
 
 @dataclass(frozen=True)
 class Reconstruct:
-    """Where the camera's trajectory comes from.
+    """Source of the camera's trajectory.
 
     Attributes:
-        method: `given` takes the poses of the recording; `track` computes them from its images, and
+        method: `given` uses the poses of the recording; `track` computes them from its images, and
             leaves out the frames where that fails.
         voxel_m: size of a voxel of the fused surface.
-        max_drift_mm: a recording whose poses stray farther than this over time, as its depth images show,
+        max_drift_mm: a recording whose poses drift farther than this over time, as its depth images show,
             is cut into several scenes, each placed by its own clicks.
     """
 
@@ -111,10 +111,10 @@ class Reconstruct:
 
 @dataclass(frozen=True)
 class Solve:
-    """How clicks become a sparse model.
+    """How the sparse model is solved from clicks.
 
     Attributes:
-        method: `robust` forgives wrong clicks and wrong depths; `slsqp` is exactly the paper's Eq. 2
+        method: `robust` tolerates wrong clicks and wrong depths; `slsqp` is exactly the paper's Eq. 2
             with scipy's SLSQP.
     """
 
@@ -126,14 +126,14 @@ class LabelRecipe:
     """Which frames are labelled.
 
     Attributes:
-        rate: frames a second (the paper's 3 Hz), or `all`.
+        rate: frames per second (the paper's 3 Hz), or `all`.
     """
 
     rate: float | Literal["all"] = 3.0
 
     @property
     def rate_hz(self) -> float | None:
-        """Frames a second; None = every frame."""
+        """Frames per second; None = every frame."""
         return None if self.rate == "all" else float(self.rate)
 
 
@@ -142,16 +142,16 @@ class Recipe:
     """Everything `rpl build` needs to know.
 
     Attributes:
-        name: of the dataset.
-        scenes: where scenes come from.
-        objects: what is labelled.
-        twin: make a synthetic recording with exact truth first, in `recording/` of the workspace;
-            scenes, objects, clicks and truth then default to what was written.
+        name: name of the dataset.
+        scenes: sources of the scenes.
+        objects: the objects to label.
+        twin: first make a synthetic recording with exact ground truth, in `recording/` of the workspace;
+            scenes, objects, clicks and truth then default to those of this recording.
         reconstruct, solve, label, split: options of the stages.
-        export: formats to write: `coco`, and `yolo`, `bop` and `okt` (ObjectKeypointTrainer), made of it.
-        truth: where the truth of these scenes is, when it is known: a workspace folder, or a JSON file
-            `{points_<object>: K x 3, camera_from_<object>: {scene: [4x4 a frame]}}`. The quality
-            table is made when it is given (a twin brings its own).
+        export: formats to write: `coco`, and `yolo`, `bop` and `okt` (ObjectKeypointTrainer), made from it.
+        truth: the ground truth of these scenes, if it is known: a workspace folder, or a JSON file
+            `{points_<object>: K x 3, camera_from_<object>: {scene: [4x4 per frame]}}`. The quality
+            table is made when it is given (a twin has its own).
     """
 
     name: str
@@ -166,27 +166,29 @@ class Recipe:
     truth: Path | None = None
 
 
-def load_recipe(path: Path, *, root: Path | None = None) -> Recipe:
-    """The recipe of a YAML file, its relative paths made absolute.
+def load_recipe(path: str | Path, *, root: str | Path | None = None) -> Recipe:
+    """Load the recipe of a YAML file, and make its relative paths absolute.
 
     Args:
         path: the file.
-        root: where relative paths start; the folder of the file when left out.
+        root: folder that relative paths start from; the folder of the file when left out.
 
     Raises:
         DataError: the file is missing, not YAML, has an unknown key, lacks one, or a value has the
             wrong type; the message names the key.
     """
+    path = Path(path).expanduser()
     try:
         data = yaml.safe_load(read_text(path))
     except yaml.YAMLError as error:
         raise DataError(f"{path} is not valid YAML: {' '.join(str(error).split())}") from error
     recipe = parse_recipe(data, source=str(path))
-    return resolve_paths(recipe, (root or path.parent).resolve())
+    start = path.parent if root is None else Path(root).expanduser()
+    return resolve_paths(recipe, start.resolve())
 
 
 def parse_recipe(data: object, *, source: str) -> Recipe:
-    """The recipe of what YAML holds, paths as they are written."""
+    """Make a recipe from parsed YAML; paths stay as they are written."""
     if not isinstance(data, dict):
         raise DataError(f"{source}: a recipe is a list of `key: value` lines; see datasets/recording.yaml")
     _refuse_unknown_keys(Recipe, data, source, "")
@@ -196,12 +198,12 @@ def parse_recipe(data: object, *, source: str) -> Recipe:
 
 
 def recipe_to_yaml(recipe: Recipe) -> str:
-    """The recipe as YAML with every default written out; `load_recipe` reads it back."""
+    """Write the recipe as YAML with all defaults; `load_recipe` reads it back."""
     return str(yaml.safe_dump(_plain(dataclasses.asdict(recipe)), sort_keys=False))
 
 
 def resolve_paths(recipe: AnyRecipe, root: Path) -> AnyRecipe:
-    """The same dataclass with every relative path, however deep, made absolute from `root`."""
+    """Make every relative path of a dataclass, at any depth, absolute from `root`."""
     if isinstance(recipe, Path):
         return root / recipe.expanduser()  # an absolute path stays as it is
     if isinstance(recipe, tuple):
@@ -213,7 +215,7 @@ def resolve_paths(recipe: AnyRecipe, root: Path) -> AnyRecipe:
 
 
 def _plain(value: Any) -> Any:
-    """Paths and tuples as strings and lists, for YAML."""
+    """Convert paths and tuples to strings and lists, for YAML."""
     if isinstance(value, dict):
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -222,7 +224,7 @@ def _plain(value: Any) -> Any:
 
 
 def _refuse_unknown_keys(kind: Any, value: object, source: str, where: str) -> None:
-    """Raise DataError at the first key that the dataclass (or one inside it) does not have."""
+    """Raise a DataError at the first key that the dataclass (or one inside it) does not have."""
     if typing.get_origin(kind) in (typing.Union, types.UnionType, tuple):
         for inner in typing.get_args(kind):
             for number, item in enumerate(value if isinstance(value, list) else [value]):
@@ -242,7 +244,7 @@ def _refuse_unknown_keys(kind: Any, value: object, source: str, where: str) -> N
 
 
 def _instantiate(data: dict[str, Any], source: str) -> Recipe:
-    """Let jsonargparse check the types and build the dataclasses."""
+    """Check the types and build the dataclasses, by jsonargparse."""
     from jsonargparse import ArgumentError, ArgumentParser
 
     parser = ArgumentParser(exit_on_error=False)
@@ -255,7 +257,7 @@ def _instantiate(data: dict[str, Any], source: str) -> Recipe:
 
 
 def _check(recipe: Recipe, source: str) -> None:
-    """What types cannot say."""
+    """Check what types cannot express."""
     if recipe.twin is None and not recipe.scenes:
         raise DataError(f"{source}: no scenes; give at least one {{format, path}} under `scenes:`")
     if recipe.twin is None and not recipe.objects:

@@ -1,7 +1,7 @@
-"""An object's pose from its keypoints in one image, and depth where there is some.
+"""Estimate an object's pose from its keypoints in one image, and from depth where it is known.
 
-`estimate_pose` never guesses: what cannot be solved comes back as a `PoseFailure` that says why, so that a
-caller can count it. It is never an identity.
+`estimate_pose` never guesses: what cannot be solved is returned as a `PoseFailure` that says why, so that the
+caller can count it. It never returns an identity instead.
 """
 
 from rpl_data.pose.correspondences import Correspondences, correspondences

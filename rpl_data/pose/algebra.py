@@ -1,7 +1,7 @@
-"""Cross products, small rotations and quartics of many small arrays, without general functions' overhead.
+"""Cross products, small rotations and quartics for many small arrays, without the overhead of general code.
 
 `numpy.cross` and `scipy.spatial.transform` spend ten times as long on checking a dozen vectors as on the
-arithmetic, and a pose is solved in a millisecond; numpy has no roots of many polynomials.
+arithmetic, while a pose takes a millisecond; numpy cannot solve many polynomials at once.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ CUBE_ROOTS_OF_ONE = np.exp(2j * np.pi * np.arange(3) / 3)
 def cross(
     a: Float64[np.ndarray, "*batch_a 3"], b: Float64[np.ndarray, "*batch_b 3"]
 ) -> Float64[np.ndarray, "*batch 3"]:
-    """``a x b``, leading axes broadcast."""
+    """Cross product ``a x b``; leading axes broadcast."""
     ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
     bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
     x = ay * bz - az * by
@@ -29,7 +29,7 @@ def cross(
 
 
 def small_rotations(rotvecs_rad: Float64[np.ndarray, "m 3"]) -> Float64[np.ndarray, "m 3 3"]:
-    """Rotations that agree with the rotation vectors to second order; exact rotations however long these are.
+    """Rotations that equal those of the rotation vectors to second order; exact rotations for any length.
 
     Cayley's map: the unit quaternion along (1, rotvec / 2).
     """
@@ -51,7 +51,7 @@ def quartic_roots(
 ) -> Float64[np.ndarray, "m 4"]:
     """Real parts of the four roots of each quartic; NaN or infinite where the highest coefficient is 0.
 
-    Ferrari's solution (Abramowitz and Stegun, 3.8.3) with a root of its resolvent by Cardano.
+    Ferrari's solution (Abramowitz and Stegun, 3.8.3), with a root of its resolvent by Cardano's formula.
     """
     b, c, d, e = cubic / quartic, quadratic / quartic, linear / quartic, constant / quartic
     p = c - 0.375 * b * b
@@ -67,7 +67,7 @@ def quartic_roots(
 
 
 def _cubic_root(b: Numbers, c: Numbers, d: Numbers) -> Complex128[np.ndarray, " m"]:
-    """The root of ``x^3 + b x^2 + c x + d`` of largest modulus, so that it is not 0 unless all are."""
+    """Root of ``x^3 + b x^2 + c x + d`` of largest modulus, which is 0 only if all roots are."""
     first, second = b * b - 3 * c, b * (b * b - 4.5 * c) + 13.5 * d
     inner = np.sqrt((second * second - first**3).astype(complex))
     larger = second + np.where(second < 0, -inner, inner)

@@ -1,4 +1,4 @@
-"""Keypoints of a model and where they were seen: what every pose solver takes."""
+"""Keypoints of a model and where they were seen in an image: the input of every pose solver."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from rpl_data.geometry import rays
 from rpl_data.types import Intrinsics
 
 USUAL_SIGMA_PX = 2.0
-"""Standard deviation of a keypoint on each axis where nobody says better."""
+"""Assumed standard deviation of a keypoint per axis, when no covariance is given."""
 
 
 @dataclass(frozen=True)
 class Correspondences:
-    """Model points with a position in the image; n rows.
+    """Model points with their positions in the image; n rows.
 
     Attributes:
         keypoints: number of each row's keypoint in the model.
-        points_object: metres, object frame.
-        positions_px: from the principal point, lens distortion removed.
+        points_object: model points, metres, object frame.
+        positions_px: pixels from the principal point, lens distortion removed.
         focal_px: fx, fy.
-        whitening: times a residual in pixels gives one of unit variance on each axis.
-        depth_m: of the keypoint along the optical axis; NaN where unknown.
+        whitening: matrix that turns a residual in pixels into one of unit variance per axis.
+        depth_m: depth of the keypoint along the optical axis; NaN where unknown.
         depth_sigma_m: its standard deviation; NaN where unknown.
     """
 
@@ -42,7 +42,7 @@ class Correspondences:
 
     @property
     def camera_matrix(self) -> Float64[np.ndarray, "3 3"]:
-        """Of `positions_px`: the principal point is 0, 0."""
+        """Camera matrix for `positions_px`: the principal point is 0, 0."""
         return np.diag([self.focal_px[0], self.focal_px[1], 1.0])
 
     def only(self, rows: Bool[np.ndarray, " n"]) -> Correspondences:
@@ -62,15 +62,15 @@ def correspondences(
     depth_m: Float64[np.ndarray, " k"] | None = None,
     depth_sigma_m: Float64[np.ndarray, " k"] | None = None,
 ) -> Correspondences:
-    """The keypoints that have a model point and a position; NaN in either leaves one out.
+    """Collect the keypoints that have both a model point and a position; NaN in either excludes one.
 
     Args:
-        points_object: a row a keypoint, metres.
-        keypoints_px: where each was seen in the image, the lens's distortion included.
-        intrinsics: the camera of that image.
-        covariance_px: of each position; `USUAL_SIGMA_PX` on both axes when left out.
-        depth_m: along the optical axis, NaN where there is none.
-        depth_sigma_m: of `depth_m`; must be given with it.
+        points_object: one row per keypoint, metres, object frame.
+        keypoints_px: where each was seen in the image, with the lens's distortion.
+        intrinsics: camera of that image.
+        covariance_px: covariance of each position; `USUAL_SIGMA_PX` on both axes when left out.
+        depth_m: depth along the optical axis, NaN where there is none.
+        depth_sigma_m: standard deviation of `depth_m`; must be given with it.
     """
     known = np.isfinite(points_object).all(axis=1) & np.isfinite(keypoints_px).all(axis=1)
     if covariance_px is None:

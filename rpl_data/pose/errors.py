@@ -1,4 +1,4 @@
-"""How wrong a pose is: the paper's two numbers, ADD and ADD-S."""
+"""Measure how wrong a pose is: the paper's two numbers, ADD and ADD-S."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from rpl_data.geometry import Points, Transform, rotation_angle_rad, transform
 
 @dataclass(frozen=True)
 class PoseErrors:
-    """Of one estimate against the true pose.
+    """Errors of one estimate relative to the true pose.
 
     Attributes:
-        position_m: distance of the model's centre from where it truly is.
+        position_m: distance of the model's centre from its true position.
         orientation_rad: geodesic angle, ``||log(R1^T R2)||_F / sqrt(2)`` (section IV-C of the paper).
-        add_m: mean distance of the model's points from where they truly are (Hinterstoisser et al., ACCV
+        add_m: mean distance of the model's points from their true positions (Hinterstoisser et al., ACCV
             2012).
         adds_m: mean distance of the model's points from the nearest point of the true model (same source);
             for objects that look the same from several sides.
@@ -37,13 +37,13 @@ INFINITE = PoseErrors(np.inf, np.pi, np.inf, np.inf)
 def pose_errors(
     estimated: Transform, true: Transform, points_object: Points, *, centre_object: Float64[np.ndarray, "3"]
 ) -> PoseErrors:
-    """Errors of ``camera_from_object``.
+    """Measure the errors of a pose ``camera_from_object``.
 
     Args:
         estimated: the estimate.
-        true: what it should be.
-        points_object: of the model's surface, metres; a thousand do.
-        centre_object: where the position is taken: the centre of the CAD model.
+        true: the true pose.
+        points_object: points of the model's surface, metres; a thousand are enough.
+        centre_object: point whose position is compared: the centre of the CAD model.
     """
     here, there = transform(estimated, points_object), transform(true, points_object)
     off = transform(estimated, centre_object) - transform(true, centre_object)

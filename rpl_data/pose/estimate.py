@@ -1,4 +1,4 @@
-"""An object's pose from its keypoints in one image, and from depth where there is some."""
+"""Estimate an object's pose from its keypoints in one image, and from depth where it is known."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ Reason = Literal[
 ]
 
 THINNEST = 0.01
-"""A set this thin, as a share of its extent, is a line or a plane: a plane seen with a few pixels of noise
-allows two poses (Schweighofer and Pinz, PAMI 28, 2006), and EPnP is unstable on it."""
+"""A point set this thin, relative to its extent, counts as a line or a plane: a plane seen with a few pixels
+of noise allows two poses (Schweighofer and Pinz, PAMI 28, 2006), and EPnP is unstable on it."""
 
 
 @dataclass(frozen=True)
 class PoseEstimate:
-    """A pose and how far to trust it.
+    """A pose, and how far to trust it.
 
     Attributes:
-        camera_from_object: metres.
-        keypoints: numbers of the keypoints it rests on.
-        covariance: 6x6 of a small rotation about the object's origin (rad, camera axes) and a translation
-            (metres), in this order; from the covariance of the keypoints.
-        error_sigmas: how far those keypoints are from where the pose puts them, root mean square of an
-            axis, in their standard deviations: about 1 when these are right.
+        camera_from_object: the pose, metres.
+        keypoints: numbers of the keypoints it is based on.
+        covariance: 6x6 covariance of a small rotation about the object's origin (rad, camera axes) and a
+            translation (metres), in this order; propagated from the covariance of the keypoints.
+        error_sigmas: root mean square reprojection error of those keypoints per axis, in their standard
+            deviations: about 1 when these are right.
     """
 
     camera_from_object: Float64[np.ndarray, "4 4"]
@@ -45,7 +45,7 @@ class PoseEstimate:
 
 @dataclass(frozen=True)
 class PoseFailure:
-    """Why there is no pose."""
+    """The reason why there is no pose."""
 
     reason: Reason
 
@@ -53,14 +53,14 @@ class PoseFailure:
 def estimate_pose(
     given: Correspondences, *, method: Method = "consensus", refine: bool = True
 ) -> PoseEstimate | PoseFailure:
-    """``camera_from_object`` from keypoints, or why not.
+    """Estimate ``camera_from_object`` from keypoints, or say why not.
 
     Args:
-        given: of `correspondences`.
-        method: `epnp` is the paper's, `sqpnp` its better; both believe every keypoint. `ransac` and
-            `consensus` leave wrong ones out.
-        refine: Levenberg-Marquardt behind it, weighted by the covariances and with the depths (robust
-            where there are any, since depth may belong to what hides the keypoint); the paper has none.
+        given: what `correspondences` returned.
+        method: `epnp` is the paper's, `sqpnp` is more accurate; both trust every keypoint. `ransac` and
+            `consensus` exclude wrong ones.
+        refine: refine the pose by Levenberg-Marquardt, weighted by the covariances and with the depths
+            (robust if there are any, since depth may belong to what hides the keypoint); the paper does not.
     """
     if (refusal := _refusal(given)) is not None:
         return refusal
@@ -82,7 +82,7 @@ def estimate_pose(
 
 
 def _refusal(given: Correspondences) -> PoseFailure | None:
-    """Why these points cannot tell a pose, whatever the image."""
+    """Say why these points cannot determine a pose, whatever the image."""
     if len(given) < FEWEST:
         return PoseFailure("too few keypoints")
     length, width, height = spread_m(given.points_object)

@@ -1,9 +1,9 @@
-"""Poses from three points each, many triples at once.
+"""Compute poses from three points each (P3P), for many triples at once.
 
 Grunert's equations as in Haralick, Lee, Ottenberg and Nolle, "Review and analysis of solutions of the three
 point perspective pose estimation problem", IJCV 13 (1994), section 3.1: the ratio of two distances from the
-camera is a root of a quartic. Noise can make a pair of roots complex; their real part is still tried, since
-the caller ranks the poses by all its points.
+camera is a root of a quartic. Noise can make a pair of roots complex; their real part is still used, since
+the caller ranks the poses by all of its points.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from rpl_data.pose.algebra import cross, quartic_roots
 def poses_from_triples(
     points_object: Float64[np.ndarray, "m 3 3"], rays_camera: Float64[np.ndarray, "m 3 3"]
 ) -> Float64[np.ndarray, "p 4 4"]:
-    """``camera_from_object`` of every solution of every triple, at most four a triple.
+    """Compute ``camera_from_object`` for every solution of every triple, at most four per triple.
 
     Args:
-        points_object: three points in rows, metres.
+        points_object: three points in rows, metres, object frame.
         rays_camera: directions in which they are seen, z = 1.
     """
     unit = rays_camera / np.sqrt(np.vecdot(rays_camera, rays_camera))[..., None]
@@ -40,11 +40,11 @@ def poses_from_triples(
 def _distances(
     points: Float64[np.ndarray, "m 3 3"], unit: Float64[np.ndarray, "m 3 3"]
 ) -> Float64[np.ndarray, "m 4 3"]:
-    """How far from the camera the three points are, the four solutions of each triple; NaN where none."""
+    """Distances of the three points from the camera, for the four solutions of each triple; NaN if none."""
     sides = points[:, [1, 0, 0]] - points[:, [2, 2, 1]]
     aa, bb, cc = np.vecdot(sides, sides).T
     alpha, beta, gamma = np.vecdot(unit[:, [1, 0, 0]], unit[:, [2, 2, 1]]).T
-    a, c = aa / bb, cc / bb  # squared sides by the square of the one between points 1 and 3
+    a, c = aa / bb, cc / bb  # squared sides, relative to that between points 1 and 3
     q = a - c
     v = quartic_roots(
         (1 + q) ** 2 - 4 * a * gamma**2,
@@ -68,7 +68,7 @@ def _distances(
 
 
 def _axes(points: Float64[np.ndarray, "*batch 3 3"]) -> Float64[np.ndarray, "*batch 3 3"]:
-    """A right-handed frame in columns that moves with three points in rows."""
+    """A right-handed frame, in columns, that moves with three points given in rows."""
     x = points[..., 1, :] - points[..., 0, :]
     x = x / np.sqrt(np.vecdot(x, x))[..., None]
     z = cross(x, points[..., 2, :] - points[..., 0, :])

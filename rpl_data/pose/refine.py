@@ -1,6 +1,6 @@
-"""Levenberg-Marquardt for poses: reprojection weighted by its covariance, depth beside it, robust or not.
+"""Refine poses by Levenberg-Marquardt: reprojection weighted by covariance, and depth; robust or not.
 
-A pose moves by a rotation vector and a translation in the camera frame,
+A step moves a pose by a rotation vector w and a translation d in the camera frame,
 ``x -> exp(w) R x + t + d``; several poses are refined at once. Arrays are (pose, axis, keypoint), so that
 one matrix product moves all keypoints by all poses.
 """
@@ -17,23 +17,23 @@ from rpl_data.pose.correspondences import Correspondences
 Poses = Float64[np.ndarray, "m 4 4"]
 
 ROBUST_SCALE = 3.0
-"""Residuals beyond this many standard deviations are pulled back hardest (Geman-McClure)."""
+"""Residuals beyond this many standard deviations lose weight fastest (Geman-McClure)."""
 
 SMALLEST_STEP = 1e-3
-"""Radians and metres: a smaller step is still made, but is the last; two pixels of noise leave many times as
-much open, and near the end steps shrink more than tenfold."""
+"""Radians and metres: a smaller step is still made, but is the last. Two pixels of noise leave an
+uncertainty many times as large, and near the end steps shrink more than tenfold."""
 
 
 def refined(
     camera_from_object: Poses, given: Correspondences, *, robust: bool, iterations: int = 15
 ) -> Poses:
-    """Poses of locally least cost.
+    """Refine each pose to a local minimum of the cost.
 
     Args:
-        camera_from_object: where to start.
-        given: what was seen.
-        robust: Geman-McClure in place of squares; then a wrong keypoint hardly pulls.
-        iterations: at most; ends after a step below `SMALLEST_STEP`.
+        camera_from_object: initial poses.
+        given: the observed keypoints.
+        robust: use Geman-McClure's cost instead of squares, so that a wrong keypoint has little effect.
+        iterations: largest number; refinement ends after a step below `SMALLEST_STEP`.
     """
     poses = camera_from_object.copy()
     residuals, jacobian = _linearised(poses, given)
@@ -57,7 +57,7 @@ def refined(
 def covariance_of(
     camera_from_object: Float64[np.ndarray, "4 4"], given: Correspondences
 ) -> Float64[np.ndarray, "6 6"]:
-    """Covariance of (w, d) of the module's docstring, rad and metres, from the Jacobian."""
+    """Covariance of (w, d) in the module's docstring, rad and metres, from the Jacobian."""
     _, jacobian = _linearised(camera_from_object[None], given)
     flat = jacobian.reshape(6, -1)
     inverse: Float64[np.ndarray, "6 6"] = np.linalg.inv(flat @ flat.T)
@@ -65,7 +65,7 @@ def covariance_of(
 
 
 def reprojection_sigmas(camera_from_object: Poses, given: Correspondences) -> Float64[np.ndarray, "m n"]:
-    """How many standard deviations each keypoint is from where the pose puts it; inf behind the camera."""
+    """Reprojection error of each keypoint in standard deviations; inf behind the camera."""
     x, y, z = _turned(camera_from_object, given) + _shift(camera_from_object)
     ahead = z > NEAREST_M
     z = np.where(ahead, z, 1.0)
@@ -77,14 +77,14 @@ def reprojection_sigmas(camera_from_object: Poses, given: Correspondences) -> Fl
 
 
 def robust_cost(sigmas: Float64[np.ndarray, "m n"]) -> Float64[np.ndarray, " m"]:
-    """Geman-McClure's cost of whole rows."""
+    """Geman-McClure's cost, summed over each row."""
     squares = np.minimum(sigmas, 1e6) ** 2
     cost: Float64[np.ndarray, " m"] = (squares / (1 + squares / ROBUST_SCALE**2)).sum(axis=-1)
     return cost
 
 
 def _turned(poses: Poses, given: Correspondences) -> Float64[np.ndarray, "3 m n"]:
-    """The keypoints turned as by the poses, not yet shifted; x, y, z first."""
+    """Rotate the keypoints by the poses, without translation; x, y, z first."""
     rows = np.ascontiguousarray(poses[:, :3, :3].transpose(1, 0, 2)).reshape(-1, 3)
     turned: Float64[np.ndarray, "3 m n"] = (rows @ given.points_object.T).reshape(3, len(poses), -1)
     return turned
@@ -97,14 +97,14 @@ def _shift(poses: Poses) -> Float64[np.ndarray, "3 m 1"]:
 def _linearised(
     poses: Poses, given: Correspondences
 ) -> tuple[Float64[np.ndarray, "m r n"], Float64[np.ndarray, "m 6 r n"]]:
-    """Residuals of unit variance and their derivatives by (w, d).
+    """Residuals of unit variance, and their derivatives with respect to (w, d).
 
-    r is 2 (u, v), or 3 when the depth of any keypoint is known; the others' third residual is 0. With
+    r is 2 (u, v), or 3 when the depth of any keypoint is known; without depth the third residual is 0. With
     a = R x, p = a + t and b = dr/dp: dr/dd = b and dr/dw = a x b.
     """
     a = ax, ay, az = _turned(poses, given)
     x, y, z = a + _shift(poses)
-    z = np.maximum(z, NEAREST_M)  # a point behind costs so much that the step is refused
+    z = np.maximum(z, NEAREST_M)  # a point behind the camera costs so much that the step is rejected
     measured = np.isfinite(given.depth_m)
     rows = 3 if measured.any() else 2
     off = np.zeros((len(poses), rows, len(given)))
@@ -131,7 +131,7 @@ def _linearised(
 def _costs(
     residuals: Float64[np.ndarray, "m r n"], robust: bool
 ) -> tuple[Float64[np.ndarray, " m"], Float64[np.ndarray, "m r n"]]:
-    """Cost of each pose and the weight of each residual; u and v share theirs, depth has its own."""
+    """Cost of each pose and weight of each residual; u and v share a weight, depth has its own."""
     squares = residuals**2
     squares[:, 0] += squares[:, 1]
     squares[:, 1] = squares[:, 0]

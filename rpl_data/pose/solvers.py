@@ -1,4 +1,4 @@
-"""Ways to a first pose: EPnP as the paper, SQPnP, RANSAC, and a consensus of all triples."""
+"""Ways to a first pose: EPnP as in the paper, SQPnP, RANSAC, and a consensus of all triples."""
 
 from __future__ import annotations
 
@@ -17,30 +17,30 @@ from rpl_data.pose.p3p import poses_from_triples
 from rpl_data.pose.refine import reprojection_sigmas, robust_cost
 
 INLIER_SIGMAS = 4.0
-"""A keypoint further than this many standard deviations from where the pose puts it is wrong."""
+"""A keypoint whose reprojection error exceeds this many standard deviations is wrong."""
 
 FEWEST = 4
-"""Three keypoints allow up to four poses."""
+"""Least number of keypoints: three allow up to four poses."""
 
 MOST_TRIPLES = 120
-"""All triples up to 10 keypoints; as many at random beyond."""
+"""All triples are tried up to 10 keypoints; beyond, this many random ones."""
 
 Attempt = tuple[Float64[np.ndarray, "4 4"], Bool[np.ndarray, " n"]]
-"""``camera_from_object`` and which keypoints it rests on."""
+"""``camera_from_object``, and which keypoints it is based on."""
 
 
 def epnp(given: Correspondences) -> Attempt | None:
-    """Lepetit, Moreno-Noguer and Fua, IJCV 81 (2009): the paper's choice; every keypoint is believed."""
+    """Lepetit, Moreno-Noguer and Fua, IJCV 81 (2009): the paper's choice; every keypoint is trusted."""
     return _closed_form(given, cv2.SOLVEPNP_EPNP)
 
 
 def sqpnp(given: Correspondences) -> Attempt | None:
-    """Terzakis and Lourakis, ECCV 2020: the global minimum of its cost; every keypoint is believed."""
+    """Terzakis and Lourakis, ECCV 2020: the global minimum of its cost; every keypoint is trusted."""
     return _closed_form(given, cv2.SOLVEPNP_SQPNP)
 
 
 def ransac(given: Correspondences) -> Attempt | None:
-    """OpenCV's RANSAC about EPnP; the threshold is `INLIER_SIGMAS` of the median keypoint."""
+    """OpenCV's RANSAC with EPnP; the threshold is `INLIER_SIGMAS` of the median keypoint."""
     sigma_px = np.median(1 / np.sqrt(np.abs(np.linalg.det(given.whitening))))
     found, rotvec, translation, rows = cv2.solvePnPRansac(
         given.points_object,
@@ -58,19 +58,20 @@ def ransac(given: Correspondences) -> Attempt | None:
 
 
 def consensus(given: Correspondences, *, looked_at: int = 12, solved: int = 3) -> Attempt | None:
-    """The pose most keypoints agree with, out of all that three keypoints allow; None without a majority.
+    """Find the pose that most keypoints agree with, among all from triples; None without a majority.
 
     Every triple's poses (P3P) are ranked by the robust cost of all keypoints. The keypoints that agree with
-    the best `looked_at` of them make at most `solved` different sets; SQPnP solves each, and the pose of
-    least robust cost says which keypoints are right. Nothing is drawn at random up to 10 keypoints, so a
-    third of wrong ones is no harm: the others' triples are all tried.
+    each of the best `looked_at` poses form at most `solved` different sets. SQPnP solves each set, and the
+    pose of least robust cost decides which keypoints are right. Up to 10 keypoints nothing is random, so a
+    third of wrong
+    keypoints does no harm: the triples of all others are tried.
     """
     triples = _triples(len(given))
     rays = np.column_stack([given.positions_px / given.focal_px, np.ones(len(given))])
     poses = poses_from_triples(given.points_object[triples], rays[triples])
     sigmas = reprojection_sigmas(poses, given)
     ranked = np.argsort(robust_cost(sigmas))[:looked_at]
-    about = sigmas[ranked] < 2 * INLIER_SIGMAS  # three noisy keypoints carry their noise to the others
+    about = sigmas[ranked] < 2 * INLIER_SIGMAS  # the noise of three keypoints adds to that of the others
     sets = [rows for rows in dict.fromkeys(map(tuple, about.tolist())) if sum(rows) >= FEWEST]
     attempts = [_closed_form(given, cv2.SOLVEPNP_SQPNP, np.array(rows)) for rows in sets[:solved]]
     found = np.array([attempt[0] for attempt in attempts if attempt is not None]).reshape(-1, 4, 4)
@@ -93,7 +94,7 @@ SOLVERS: dict[str, Callable[[Correspondences], Attempt | None]] = {
 def _closed_form(
     given: Correspondences, flag: int, rows: Bool[np.ndarray, " n"] | None = None
 ) -> Attempt | None:
-    """OpenCV's solver on all rows, or on some."""
+    """Run OpenCV's solver on all rows, or on some."""
     rows = np.ones(len(given), dtype=bool) if rows is None else rows
     found, rotvec, translation = cv2.solvePnP(
         given.points_object[rows], given.positions_px[rows], given.camera_matrix, None, flags=flag

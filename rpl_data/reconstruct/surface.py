@@ -235,7 +235,8 @@ def _integrate(
     if color is None:
         grid.integrate(blocks, depth, intrinsic, extrinsic, 1.0, limit_m, TRUNCATION_VOXELS)
     else:
-        image = o3d.t.geometry.Image(np.ascontiguousarray(color, dtype=np.float32))
+        # Open3D takes float colours from 0 to 1, and gives back the same.
+        image = o3d.t.geometry.Image(np.ascontiguousarray(color, dtype=np.float32) / 255.0)
         grid.integrate(blocks, depth, image, intrinsic, extrinsic, 1.0, limit_m, TRUNCATION_VOXELS)
 
 

@@ -1,1 +1,1 @@
-"""Recordings of any format, opened and put right."""
+"""Open recordings of any format, and mend known faults while reading them."""

@@ -1,4 +1,4 @@
-"""Faults of a recording that can be put right while it is read; `rpl check` names those that apply."""
+"""Faults of a recording that are mended while it is read; `rpl check` names those that apply."""
 
 from __future__ import annotations
 
@@ -13,22 +13,23 @@ from scipy.spatial.transform import Rotation
 
 from rpl_data.geometry import invert
 from rpl_data.types import DataError, DepthWarp, Recording, Scene, Trajectory
+from rpl_data.wording import counted
 
 
 @dataclass(frozen=True)
 class Mend:
-    """What to put right; everything is as it should be by default.
+    """The faults to mend; by default none.
 
     Attributes:
         wxyz_quaternions: the poses' quaternions are stored as w x y z.
         inverted_poses: the poses are camera_from_scene.
-        opengl_cameras: the poses are of cameras that look along -z with y up.
+        opengl_cameras: the poses are those of cameras that look along -z with y up.
         pose_lag: the pose of frame n is stored at frame n + pose_lag.
         depth_lag: the depth image of frame n is stored at frame n + depth_lag.
-        depth_zoom: depth images are enlarged by this about their middle, and
-        depth_shift_px: then moved this far right and down, to lie on the colour images. Right at one
-            distance only, so it is for a recording that cannot be made again with registered depth.
-        no_repeats: leave out frames whose depth image is the one before over again.
+        depth_zoom: depth images are enlarged by this about their centre,
+        depth_shift_px: and then moved this far right and down, to coincide with the colour images. Right at
+            one distance only, so it is for a recording that cannot be made again with registered depth.
+        no_repeats: leave out frames whose depth image repeats the one before.
     """
 
     wxyz_quaternions: bool = False
@@ -41,13 +42,15 @@ class Mend:
     no_repeats: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse what would leave no image."""
+        """Refuse a zoom that leaves no image."""
         if self.depth_zoom <= 0:
-            raise DataError(f"mend.depth_zoom is {self.depth_zoom}; expected a positive factor, 1 = as it is")
+            raise DataError(
+                f"mend.depth_zoom is {self.depth_zoom}; expected a positive factor, 1 = unchanged"
+            )
 
 
 def mended(recording: Recording, mend: Mend) -> Recording:
-    """The recording with its poses re-read and its images and poses paired anew.
+    """Return the recording with its poses converted, and its images and poses paired anew.
 
     Frames whose partner lies beyond an end of the recording are left out; notes say what was done.
 
@@ -66,10 +69,11 @@ def mended(recording: Recording, mend: Mend) -> Recording:
         scene, trajectory, unposed = _with_pose_of(scene, Trajectory(trajectory.frames, poses), mend.pose_lag)
         left_out += unposed
     if not scene.frames:
-        raise DataError(f"scene {scene.name}: with {mend} no frame is left; the lags are in frames")
+        raise DataError(f"scene {scene.name}: with {mend} no frames are left; lags are given in frames")
     lines = [f"read with `{in_recipe(mend)}`"]
-    lines += [f"{left_out} frames left out: they have no partner after mending a lag"] if left_out else []
-    lines += [f"{repeats} frames left out: their depth image is the one before over again"] if repeats else []
+    lines += [f"{counted(left_out, 'frame')} left out: no partner after mending a lag"] if left_out else []
+    repeated = f"{counted(repeats, 'frame')} left out: the depth image repeats the one before"
+    lines += [repeated] if repeats else []
     kept = {frame.index for frame in scene.frames}
     gone = tuple(frame.index for frame in recording.scene.frames if frame.index not in kept)
     return replace(
@@ -78,13 +82,13 @@ def mended(recording: Recording, mend: Mend) -> Recording:
 
 
 def in_recipe(mend: Mend) -> str:
-    """The field of a recipe, with what differs from the default."""
+    """Write the recipe's field, with what differs from the default."""
     changed = {key: value for key, value in asdict(mend).items() if value != getattr(Mend(), key)}
     return f"mend: {{{', '.join(f'{key}: {json.dumps(value)}' for key, value in changed.items())}}}"
 
 
 def mended_poses(poses: Float64[np.ndarray, "n 4 4"], mend: Mend) -> Float64[np.ndarray, "n 4 4"]:
-    """`scene_from_camera` of poses that were read as if nothing were wrong with them; NaN stays NaN."""
+    """Convert poses that were read without mending to `scene_from_camera`; NaN stays NaN."""
     result = poses.copy()
     whole = np.isfinite(poses).all(axis=(1, 2))
     if mend.wxyz_quaternions and whole.any():
@@ -98,13 +102,13 @@ def mended_poses(poses: Float64[np.ndarray, "n 4 4"], mend: Mend) -> Float64[np.
 
 
 def _on_color(scene: Scene, mend: Mend) -> Scene:
-    """The scene with its depth put on the colour images, which makes it a registered one."""
+    """Warp the scene's depth onto its colour images, which makes it registered."""
     warp = DepthWarp(mend.depth_zoom, mend.depth_shift_px)
     return scene if warp == DepthWarp() else replace(scene, depth_warp=warp, registered=True)
 
 
 def _with_depth_of(scene: Scene, lag: int) -> tuple[Scene, int]:
-    """The scene with every frame's depth image taken from `lag` frames later; how many frames that cost."""
+    """Take every frame's depth image from `lag` frames later; also the number of frames lost."""
     depth_of = {frame.index: frame.depth for frame in scene.frames}
     kept = [
         replace(frame, depth=depth_of[frame.index + lag])
@@ -115,7 +119,7 @@ def _with_depth_of(scene: Scene, lag: int) -> tuple[Scene, int]:
 
 
 def _without_repeats(scene: Scene) -> tuple[Scene, int]:
-    """The scene without frames whose depth file equals that of the frame before; how many there were."""
+    """Drop frames whose depth file equals that of the frame before; also their number."""
     kept = [
         frame
         for frame, before in zip(scene.frames, (None, *scene.frames), strict=False)
@@ -125,14 +129,14 @@ def _without_repeats(scene: Scene) -> tuple[Scene, int]:
 
 
 def _same_file(one: Path | None, other: Path | None) -> bool:
-    """Both are there and hold the same bytes; a cheap look, as their sizes nearly always differ."""
+    """Whether both exist and hold the same bytes; quick, since their sizes nearly always differ."""
     if one is None or other is None or not (one.exists() and other.exists()):
         return False
     return filecmp.cmp(one, other, shallow=False)
 
 
 def _with_pose_of(scene: Scene, trajectory: Trajectory, lag: int) -> tuple[Scene, Trajectory, int]:
-    """Every frame with the pose of `lag` frames later; frames without one go."""
+    """Give every frame the pose of `lag` frames later; frames without one are dropped."""
     row_of = {int(index): row for row, index in enumerate(trajectory.frames)}
     kept = tuple(frame for frame in scene.frames if frame.index + lag in row_of)
     rows = [row_of[frame.index + lag] for frame in kept]

@@ -1,4 +1,4 @@
-"""Any recording -> scenes: the readers by the name of their format, and which one a path looks like."""
+"""Open any recording as scenes: the readers by format name, and which formats a path looks like."""
 
 from __future__ import annotations
 
@@ -8,12 +8,13 @@ from functools import partial
 from pathlib import Path
 
 from rpl_data.capture.playback import is_recording, read_realsense
+from rpl_data.files import decoding
 from rpl_data.formats.recordings.bop import is_bop_scene, read_bop
 from rpl_data.formats.recordings.elasticfusion import read_klg
 from rpl_data.formats.recordings.frame_files import Camera
 from rpl_data.formats.recordings.frames import has_frames, read_frames
 from rpl_data.formats.recordings.labelfusion import is_log, read_labelfusion
-from rpl_data.formats.recordings.rpl import read_rpl
+from rpl_data.formats.recordings.rpl import is_rpl_scene, read_rpl
 from rpl_data.formats.recordings.tum import is_sequence, read_tum
 from rpl_data.formats.recordings.ycb_video import is_ycb_sequence, read_ycb_video
 from rpl_data.recordings.mend import Mend, mended
@@ -27,19 +28,19 @@ READERS: dict[str, Callable[..., list[Recording]]] = {
     "ycb_video": read_ycb_video,
     "labelfusion": read_labelfusion,
 }
-"""Formats whose images are files, by name: ``reader(path, *, names, metres_per_unit, camera)``."""
+"""Readers of formats whose images are files: ``reader(path, *, names, metres_per_unit, camera)``."""
 
 UNPACKERS: dict[str, Callable[..., list[Recording]]] = {
     "klg": read_klg,
     "klg_bgr": partial(read_klg, bgr=True),
     "realsense": read_realsense,
 }
-"""Formats that keep all images in one file: the same, with ``unpack(scene) -> folder`` for the images."""
+"""Readers of formats that keep all images in one file; they also take ``unpack(scene) -> folder``."""
 
 SOUND = Mend()
 
 _LOOKS_LIKE: dict[str, Callable[[Path], bool]] = {
-    "rpl": lambda folder: (folder / "camera.txt").exists() and any(folder.glob("*/associations.txt")),
+    "rpl": lambda folder: is_rpl_scene(folder) or any(map(is_rpl_scene, folder.glob("*"))),
     "frames": has_frames,
     "tum": is_sequence,
     "bop": lambda folder: any(map(is_bop_scene, (folder, *folder.glob("*")))),
@@ -50,7 +51,64 @@ _LOOKS_LIKE: dict[str, Callable[[Path], bool]] = {
     "klg": lambda path: path.suffix == ".klg" or any(path.glob("*.klg")),
     "realsense": lambda path: any(map(is_recording, (path, *path.glob("*")))),
 }
-"""By format name: whether a path looks like that, for the message about a wrong `format`."""
+"""Tests whether a path looks like a format, by format name; for the message about a wrong `format`."""
+
+
+def open_recordings(
+    path: str | Path,
+    format: str | None = None,
+    *,
+    names: Sequence[str] | None = None,
+    metres_per_unit: float | None = None,
+    camera: Sequence[float] | None = None,
+    registered: bool | None = None,
+    unpack: str | Path | None = None,
+    mend: Mend = SOUND,
+) -> list[Recording]:
+    """The recordings found at a path, one per scene; images stay where they are.
+
+    Each `Recording` has a `scene` (camera, frames with their image files) and a `trajectory` (camera poses,
+    scene_from_camera), which is None where the recording has no poses.
+
+    Args:
+        path: a folder of scenes, one scene, or a file (.klg, .bag, .db3).
+        format: how they are stored: rpl, frames, tum, bop, ycb_video, labelfusion, klg, klg_bgr or realsense;
+            found out from the files when left out.
+        names: only these scenes; all of them when left out.
+        metres_per_unit: metres of one unit of the stored depth; what the format says when left out.
+        camera: fx, fy, cx, cy in pixels, then 0, 4, 5 or 8 numbers of OpenCV's lens distortion; what the
+            recording says when left out.
+        registered: whether depth lies on the pixels of the colour image; what the format says when left out.
+        unpack: a folder for the images of klg, klg_bgr and realsense, which keep them in one file; each
+            scene gets a folder in it.
+        mend: faults to put right while reading; `rpl check` names them.
+
+    Raises:
+        DataError: there is nothing at the path, its format is not known, or it cannot be read.
+    """
+    place = Path(path).expanduser()
+    folder = None if unpack is None else Path(unpack).expanduser()
+    return open_scenes(
+        place,
+        format or _only_format(place),
+        names=names,
+        metres_per_unit=metres_per_unit,
+        camera=None if camera is None else tuple(camera),
+        registered=registered,
+        unpack=None if folder is None else folder.joinpath,
+        mend=mend,
+    )
+
+
+def _only_format(path: Path) -> str:
+    """The format a path looks like; DataError when that is none or several."""
+    if not path.exists():
+        raise DataError(f"there is no recording {path}; check the path")
+    likely = likely_formats(path)
+    if len(likely) == 1:
+        return likely[0]
+    looks = f"looks like {' and like '.join(likely)}" if likely else "looks like no format that is known"
+    raise DataError(f"{path} {looks}; give `format`, one of {', '.join(sorted(READERS | UNPACKERS))}")
 
 
 def open_scenes(
@@ -64,17 +122,17 @@ def open_scenes(
     unpack: Callable[[str], Path] | None = None,
     mend: Mend = SOUND,
 ) -> list[Recording]:
-    """The recordings found at `path`, read as `format`, a key of `READERS` or `UNPACKERS`.
+    """Read the recordings at `path` as `format`, a key of `READERS` or `UNPACKERS`.
 
     Args:
         path: what the format's reader expects, usually a folder.
         format: name of the format.
-        names: which scenes to read; all where None.
-        metres_per_unit: of the depth images; the format's own where None.
-        camera: of the colour images; what the recording says where None.
-        registered: whether depth lies on the colour pixels; what the format says where None.
-        unpack: an empty folder for the images of a scene, by its name; the formats of `UNPACKERS` need it.
-        mend: what to put right.
+        names: which scenes to read; None for all.
+        metres_per_unit: unit of the depth images; None for the format's own.
+        camera: camera of the colour images; None for what the recording holds.
+        registered: whether depth is registered to colour; None for what the format implies.
+        unpack: returns an empty folder for the images of a scene, given its name; required by `UNPACKERS`.
+        mend: the faults to mend.
 
     Raises:
         DataError: the format is unknown, or the reader cannot read what is there; the message names the
@@ -84,10 +142,13 @@ def open_scenes(
     if format not in known:
         raise DataError(f"unknown format {format!r} for {path}; expected one of {', '.join(sorted(known))}")
     if format in UNPACKERS and unpack is None:
-        raise DataError(f"{path}: recordings of format {format} are unpacked; say where to")
+        raise DataError(f"{path}: recordings of format {format} are unpacked; say where to: `unpack`")
     reader = partial(known[format], unpack=unpack) if format in UNPACKERS else known[format]
     try:
-        found = reader(path, names=names, metres_per_unit=metres_per_unit, camera=camera)
+        with decoding(path, f"repair it, or check that its format is {format}; `rpl check` may say more"):
+            found = reader(path, names=names, metres_per_unit=metres_per_unit, camera=camera)
+    except OSError as error:
+        raise DataError(f"cannot read {error.filename or path}: {error.strerror or error}") from error
     except DataError as error:
         likely = likely_formats(path)
         if not likely or format.startswith(tuple(likely)):
@@ -99,5 +160,5 @@ def open_scenes(
 
 
 def likely_formats(path: Path) -> list[str]:
-    """The formats whose marks are found at a path; none for anything unknown."""
+    """Formats whose characteristic files are found at a path; empty for anything unknown."""
     return [name for name, looks_like_it in _LOOKS_LIKE.items() if looks_like_it(path)]

@@ -1,4 +1,4 @@
-"""An exported dataset's splits as a Lightning DataModule of one object's crops."""
+"""Lightning DataModule over the training and validation splits of an export: crops of one object."""
 
 from __future__ import annotations
 
@@ -8,14 +8,19 @@ from typing import Any
 from pytorch_lightning import LightningDataModule
 from torch.utils.data import DataLoader
 
+from rpl_data.torch.epochs import training_batches, validation_batches
 from rpl_data.torch.keypoints import KeypointDataset
-from rpl_data.torch.readable import Readable, collate_readable
+from rpl_data.torch.readable import collate_readable
 from rpl_data.torch.transforms import Augmentation
 from rpl_data.types import DataError
 
 
 class KeypointDataModule(LightningDataModule):
-    """train.json and val.json of a folder; images that cannot be read are left out of their batch.
+    """The train and val splits of an exported folder, for `Trainer.fit(model, data)`.
+
+    A batch is a pair: the collated samples of `KeypointDataset` (the same keys with a leading batch axis;
+    None when no image of the batch could be read), and a tuple of messages about images that could not be
+    read.
 
     Attributes:
         train: the training set.
@@ -24,7 +29,7 @@ class KeypointDataModule(LightningDataModule):
 
     def __init__(
         self,
-        folder: Path,
+        folder: str | Path,
         *,
         object: str | None = None,  # noqa: A002 (the recipe's and the CLI's word for it)
         input_px: int = 256,
@@ -34,15 +39,18 @@ class KeypointDataModule(LightningDataModule):
         augment: Augmentation | None = None,
         workers: int = 0,
         cache: bool = True,
+        seed: int = 0,
     ) -> None:
-        """Read the annotations, and the pixels about the boxes when `cache`.
+        """Read the annotations, and the pixels around the boxes when `cache`.
 
         Args:
-            folder: of `rpl export`: export/coco or export/coco_truth.
-            object: its name; may be left out when the dataset has one object.
-            input_px, heatmap_px, sigma_px, augment, cache: of `KeypointDataset`; `augment` is for training.
-            batch: instances a step.
-            workers: processes that load; 0 = none, which suits cached crops.
+            folder: what `rpl export` wrote: export/coco or export/coco_truth.
+            object: name of the object; may be left out when the dataset has one object.
+            input_px, heatmap_px, sigma_px, cache: see `KeypointDataset`.
+            batch: instances per step.
+            workers: processes that load data; 0 loads in this process, which suits cached crops.
+            seed: of the order of the training instances and of their augmentation, which depend on nothing
+                else but the epoch.
 
         Raises:
             DataError: there is no training split, the object is not in it, or it has no keypoints.
@@ -50,36 +58,33 @@ class KeypointDataModule(LightningDataModule):
         super().__init__()
         sizes: dict[str, Any] = {"input_px": input_px, "heatmap_px": heatmap_px, "sigma_px": sigma_px}
         sizes |= {"object": object, "cache": cache}
-        self.train = KeypointDataset(folder / "train.json", augment=augment, **sizes)
+        folder = Path(folder).expanduser()
+        self.train = KeypointDataset(folder, split="train", augment=augment, **sizes)
         if not self.train.model.keypoints:
             raise DataError(
                 f"{folder / 'train.json'}: {self.train.model.name} has no keypoints; name them in the recipe "
                 "and click them"
             )
         self.val = _validation(folder / "val.json", sizes)
-        self._batch, self._workers = batch, workers
+        self._batch, self._workers, self._seed = batch, workers, seed
 
     def train_dataloader(self) -> DataLoader[Any]:
-        """Shuffled."""
-        return self._loader(self.train, shuffle=True)
+        """Shuffled anew in every epoch."""
+        return training_batches(
+            self.train, batch=self._batch, workers=self._workers, seed=self._seed, collate=collate_readable
+        )
 
-    def val_dataloader(self) -> DataLoader[Any] | list[Any]:
+    def val_dataloader(self) -> DataLoader[Any] | list[DataLoader[Any]]:
         """In order; empty without a validation set."""
-        return [] if self.val is None else self._loader(self.val, shuffle=False)
-
-    def _loader(self, dataset: KeypointDataset, *, shuffle: bool) -> DataLoader[Any]:
-        return DataLoader(
-            Readable(dataset),
-            batch_size=self._batch,
-            shuffle=shuffle,
-            num_workers=self._workers,
-            persistent_workers=self._workers > 0,
-            collate_fn=collate_readable,
+        if self.val is None:
+            return []
+        return validation_batches(
+            self.val, batch=self._batch, workers=self._workers, collate=collate_readable
         )
 
 
 def _validation(coco_json: Path, sizes: dict[str, Any]) -> KeypointDataset | None:
-    """None where there is nothing to validate on; training goes on without."""
+    """Return the validation set; None when there is none, and training goes on without."""
     if not coco_json.exists():
         return None
     try:

@@ -1,4 +1,4 @@
-"""Keypoints from a network's heatmaps: position, confidence and covariance of each."""
+"""Decode a network's heatmaps: position, confidence and covariance of each keypoint."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from jaxtyping import Float
 from torch import Tensor
 
 SMALLEST_VARIANCE_PX2 = 0.3**2
-"""Of a position on each axis, heatmap pixels: no network is surer than that."""
+"""Smallest variance of a position per axis, in heatmap pixels squared: no network is surer than that."""
 
 LOWEST_SHARE = 0.05
-"""Of the peak; pixels below are noise, not another place the keypoint may be."""
+"""Share of the peak's height below which a pixel is noise, not another possible position."""
 
 CUT_VARIANCE = 1 + LOWEST_SHARE * math.log(LOWEST_SHARE) / (1 - LOWEST_SHARE)
-"""What that leaves of a Gaussian's second moments: with L = -ln(share), 1 - share L / (1 - share)."""
+"""Share of a Gaussian's second moments left after that cut: 1 - share L / (1 - share), L = -ln(share)."""
 
 
 class Keypoints(NamedTuple):
-    """What heatmaps say, in pixels of the heatmap.
+    """Keypoints as heatmaps show them, in pixels of the heatmap.
 
     Attributes:
         positions: (u, v).
-        confidence: height of the peak, 0 to 1.
-        covariance: of each position.
+        confidence: height of each peak, 0 to 1.
+        covariance: covariance of each position.
     """
 
     positions: Float[Tensor, "*batch k 2"]
@@ -34,20 +34,20 @@ class Keypoints(NamedTuple):
 
 
 def locate(heatmaps: Float[Tensor, "*batch k height width"], *, sigma_px: float) -> Keypoints:
-    """The place of every keypoint to a fraction of a pixel, and how sure the map is of it.
+    """Locate each keypoint to a fraction of a pixel, with its confidence and covariance.
 
     The position is DARK's (Zhang, Zhu, Dai, Ye and Zhu, "Distribution-aware coordinate representation for
     human pose estimation", CVPR 2020): smooth the map with the Gaussian it was trained on, and take the
-    vertex of the quadratic that the logarithm has at the peak; exact for a Gaussian of any covariance, and
-    drawn inwards by up to 0.6 px within a sigma of the map's edge.
+    vertex of the quadratic fitted to its logarithm at the peak. Exact for a Gaussian of any covariance;
+    within one sigma of the map's edge the position is drawn inwards by up to 0.6 px.
 
-    A network that minimises squares or cross entropy predicts the mean of the target maps it holds possible,
-    which is the distribution of the place blurred by the target's Gaussian. So its second moments less
-    `sigma_px` squared are the covariance of the place.
+    A network that minimises squared error or cross entropy predicts the mean of the target maps it holds
+    possible: the distribution of the position, blurred by the target's Gaussian. So its second moments minus
+    `sigma_px` squared are the covariance of the position.
 
     Args:
-        heatmaps: about 1 high where a keypoint is.
-        sigma_px: of the targets' Gaussians.
+        heatmaps: values near 1 where a keypoint is.
+        sigma_px: sigma of the Gaussians in the training targets, heatmap pixels.
     """
     maps = heatmaps.clamp_min(0)
     height, width = maps.shape[-2:]
@@ -63,7 +63,7 @@ def locate(heatmaps: Float[Tensor, "*batch k height width"], *, sigma_px: float)
 def probabilities(
     logits: Float[Tensor, "*batch k height width"], *, sigma_px: float
 ) -> Float[Tensor, "*batch k height width"]:
-    """Heatmaps of a network trained with `cross_entropy`, as high as those it was trained on when sure."""
+    """Turn the logits of a network trained with `cross_entropy` into heatmaps; a sure peak is 1 high."""
     share = torch.softmax(logits.flatten(-2), dim=-1) * (2 * math.pi * sigma_px**2)
     return share.reshape(logits.shape)
 
@@ -75,14 +75,14 @@ def in_image(
     input_px: int,
     heatmap_px: int,
 ) -> Float[Tensor, "batch k 2 2"]:
-    """Covariance in pixels of the full image, float64."""
+    """Convert covariances from heatmap pixels to pixels of the full image, float64."""
     image_from_heatmap = torch.linalg.inv(crop_from_image[:, None, :, :2].double()) * (input_px / heatmap_px)
     turned: Tensor = image_from_heatmap @ covariance_px.double() @ image_from_heatmap.transpose(-1, -2)
     return turned
 
 
 def _smoothed(maps: Tensor, sigma_px: float) -> Tensor:
-    """Convolved with a Gaussian of that width, cut off at three sigmas."""
+    """Convolve each map with a Gaussian of that width, cut off at three sigmas."""
     reach = max(1, math.ceil(3 * sigma_px))
     steps = torch.arange(-reach, reach + 1, dtype=maps.dtype, device=maps.device)
     profile = torch.exp(-0.5 * (steps / sigma_px) ** 2)
@@ -94,10 +94,10 @@ def _smoothed(maps: Tensor, sigma_px: float) -> Tensor:
 
 
 def _vertex(smooth: Tensor, column: Tensor, row: Tensor, *, width: int, height: int) -> Tensor:
-    """From the peak to the vertex of the quadratic through the logarithms of its neighbours.
+    """Offset from the peak to the vertex of the quadratic through the logarithms of its neighbours.
 
-    At the map's edge the neighbours are those about the nearest inner pixel; the vertex is not trusted
-    further than a pixel from the peak.
+    At the map's edge the neighbours of the nearest inner pixel are used; the vertex is not trusted
+    farther than a pixel from the peak.
     """
     middle_u, middle_v = column.clamp(1, width - 2), row.clamp(1, height - 2)
 
@@ -110,7 +110,7 @@ def _vertex(smooth: Tensor, column: Tensor, row: Tensor, *, width: int, height: 
     across = (at(1, 1) - at(-1, 1) - at(1, -1) + at(-1, -1)) / 4
     bend_u, bend_v = (right - 2 * here + left).clamp_max(-1e-6), (below - 2 * here + above).clamp_max(-1e-6)
     determinant = bend_u * bend_v - across**2
-    across = torch.where(determinant > 1e-12, across, 0.0)  # no peak of a quadratic: each axis on its own
+    across = torch.where(determinant > 1e-12, across, 0.0)  # not a peak: each axis on its own
     determinant = (bend_u * bend_v - across**2).unsqueeze(-1)
     along = torch.stack(
         [bend_v * slope[..., 0] - across * slope[..., 1], bend_u * slope[..., 1] - across * slope[..., 0]],
@@ -121,7 +121,7 @@ def _vertex(smooth: Tensor, column: Tensor, row: Tensor, *, width: int, height: 
 
 
 def _covariance(maps: Tensor, positions: Tensor, sigma_px: float) -> Tensor:
-    """Second moments about the positions less those of the target; no variance below the smallest."""
+    """Second moments about the positions minus those of the target; at least SMALLEST_VARIANCE_PX2."""
     height, width = maps.shape[-2:]
     peak = maps.amax(dim=(-1, -2), keepdim=True).clamp_min(1e-12)
     mass = torch.where(maps >= LOWEST_SHARE * peak, maps, 0.0)

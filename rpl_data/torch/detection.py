@@ -1,4 +1,4 @@
-"""Small images with the paper's square boxes: what the detector in front of the hourglass is trained on."""
+"""Dataset of the detector that finds the paper's square boxes for the hourglass: whole images, made small."""
 
 from __future__ import annotations
 
@@ -13,20 +13,21 @@ from torch.utils.data import Dataset
 
 from rpl_data.formats.datasets.coco import read_coco
 from rpl_data.torch.images import read_image, to_unit_range
+from rpl_data.torch.splits import split_file
 from rpl_data.torch.transforms import Augmentation, jittered, moved, random_crop_from_square, warped
 from rpl_data.types import DataError
 
 MARGIN = 1.5
-"""The paper's square box is its keypoints' box times this (section III-E)."""
+"""Side of the paper's square box, as a multiple of the keypoints' bounding box (section III-E)."""
 
 
 class DetectionTarget(TypedDict):
-    """What torchvision's detectors are trained with; n instances, n may be 0.
+    """Training target of torchvision's detectors, for n instances; n may be 0.
 
     Attributes:
-        boxes: n x 4, float32, x0 y0 x1 y1 with COCO's edges: the squares about the keypoints without margin.
+        boxes: n x 4, float32, x0 y0 x1 y1 with COCO's edges: the square boxes without their margin.
         labels: n, int64, category ids from 1.
-        image_id: of the COCO file.
+        image_id: id of the image in the COCO file.
     """
 
     boxes: Tensor
@@ -35,29 +36,47 @@ class DetectionTarget(TypedDict):
 
 
 class DetectionDataset(Dataset[tuple[Tensor, DetectionTarget]]):
-    """Every image of an exported COCO file at a small size, kept in memory once decoded.
+    """Every image of an exported dataset at a small size, kept in memory once decoded.
+
+    ::
+
+        image, target = DetectionDataset("my-workspace/export/coco", split="train")[0]
+
+    `image` is float32, 3 x height x width, RGB, 0 to 1. `target` has, for n instances (n may be 0): `boxes`
+    (float32, n x 4: x0 y0 x1 y1 in pixels of the small image, the paper's square boxes without their margin),
+    `labels` (int64, n: category ids from 1) and `image_id` (int, of the COCO file).
 
     Attributes:
-        names: of the labels, `names[0]` is the background.
+        names: name of each label; `names[0]` is the background.
     """
 
-    def __init__(self, coco_json: Path, *, width_px: int = 256, augment: Augmentation | None = None) -> None:
+    def __init__(
+        self,
+        path: str | Path,
+        *,
+        split: str | None = None,
+        width_px: int = 256,
+        augment: Augmentation | None = None,
+    ) -> None:
         """Read the annotations; an image is decoded when it is first asked for.
 
         Args:
-            coco_json: a file that `rpl export` wrote.
+            path: the folder of an export (my-workspace/export/coco), or one of its JSON files.
+            split: train, val or test, when `path` is a folder.
             width_px: of the images; they keep their shape.
             augment: shifts (a share of the width), zooms and colours at random; boxes stay upright, so
                 `rotation_deg` must be 0.
 
         Raises:
-            DataError: the file is not ours, it has no image, or boxes would be turned.
+            DataError: there is no such split (the message says why), the file is not ours, it has no image,
+                or boxes would be turned.
         """
         if augment is not None and augment.rotation_deg:
             raise DataError(f"rotation_deg is {augment.rotation_deg}; a turned box is no box: give 0")
+        coco_json = split_file(path, split)
         data = read_coco(coco_json)
         if not data["images"]:
-            raise DataError(f"{coco_json} has no image; train on another split")
+            raise DataError(f"{coco_json} has no images; train on another split")
         by_id = sorted(data["categories"], key=lambda category: int(category["id"]))
         self.names = ["background", *(category["name"] for category in by_id)]
         self._folder, self._width_px, self._augment = coco_json.parent, width_px, augment
@@ -68,11 +87,11 @@ class DetectionDataset(Dataset[tuple[Tensor, DetectionTarget]]):
         self._pixels: dict[int, np.ndarray] = {}
 
     def __len__(self) -> int:
-        """How many images."""
+        """Number of images."""
         return len(self._images)
 
     def __getitem__(self, row: int) -> tuple[Tensor, DetectionTarget]:
-        """An image (3 x height x width, 0 to 1) and its target."""
+        """Return an image (3 x height x width, 0 to 1) and its target."""
         entry = self._images[row]
         if row not in self._pixels:
             self._pixels[row] = shrunk(read_image(str(self._folder / entry["file_name"])), self._width_px)
@@ -91,19 +110,19 @@ class DetectionDataset(Dataset[tuple[Tensor, DetectionTarget]]):
 
 
 def shrunk(image: np.ndarray, width_px: int) -> np.ndarray:
-    """The image that wide, its shape kept; each pixel the mean of those it covers."""
+    """Shrink the image to `width_px`, keeping its aspect ratio; each pixel is the mean of those it covers."""
     height_px = round(image.shape[0] * width_px / image.shape[1])
     small: np.ndarray = cv2.resize(image, (width_px, height_px), interpolation=cv2.INTER_AREA)
     return small
 
 
 def small_from_full_boxes(boxes_px: np.ndarray, zoom: float) -> np.ndarray:
-    """Boxes in an image resized by `zoom`: COCO's edges simply scale."""
+    """Scale boxes to an image resized by `zoom`; COCO's edges need no half-pixel offset."""
     return boxes_px * zoom
 
 
 def square_from_box(box_px: np.ndarray) -> np.ndarray:
-    """The paper's square (cx, cy, side in pixel centres' coordinates) about a detected tight box."""
+    """Return the paper's square (cx, cy, side; pixel centres are whole numbers) of a detected tight box."""
     x0, y0, x1, y1 = box_px
     return np.array([(x0 + x1) / 2 - 0.5, (y0 + y1) / 2 - 0.5, MARGIN * max(x1 - x0, y1 - y0)])
 

@@ -1,6 +1,6 @@
-"""Keypoints as heatmaps: a Gaussian at the sub-pixel position, and the position back from the map.
+"""Draw keypoints as heatmaps (a Gaussian at the sub-pixel position), and read positions back from them.
 
-Positions are pixels of the heatmap whose centres are whole numbers, (u, v) = (column, row).
+Positions are (u, v) = (column, row) in pixels of the heatmap; pixel centres are whole numbers.
 """
 
 from __future__ import annotations
@@ -10,18 +10,18 @@ from jaxtyping import Float
 from torch import Tensor
 
 SMALLEST_EXPONENT = -20.0
-"""Beyond it the Gaussian is 0: products of two tails would be denormal numbers, which CPUs are slow at."""
+"""Exponent below which the Gaussian is 0: products of two tails would be denormal, which CPUs are slow at."""
 
 
 def draw_heatmaps(
     positions_px: Float[Tensor, "*batch k 2"], *, size_px: int, sigma_px: float = 1.0
 ) -> Float[Tensor, "*batch k size size"]:
-    """A map a keypoint with a Gaussian of height 1 at its position; zeros where the position is NaN.
+    """Draw one map per keypoint: a Gaussian of height 1 at its position, zeros when the position is NaN.
 
-    The Gaussian is separable: one row times one column for each keypoint, any number of keypoints at once.
+    The Gaussian is separable, so each map is the product of one row and one column.
     """
     grid = torch.arange(size_px, dtype=torch.float32, device=positions_px.device)
-    # Far outside the map stands for nowhere: all of its Gaussian is cut off as tail.
+    # NaN becomes a position far outside the map, so that all of its Gaussian is cut off.
     positions = positions_px.to(torch.float32).nan_to_num(nan=-1e6).unsqueeze(-1)
     exponent = (grid - positions).square_().mul_(-0.5 / sigma_px**2)
     profile = torch.threshold_(exponent, SMALLEST_EXPONENT, -torch.inf).exp_()
@@ -33,11 +33,11 @@ def draw_heatmaps(
 def decode_heatmaps(
     heatmaps: Float[Tensor, "*batch k height width"],
 ) -> tuple[Float[Tensor, "*batch k 2"], Float[Tensor, "*batch k"]]:
-    """The position of each map's peak to a fraction of a pixel, and the height of the peak.
+    """Return the sub-pixel position of each map's peak, and the height of the peak.
 
     The logarithm of a Gaussian is a parabola, so three samples along each axis give its vertex exactly,
     whatever its width; at the map's edge the three samples are the outermost ones. The vertex is not trusted
-    further than half a pixel from the highest sample.
+    farther than half a pixel from the highest sample.
     """
     height, width = heatmaps.shape[-2:]
     score, flat = heatmaps.flatten(-2).max(dim=-1)
@@ -48,13 +48,13 @@ def decode_heatmaps(
 
 
 def _take_row(maps: Tensor, row: Tensor) -> Tensor:
-    """Row number `row` of each map, shape (*batch, k, width)."""
+    """Take row number `row` of each map, shape (*batch, k, width)."""
     index = row[..., None, None].expand(*row.shape, 1, maps.shape[-1])
     return maps.gather(-2, index).squeeze(-2)
 
 
 def _vertex(profile: Tensor, peak: Tensor) -> Tensor:
-    """Where the parabola through the logarithms of three samples about `peak` has its vertex."""
+    """Find the vertex of the parabola through the logarithms of three samples around `peak`."""
     middle = peak.clamp(1, profile.shape[-1] - 2)
     around = middle.unsqueeze(-1) + torch.arange(-1, 2, device=profile.device)
     before, at, after = profile.gather(-1, around).clamp_min(1e-12).log().unbind(-1)
@@ -71,7 +71,7 @@ def positions_in_image(
     input_px: int,
     heatmap_px: int,
 ) -> Float[Tensor, "*batch k 2"]:
-    """Heatmap positions as positions in the full image, float64."""
+    """Convert heatmap positions to pixels of the full image, float64."""
     zoom = input_px / heatmap_px
     crop = (positions_px.double() + 0.5) * zoom - 0.5  # edges coincide, centres do not
     affine = crop_from_image.double()

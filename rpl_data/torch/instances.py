@@ -1,4 +1,4 @@
-"""Whole images with boxes, labels and masks: torchvision's detection targets."""
+"""Dataset of whole images with boxes, labels and masks, as torchvision's detection models take them."""
 
 from __future__ import annotations
 
@@ -15,22 +15,12 @@ from torchvision import tv_tensors
 
 from rpl_data.formats.datasets.coco import read_coco
 from rpl_data.torch.images import read_image, to_unit_range
+from rpl_data.torch.splits import split_file
 from rpl_data.torch.transforms import Image
 
 
 class InstanceTarget(TypedDict):
-    """What torchvision's detection models are trained with; n instances, n may be 0.
-
-    Attributes:
-        boxes: n x 4, float32, x0 y0 x1 y1 with COCO's edges (of the visible mask).
-        labels: n, int64, category ids from 1; 0 is the background.
-        masks: n x height x width, uint8, visible pixels.
-        image_id: of the COCO file.
-        area: n, float32, visible pixels.
-        iscrowd: n, int64, zeros.
-        keypoints: n x k x 3, float32, x y v in pixels (centre of the first pixel is 0); objects with fewer
-            keypoints than the largest have rows of zeros behind.
-    """
+    """What torchvision's detection models are trained with: `InstanceDataset` says what each key holds."""
 
     boxes: Tensor
     labels: Tensor
@@ -46,62 +36,94 @@ Json = dict[str, Any]
 
 
 class InstanceDataset(Dataset[InstanceSample]):
-    """Every image of an exported COCO file, those without an object too.
+    """Every image of an exported dataset, those without an object too: torchvision's detection targets.
+
+    ::
+
+        dataset = InstanceDataset("my-workspace/export/coco", split="train")
+        image, target = dataset[0]
+        DataLoader(dataset, batch_size=2, collate_fn=collate)    # images and targets as two lists
+
+    `image` is float32, 3 x height x width, RGB, 0 to 1. `target` is a dictionary; n instances, n may be 0:
+
+    ==========  =======  =================  ==============================================================
+    key         dtype    shape              what it is
+    ==========  =======  =================  ==============================================================
+    boxes       float32  n, 4               x0 y0 x1 y1 in px, COCO's edges, of the visible mask
+    labels      int64    n                  category ids from 1; 0 is the background
+    masks       uint8    n, height, width   1 = visible pixel of the object
+    image_id    int                         of the COCO file
+    area        float32  n                  visible pixels
+    iscrowd     int64    n                  zeros
+    keypoints   float32  n, k, 3            x y v in px; v: 0 never clicked, 1 hidden, 2 seen
+    ==========  =======  =================  ==============================================================
+
+    k is that of the object with most keypoints; others have rows of zeros behind. Keypoints count from the
+    centre of the first pixel, boxes from its edge.
 
     Attributes:
-        names: of the labels, `names[0]` is the background.
+        names: name of each label; `names[0]` is the background.
     """
 
     def __init__(
-        self, coco_json: Path, transforms: Callable[[Tensor, InstanceTarget], InstanceSample] | None = None
+        self,
+        path: str | Path,
+        transforms: Callable[[Tensor, InstanceTarget], InstanceSample] | None = None,
+        *,
+        split: str | None = None,
     ) -> None:
         """Read the annotations; images stay on disk.
 
         Args:
-            coco_json: a file that `rpl export` wrote.
+            path: the folder of an export (my-workspace/export/coco), or one of its JSON files.
             transforms: called with the image (float32, 3 x height x width, 0 to 1) and its target, both made
-                of tv_tensors, so that torchvision.transforms.v2 can be given; or `RandomAffine`. Do not flip:
+                of tv_tensors, so torchvision.transforms.v2 works, and so does `RandomAffine`. Do not flip:
                 a mirrored object is another object.
+            split: train, val or test, when `path` is a folder.
+
+        Raises:
+            DataError: there is no such split (the message says why), or the file is not ours.
         """
-        data = read_coco(Path(coco_json))
+        coco_json = split_file(path, split)
+        data = read_coco(coco_json)
         by_id = sorted(data["categories"], key=lambda category: int(category["id"]))
         self.names = ["background", *(category["name"] for category in by_id)]
         self._most_keypoints = max((len(c["keypoints"]) for c in data["categories"]), default=0)
-        self._folder, self._transforms = Path(coco_json).parent, transforms
+        self._folder, self._transforms = coco_json.parent, transforms
         self._images: list[Json] = data["images"]
         self._annotations: dict[int, list[Json]] = {image["id"]: [] for image in self._images}
         for annotation in data["annotations"]:
             self._annotations[annotation["image_id"]].append(annotation)
 
     def __len__(self) -> int:
-        """How many images."""
+        """Number of images."""
         return len(self._images)
 
-    def file_name(self, image_id: int) -> str:
-        """The file of an image, for messages."""
-        return next(str(image["file_name"]) for image in self._images if image["id"] == image_id)
+    def image_id(self, row: int) -> int:
+        """The id that an image has in the COCO file."""
+        return int(self._images[row]["id"])
 
     def __getitem__(self, row: int) -> InstanceSample:
-        """An image and its target."""
+        """Return an image and its target."""
         pixels, target = self.read(row)
         image = tv_tensors.Image(to_unit_range(pixels))
         return (image, target) if self._transforms is None else self._transforms(image, target)
 
     def size(self, row: int) -> tuple[int, int]:
-        """Width and height of an image, pixels."""
+        """Return the width and height of an image in pixels."""
         return self._images[row]["width"], self._images[row]["height"]
 
     def read(self, row: int, *, halved: bool = False) -> tuple[Image, InstanceTarget]:
-        """An image as in its file (RGB), or `halved`, and the target of the whole one; no transforms."""
+        """Return an image (RGB; at half its size if `halved`) and the target at full size, untransformed."""
         if get_worker_info() is not None:
-            cv2.setNumThreads(0)  # as in KeypointDataset
+            cv2.setNumThreads(0)  # see KeypointDataset.__getitem__
         entry = self._images[row]
         target = _target(entry, self._annotations[entry["id"]], self._most_keypoints)
         return read_image(str(self._folder / entry["file_name"]), halved=halved), target
 
 
 def collate(batch: Sequence[InstanceSample]) -> tuple[list[Tensor], list[InstanceTarget]]:
-    """Images and targets as two lists, as torchvision's detection models take them."""
+    """Return images and targets as two lists, as torchvision's detection models take them."""
     return [image for image, _ in batch], [target for _, target in batch]
 
 
@@ -125,7 +147,7 @@ def _target(image: Json, annotations: Sequence[Json], most_keypoints: int) -> In
 
 
 def _masks(annotations: Sequence[Json], size: tuple[int, int]) -> Tensor:
-    """N x height x width, uint8."""
+    """Decode the masks: n x height x width, uint8."""
     from pycocotools import mask as masks
 
     if not annotations:

@@ -1,4 +1,4 @@
-"""One object's crops with keypoint heatmaps: what the paper's hourglass is trained on."""
+"""Dataset of one object's crops with keypoint heatmaps, which the paper's hourglass is trained on."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ from torch.utils.data import Dataset, get_worker_info
 from rpl_data.formats.datasets.coco import objects_from_coco, read_coco
 from rpl_data.torch.heatmaps import draw_heatmaps
 from rpl_data.torch.images import read_image, to_unit_range
-from rpl_data.torch.regions import Region, RegionCache, region_around
+from rpl_data.torch.pixel_cache import PixelCache, Rectangle, rectangle_around
+from rpl_data.torch.splits import split_file
 from rpl_data.torch.transforms import (
     Affine,
     Augmentation,
@@ -33,24 +34,13 @@ from rpl_data.torch.transforms import (
 from rpl_data.types import DataError, KeypointModel
 
 DISTORTION_LENGTH = 14
-"""OpenCV's longest list of coefficients; shorter ones mean the same with zeros behind."""
+"""Length of OpenCV's longest list of distortion coefficients; shorter lists are padded with zeros."""
 
 
 class KeypointSample(TypedDict):
-    """One instance. A default-collated batch has the same keys with a leading batch axis.
+    """One instance: `KeypointDataset` says what each key holds.
 
-    Attributes:
-        image: 3 x input x input, RGB, 0 to 1.
-        heatmaps: K x heatmap x heatmap, a Gaussian of height 1 where the keypoint is.
-        weights: K; 1 where labelled (seen or hidden) and inside the crop, else 0.
-        keypoints_px: K x 2, full image; NaN where not labelled.
-        visibility: K; COCO's v.
-        crop_from_image: 2 x 3, full image to crop; holds the in-plane rotation too.
-        camera_matrix: 3 x 3, of the full image. distortion: OpenCV's coefficients, zeros behind.
-        camera_from_object: 4 x 4, metres.
-        points_object: K x 3, metres; NaN where never clicked.
-        square_box: cx, cy, side in pixels of the full image: the paper's box.
-        image_id, annotation_id: of the COCO file.
+    A default-collated batch has the same keys with a leading batch axis.
     """
 
     image: Tensor
@@ -70,10 +60,10 @@ class KeypointSample(TypedDict):
 
 @dataclass(frozen=True)
 class _Instances:
-    """The annotations of one object as arrays, a row an instance.
+    """The annotations of one object as arrays, one row per instance.
 
-    Arrays, not dictionaries: worker processes share them, and a list of dictionaries would be copied by
-    touching its reference counts.
+    Arrays, not dictionaries: worker processes share their memory, while a list of dictionaries would be
+    copied as soon as reference counts change.
     """
 
     files: np.ndarray
@@ -88,17 +78,43 @@ class _Instances:
 
 
 class KeypointDataset(Dataset[KeypointSample]):
-    """Square crops of one object of an exported COCO file.
+    """Square crops of one object of an exported dataset, one item per instance.
+
+    ::
+
+        dataset = KeypointDataset("my-workspace/export/coco", split="train", object="cube")
+        sample = dataset[0]      # a dictionary, ready for torch's DataLoader
+
+    Its keys, k being the number of keypoints; pixels count from the centre of the top-left pixel:
+
+    ====================  =======  ======================  ==================================================
+    key                   dtype    shape                   what it is
+    ====================  =======  ======================  ==================================================
+    image                 float32  3, input, input         crop, RGB, 0 to 1
+    heatmaps              float32  k, heatmap, heatmap     Gaussian of height 1 at each keypoint
+    weights               float32  k                       1 where labelled and inside the crop, else 0
+    keypoints_px          float64  k, 2                    (u, v), px of the full image; NaN = not labelled
+    visibility            int64    k                       0 never clicked, 1 hidden, 2 seen
+    crop_from_image       float64  2, 3                    px of the full image -> px of the crop
+    camera_matrix         float64  3, 3                    K of the full image, px
+    distortion            float64  14                      OpenCV's lens coefficients
+    camera_from_object    float64  4, 4                    pose, metres; camera: x right, y down, z forward
+    points_object         float64  k, 3                    sparse model, metres; NaN = never clicked
+    square_box            float64  3                       cx, cy, side, px of the full image
+    image_id              int                              of the COCO file
+    annotation_id         int                              of the COCO file
+    ====================  =======  ======================  ==================================================
 
     Attributes:
-        model: the sparse model of the object.
-        input_px, heatmap_px: sides of crops and heatmaps.
+        model: the keypoint model of the object.
+        input_px, heatmap_px: side of the crops and of the heatmaps.
     """
 
     def __init__(
         self,
-        coco_json: Path,
+        path: str | Path,
         *,
+        split: str | None = None,
         object: str | None = None,  # noqa: A002 (the recipe's and the CLI's word for it)
         input_px: int = 256,
         heatmap_px: int = 64,
@@ -109,40 +125,43 @@ class KeypointDataset(Dataset[KeypointSample]):
         """Read the annotations; images stay on disk unless cached.
 
         Args:
-            coco_json: a file that `rpl export` wrote.
-            object: its name; may be left out when the file has one object.
+            path: the folder of an export (my-workspace/export/coco), or one of its JSON files.
+            split: train, val or test, when `path` is a folder.
+            object: its name; may be left out when there is one object.
             input_px: side of the crop.
             heatmap_px: side of the heatmaps.
-            sigma_px: of the Gaussians, heatmap pixels.
-            augment: shifts, scales, turns and colours at random; None for evaluation. Draws from torch's
-                random state, so `torch.manual_seed` and DataLoader workers do the right thing.
-            cache: keep the decoded pixels around each box: True in memory, a folder to share them between
-                processes and runs. What comes out is the same, but for rounding to a grey level.
+            sigma_px: sigma of the Gaussians, in heatmap pixels.
+            augment: random shifts, scales, rotations and colours; None for evaluation. Draws from torch's
+                random state, so `torch.manual_seed` and DataLoader workers behave as usual.
+            cache: keep the decoded pixels around each box: True for memory; a folder shares them between
+                processes and runs. Samples stay the same up to rounding to a grey level.
 
         Raises:
-            DataError: the file is not ours, or it has no such object, or no instance of it.
+            DataError: there is no such split (the message says why), the file is not ours, or it has no such
+                object, or no instance of it.
         """
-        data = read_coco(Path(coco_json))
+        coco_json = split_file(path, split)
+        data = read_coco(coco_json)
         self.model, category_id = _choose(data, object, coco_json)
         self.input_px, self.heatmap_px = input_px, heatmap_px
         self._sigma_px, self._augment = sigma_px, augment
         self._heatmap_from_crop = heatmap_from_crop(input_px=input_px, heatmap_px=heatmap_px)
-        self._rows = _instances(data, category_id, Path(coco_json).parent)
+        self._rows = _instances(data, category_id, coco_json.parent)
         if len(self._rows.files) == 0:
             raise DataError(f"{coco_json} has no instance of {self.model.name}; train on another split")
         self._points_object = torch.from_numpy(self.model.points_object.copy())
-        self._cache = RegionCache(self._rows.files.tolist(), self._regions(), cache) if cache else None
+        self._cache = PixelCache(self._rows.files.tolist(), self._rectangles(), cache) if cache else None
 
     def __len__(self) -> int:
-        """How many instances."""
+        """Number of instances."""
         return len(self._rows.files)
 
     def __getitem__(self, row: int) -> KeypointSample:
-        """The sample of an instance; IndexError past the last."""
+        """Return the sample of an instance; IndexError past the last."""
         if not -len(self) <= row < len(self):
             raise IndexError(f"instance {row} of {len(self)}")
         if get_worker_info() is not None:
-            # OpenCV's threads do not survive the fork of a DataLoader worker, and one core a worker is right.
+            # OpenCV's threads do not survive the fork of a DataLoader worker, and each worker needs one core.
             cv2.setNumThreads(0)
         rng = None
         if self._augment is not None:
@@ -164,10 +183,10 @@ class KeypointDataset(Dataset[KeypointSample]):
             return warped(
                 read_image(self._rows.files[row]), crop_from_image, size=(self.input_px, self.input_px)
             )
-        pixels, region = self._cache[row]
-        image_from_region = np.array([[1.0, 0, region.left], [0, 1, region.top]])
+        pixels, rectangle = self._cache[row]
+        image_from_cached = np.array([[1.0, 0, rectangle.left], [0, 1, rectangle.top]])
         return warped(
-            pixels, chained(crop_from_image, image_from_region), size=(self.input_px, self.input_px)
+            pixels, chained(crop_from_image, image_from_cached), size=(self.input_px, self.input_px)
         )
 
     def _sample(self, row: int, crop: Image, crop_from_image: Affine) -> KeypointSample:
@@ -175,7 +194,7 @@ class KeypointDataset(Dataset[KeypointSample]):
         visibility = rows.keypoints[row, :, 2]
         keypoints_px = np.where(visibility[:, None] > 0, rows.keypoints[row, :, :2], np.nan)
         on_crop = moved(crop_from_image, keypoints_px)
-        # Edges of the crop; False for NaN.
+        # Within the edges of the crop; False for NaN.
         inside = np.all((on_crop >= -0.5) & (on_crop < self.input_px - 0.5), axis=1)
         on_heatmap = np.where(inside[:, None], moved(self._heatmap_from_crop, on_crop), np.nan)
         return {
@@ -196,17 +215,17 @@ class KeypointDataset(Dataset[KeypointSample]):
             "annotation_id": int(rows.annotation_ids[row]),
         }
 
-    def _regions(self) -> list[Region]:
-        """The pixels that a crop may need, an instance."""
+    def _rectangles(self) -> list[Rectangle]:
+        """The pixels that the crops of each instance may need."""
         half = reach(self._augment)
         return [
-            region_around(box, half=half, width=int(width), height=int(height))
+            rectangle_around(box, half=half, width=int(width), height=int(height))
             for box, (width, height) in zip(self._rows.square_boxes, self._rows.sizes, strict=True)
         ]
 
 
 def _choose(data: dict[str, Any], name: str | None, source: Path) -> tuple[KeypointModel, int]:
-    """The model and category id of the object asked for."""
+    """Return the model and category id of the object asked for."""
     models = [item.model for item in objects_from_coco(data)]
     names = [model.name for model in models]
     if name is None and len(models) == 1:

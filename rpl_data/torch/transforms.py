@@ -1,9 +1,9 @@
-"""Affine maps between image, crop and heatmap, and what moves along with them.
+"""Affine maps between image, crop and heatmap, and the pixels and positions they move.
 
 A 2x3 matrix ``a_from_b`` takes pixel positions in b to a; pixel centres are whole numbers in all of them, so
 an image n pixels wide covers -0.5 to n - 0.5 and resizing keeps edges, not centres, in place. Nothing here
-mirrors: a mirrored object is another object. OpenCV is imported where it works, so that a program can take
-its options from `Augmentation` and still explain itself quickly.
+mirrors: a mirrored object is another object. OpenCV is imported where it is used, so that a program that
+takes its options from `Augmentation` still prints its help quickly.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ Resampled = UInt8[np.ndarray, "out_height out_width *channels"]
 
 @dataclass(frozen=True)
 class Augmentation:
-    """How far a training crop may stray from the label's box. Amounts are largest deviations, uniform.
+    """How far a training crop may stray from the label's box: largest deviations, drawn uniformly.
 
     Attributes:
-        scale: the side of the box times 1 - scale to 1 + scale (the paper's trainer: 0.25).
-        shift: of the box, as a share of its side, each axis.
-        rotation_deg: in the image plane, about the centre of the crop. It is part of `crop_from_image` and
+        scale: the box's side is multiplied by 1 - scale to 1 + scale (the paper's trainer: 0.25).
+        shift: the box moves by this share of its side at most, along each axis.
+        rotation_deg: rotation in the image plane about the crop's centre. It is part of `crop_from_image` and
             never alters the intrinsics.
-        gain: factor 1 - gain to 1 + gain of each colour channel (the paper's trainer: 0.2).
+        gain: each colour channel is multiplied by 1 - gain to 1 + gain (the paper's trainer: 0.2).
         offset: added to all channels, as a share of white.
     """
 
@@ -40,7 +40,7 @@ class Augmentation:
 
 
 FULL_FROM_HALF: Affine = np.array([[2, 0, 0.5], [0, 2, 0.5]])
-"""The map from an image half as wide and high to the whole one; their edges coincide."""
+"""Map from an image of half the width and height to the full one; their edges coincide."""
 
 
 # Affine maps --------------------------------------------------------------------------------------
@@ -49,7 +49,7 @@ FULL_FROM_HALF: Affine = np.array([[2, 0, 0.5], [0, 2, 0.5]])
 def crop_from_square(
     centre_px: Float64[np.ndarray, "2"], side_px: float, *, input_px: int, rotation_rad: float = 0.0
 ) -> Affine:
-    """The map from the image to a crop `input_px` wide that shows the square, turned by `rotation_rad`."""
+    """Map from the image to a crop `input_px` wide that shows the square, rotated by `rotation_rad`."""
     zoom = input_px / side_px
     cos, sin = zoom * np.cos(rotation_rad), zoom * np.sin(rotation_rad)
     linear = np.array([[cos, -sin], [sin, cos]])
@@ -58,37 +58,37 @@ def crop_from_square(
 
 
 def heatmap_from_crop(*, input_px: int, heatmap_px: int) -> Affine:
-    """The map from a crop to its heatmap; their edges coincide."""
+    """Map from a crop to its heatmap; their edges coincide."""
     zoom = heatmap_px / input_px
     return np.array([[zoom, 0, (zoom - 1) / 2], [0, zoom, (zoom - 1) / 2]])
 
 
 def moved(a_from_b: Affine, positions_b: Float64[np.ndarray, "*batch 2"]) -> Float64[np.ndarray, "*batch 2"]:
-    """Positions in a; NaN stays NaN."""
+    """Move positions from b to a; NaN stays NaN."""
     positions: Float64[np.ndarray, "*batch 2"] = positions_b @ a_from_b[:, :2].T + a_from_b[:, 2]
     return positions
 
 
 def inverted(a_from_b: Affine) -> Affine:
-    """``b_from_a``."""
+    """Invert a map: returns ``b_from_a``."""
     linear = np.linalg.inv(a_from_b[:, :2])
     return np.column_stack([linear, -linear @ a_from_b[:, 2]])
 
 
 def chained(a_from_b: Affine, b_from_c: Affine) -> Affine:
-    """``a_from_c``."""
+    """Chain two maps: returns ``a_from_c``."""
     return np.column_stack(
         [a_from_b[:, :2] @ b_from_c[:, :2], a_from_b[:, :2] @ b_from_c[:, 2] + a_from_b[:, 2]]
     )
 
 
 def zoom_of(a_from_b: Affine) -> float:
-    """How many pixels of a one of b is long."""
+    """Length of one pixel of b, in pixels of a."""
     return float(np.sqrt(abs(np.linalg.det(a_from_b[:, :2]))))
 
 
 def warped(image: Pixels, out_from_image: Affine, *, size: tuple[int, int]) -> Resampled:
-    """The image seen through the map, (width, height) = `size`, black beyond the image's edge."""
+    """Warp the image to `size` = (width, height); black beyond the image's edge."""
     import cv2
 
     result: Resampled = cv2.warpAffine(image, out_from_image, size, flags=cv2.INTER_LINEAR)
@@ -96,7 +96,7 @@ def warped(image: Pixels, out_from_image: Affine, *, size: tuple[int, int]) -> R
 
 
 def warped_smoothly(image: Pixels, out_from_image: Affine, *, size: tuple[int, int]) -> Resampled:
-    """`warped`, but pixels are averaged where the map shrinks, so that fine texture does not alias."""
+    """Warp like `warped`, but average pixels where the map shrinks, so that fine texture does not alias."""
     import cv2
 
     zoom = zoom_of(out_from_image)
@@ -121,7 +121,7 @@ def random_crop_from_square(
     *,
     input_px: int,
 ) -> Affine:
-    """`crop_from_square` of a square that is shifted, scaled and turned at random."""
+    """Map to a crop (as `crop_from_square`) of the square after a random shift, scaling and rotation."""
     shift, turn = (
         rng.uniform(-augmentation.shift, augmentation.shift, 2),
         np.deg2rad(augmentation.rotation_deg),
@@ -135,7 +135,7 @@ def random_crop_from_square(
 
 
 def reach(augmentation: Augmentation | None) -> float:
-    """Half side of the upright square that holds every augmented crop, as a multiple of the box's side."""
+    """Half side of the upright square around every possible crop, as a multiple of the box's side."""
     if augmentation is None:
         return 0.5
     turn = np.deg2rad(min(augmentation.rotation_deg, 45.0))
@@ -143,7 +143,7 @@ def reach(augmentation: Augmentation | None) -> float:
 
 
 def jittered(image: Image, augmentation: Augmentation, rng: np.random.Generator) -> Image:
-    """The image with another gain in each channel and another brightness; a look-up, so it costs little."""
+    """Change each channel's gain and the brightness at random, by a look-up table for speed."""
     import cv2
 
     if augmentation.gain == 0 and augmentation.offset == 0:

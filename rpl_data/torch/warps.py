@@ -1,4 +1,4 @@
-"""Images of instances seen through an affine map, with their masks, boxes and keypoints."""
+"""Warp images by an affine map, together with the masks, boxes and keypoints of their instances."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ from rpl_data.torch.transforms import (
 
 
 class RandomAffine:
-    """Shifts, zooms, turns and colours an image at random, and everything in its target with it."""
+    """Shift, zoom, rotate and colour an image at random, and move everything in its target with it."""
 
     def __init__(self, augmentation: Augmentation) -> None:
-        """`augmentation.shift` is a share of the image's longer side."""
+        """Take the amounts; `augmentation.shift` is a share of the image's longer side."""
         self._augmentation = augmentation
 
     def __call__(self, image: Tensor, target: InstanceTarget) -> InstanceSample:
-        """Another view of the same size; instances that leave the image leave the target."""
+        """Return a changed image of the same size; instances that leave it are dropped from the target."""
         rng = np.random.default_rng(int(torch.randint(2**62, ()).item()))
         height, width = image.shape[-2:]
         side = max(height, width)
         centre = np.array([(width - 1) / 2, (height - 1) / 2])
         out_from_image = random_crop_from_square(centre, float(side), self._augmentation, rng, input_px=side)
-        out_from_image[:, 2] += centre - (side - 1) / 2  # from the middle of a square to the image's
+        out_from_image[:, 2] += centre - (side - 1) / 2  # from the square's centre to the image's centre
         return warp_instances(image, target, out_from_image, augmentation=self._augmentation, rng=rng)
 
 
@@ -49,7 +49,7 @@ def warp_instances(
     augmentation: Augmentation | None = None,
     rng: np.random.Generator | None = None,
 ) -> InstanceSample:
-    """`warp_pixels` of an image that is a tensor already (float32, 0 to 1); its size stays."""
+    """Warp as `warp_pixels` an image that is already a tensor (float32, 0 to 1), keeping its size."""
     pixels = (image.permute(1, 2, 0).numpy() * 255).round().astype(np.uint8)
     return warp_pixels(pixels, target, out_from_image, augmentation=augmentation, rng=rng)
 
@@ -65,16 +65,16 @@ def warp_pixels(
     augmentation: Augmentation | None = None,
     rng: np.random.Generator | None = None,
 ) -> InstanceSample:
-    """Image, masks, boxes, areas and keypoints moved together; boxes are those of the moved masks.
+    """Move image, masks, boxes, areas and keypoints together; boxes are taken from the moved masks.
 
     Keypoints that leave the image become 0, 0, 0.
 
     Args:
-        out_from_image: from the whole image, whose masks the target has.
-        size: width and height of what comes out; those of `pixels` when left out.
-        halved: `pixels` are the image at half its size.
-        smallest_px: instances whose box is narrower or lower than this leave the target.
-        augmentation, rng: colours are changed when both are given.
+        out_from_image: map from the full-size image, which the target's masks belong to.
+        size: width and height of the result; those of `pixels` when left out.
+        halved: whether `pixels` is the image at half its size.
+        smallest_px: instances whose box is narrower or lower than this are dropped.
+        augmentation, rng: the colours are changed too when both are given.
     """
     width, height = size or (pixels.shape[1], pixels.shape[0])
     out_from_pixels = chained(out_from_image, FULL_FROM_HALF) if halved else out_from_image
@@ -102,7 +102,7 @@ def warp_pixels(
 
 
 def _box(mask: np.ndarray) -> tuple[int, int, int, int]:
-    """COCO's edges of a mask with at least one pixel."""
+    """Bounding box, with COCO's edges, of a mask with at least one pixel."""
     columns, rows = np.flatnonzero(mask.any(axis=0)), np.flatnonzero(mask.any(axis=1))
     return int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1
 

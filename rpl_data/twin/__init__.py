@@ -1,4 +1,8 @@
-"""Exact-truth RGB-D recordings of made-up scenes: objects, scene, trajectory, renderer, sensor, annotator."""
+"""The twin: RGB-D recordings rendered from made-up scenes, with exact ground truth.
+
+A twin has objects on a table, a hand-held camera path, a renderer, a model of the sensor's errors, and a
+simulated annotator who clicks.
+"""
 
 from rpl_data.twin.spec import TwinSpec
 from rpl_data.twin.write import write_twin

@@ -1,4 +1,4 @@
-"""A simulated person who clicks the landmarks of an object, and gets some of them wrong."""
+"""A simulated annotator, who clicks the landmarks of an object and makes some mistakes."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from jaxtyping import Float64
 from rpl_data.types import Click, FrameLabel, InstanceLabel, Intrinsics, Rle
 
 SLIP_PX = 4
-"""How far off the outline a click on the background lands."""
+"""Distance from the outline at which a click on the background lands."""
 FARTHEST_SLIP_PX = 15.0
-"""A keypoint farther than this from the outline is not taken for the background."""
+"""A keypoint farther than this from the outline is never clicked on the background."""
 
 
 @dataclass(frozen=True)
 class Mistakes:
-    """What a person gets wrong besides the pixel; 0 switches each off.
+    """Mistakes that the annotator makes besides pixel noise; 0 switches each off.
 
     Attributes:
-        missed: share of the clicks that are never made.
-        swapped: share of the scenes in which two keypoints are taken for each other.
+        missed: share of the clicks that are left out.
+        swapped: share of the scenes in which two keypoints are mistaken for each other.
         slipped: share of the clicks that land on the background right beside the object.
     """
 
@@ -36,8 +36,8 @@ NO_MISTAKES = Mistakes()
 
 
 @dataclass(frozen=True)
-class _View:
-    """A keypoint as a frame shows it."""
+class _Sighting:
+    """A keypoint that is visible in a frame, and where."""
 
     frame: int
     uv_px: Float64[np.ndarray, "2"]
@@ -53,42 +53,42 @@ def click(
     rng: np.random.Generator,
     mistakes: Mistakes = NO_MISTAKES,
 ) -> list[Click]:
-    """Clicks of a scene: each keypoint in well-spread frames of those in which it is seen.
+    """Make the clicks of a scene: each keypoint in well-spread frames among those that show it.
 
-    Fewer clicks where a keypoint is seen in fewer frames. Keypoints closer to the image's border than
-    the noise may reach are not clicked.
+    A keypoint seen in fewer frames gets fewer clicks. Keypoints so close to the image's border that the noise
+    could reach it are not clicked.
 
     Args:
-        labels: the truth of the scene's frames.
-        noise_px: standard deviation, each axis.
-        mistakes: they have random numbers of their own: what is not mistaken stays where it was.
+        labels: the true labels of the scene's frames.
+        noise_px: standard deviation of a click, per axis.
+        mistakes: drawn from random numbers of their own, so that all other clicks stay the same.
     """
     own = {label.frame: one for label in labels for one in label.instances if one.object == object_name}
-    views = _clear_views(own, intrinsics, margin_px=4 * noise_px + 1)
+    sightings = _clear_sightings(own, intrinsics, margin_px=4 * noise_px + 1)
     clicks = []
-    for keypoint, seen in sorted(views.items()):
+    for keypoint, seen in sorted(sightings.items()):
         for pick in _spread(rng, len(seen), clicks_per_keypoint):
             u, v = (seen[pick].uv_px + noise_px * rng.standard_normal(2)).tolist()
             clicks.append(Click(object_name, keypoint, labels[0].scene, seen[pick].frame, u, v))
     return _mistaken(clicks, own, mistakes, rng.spawn(1)[0])
 
 
-def _clear_views(
+def _clear_sightings(
     instances: dict[int, InstanceLabel], intrinsics: Intrinsics, *, margin_px: float
-) -> dict[int, list[_View]]:
-    """By keypoint, the frames in which it is seen and not near the border."""
+) -> dict[int, list[_Sighting]]:
+    """Collect, for each keypoint, the frames in which it is visible and not near the border."""
     far = np.array([intrinsics.width, intrinsics.height]) - margin_px
-    views: dict[int, list[_View]] = {}
+    sightings: dict[int, list[_Sighting]] = {}
     for frame, instance in instances.items():
         uv = instance.keypoints_px
         clear = (instance.visibility == 2) & (uv > margin_px).all(axis=1) & (uv < far).all(axis=1)
         for keypoint in np.flatnonzero(clear).tolist():
-            views.setdefault(keypoint, []).append(_View(frame, uv[keypoint]))
-    return views
+            sightings.setdefault(keypoint, []).append(_Sighting(frame, uv[keypoint]))
+    return sightings
 
 
 def _spread(rng: np.random.Generator, count: int, wanted: int) -> list[int]:
-    """One random position in each of `wanted` equal parts of 0 .. count - 1."""
+    """Draw one random position in each of `wanted` equal parts of 0 .. count - 1."""
     if count <= wanted:
         return list(range(count))
     bounds = np.linspace(0, count, wanted + 1).astype(int)
@@ -101,7 +101,7 @@ def _spread(rng: np.random.Generator, count: int, wanted: int) -> list[int]:
 def _mistaken(
     clicks: list[Click], instances: dict[int, InstanceLabel], mistakes: Mistakes, rng: np.random.Generator
 ) -> list[Click]:
-    """The clicks of a scene as somebody careless makes them."""
+    """Change the clicks of a scene into those that a careless annotator makes."""
     missed, slipped = rng.random((2, len(clicks)))
     clicks = [
         _beside(one, instances[one.frame].mask_full) if slip < mistakes.slipped else one
@@ -117,7 +117,7 @@ def _mistaken(
 
 
 def _beside(one: Click, mask_full: Rle) -> Click:
-    """The click moved off the object by the shortest way; unmoved in the middle of it."""
+    """Move the click off the object by the shortest way; unmoved when it is far from the outline."""
     from pycocotools import mask as coco_mask
 
     reach = np.ones((2 * SLIP_PX + 1, 2 * SLIP_PX + 1), np.uint8)

@@ -1,4 +1,4 @@
-"""Camera paths that drift, as every odometry does: slowly, smoothly and without a return."""
+"""Make camera paths drift as every odometry does: slowly, smoothly and without returning."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from rpl_data.types import DataError
 
 @dataclass(frozen=True)
 class Drift:
-    """How far a path has strayed at its end (root mean square over many paths).
+    """Error of a path's last pose (root mean square over many paths).
 
     Attributes:
-        metres: of the camera's place.
-        degrees: of its orientation.
-        smooth_s: movements of the error faster than this are smoothed away.
+        metres: error of the camera's position.
+        degrees: error of its orientation.
+        smooth_s: changes of the error faster than this are smoothed away.
     """
 
     metres: float = 0.005
@@ -26,9 +26,9 @@ class Drift:
     smooth_s: float = 1.0
 
     def __post_init__(self) -> None:
-        """Refuse what is no drift."""
+        """Refuse negative values."""
         if self.metres < 0 or self.degrees < 0 or self.smooth_s < 0:
-            raise DataError(f"a drift is not negative; got {self}")
+            raise DataError(f"the values of a drift must not be negative; got {self}")
 
 
 def drifted(
@@ -38,9 +38,9 @@ def drifted(
     *,
     rng: np.random.Generator,
 ) -> Float64[np.ndarray, "n 4 4"]:
-    """The path with the error of each pose in its own camera's frame; the first pose is exact.
+    """Return the path with drift; each error is in its own camera's frame, and the first pose is exact.
 
-    The error is a random walk of place and orientation with smoothed steps, so it grows with the
+    The error is a random walk of position and orientation with smoothed steps, so it grows with the
     square root of time, and neighbouring frames agree.
     """
     count = len(times_s)
@@ -55,7 +55,7 @@ def drifted(
 
 
 def _window(times_s: Float64[np.ndarray, " n"], smooth_s: float) -> Float64[np.ndarray, " m"]:
-    """Weights of the smoothing, summing to one; not longer than the path."""
+    """Weights of the smoothing filter, which sum to one; it is not longer than the path."""
     period_s = float(np.median(np.diff(times_s)))
     length = int(np.clip(round(smooth_s / max(period_s, 1e-6)), 1, len(times_s)))
     weights = np.hanning(length + 2)[1:-1]
@@ -66,11 +66,11 @@ def _window(times_s: Float64[np.ndarray, " n"], smooth_s: float) -> Float64[np.n
 def _walk(
     rng: np.random.Generator, count: int, *, window: Float64[np.ndarray, " m"]
 ) -> Float64[np.ndarray, "count 6"]:
-    """Six walks from 0 whose last values have unit variance."""
+    """Draw six random walks from 0 whose last values have unit variance."""
     steps = rng.standard_normal((count - 1 + len(window) - 1, 6))
     smooth = np.stack([np.convolve(column, window, mode="valid") for column in steps.T], axis=1)
     walk = np.vstack([np.zeros(6), np.cumsum(smooth, axis=0)])
-    # The last value is the sum of all steps, each counted as often as windows hold it.
+    # The last value is the sum of all steps, each weighted by how many windows contain it.
     counted = np.convolve(np.ones(count - 1), window, mode="full")
     unit: Float64[np.ndarray, "count 6"] = walk / np.sqrt((counted**2).sum())
     return unit

@@ -1,4 +1,4 @@
-"""Where a rendered image must be anti-aliased, and what the rays through such a pixel know of its light."""
+"""Find the pixels of a rendered image that need anti-aliasing, and the light that reaches them."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Int64
 
 CORNERS = ((-0.125, -0.375), (0.375, -0.125), (0.125, 0.375), (-0.375, 0.125))
-"""Where in an edge pixel its four rays go: a rotated grid."""
+"""Positions of the four rays within an edge pixel: a rotated grid."""
 
 
 def find_edges(
@@ -14,7 +14,7 @@ def find_edges(
     normals: Float32[np.ndarray, "height width 3"],
     depth_m: Float32[np.ndarray, "height width"],
 ) -> Bool[np.ndarray, "height width"]:
-    """Pixels beside another surface, another face or another distance; both sides of the edge."""
+    """Pixels next to another surface, another face or a jump in depth; both sides of each edge."""
     edges = np.zeros(thing.shape, dtype=bool)
     for here, there in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
         bend = np.einsum("hwk,hwk->hw", normals[here], normals[there]) < 0.9
@@ -32,7 +32,7 @@ def of_neighbours(
     columns: Int64[np.ndarray, " n"],
     wanted: Int64[np.ndarray, " n"],
 ) -> Float32[np.ndarray, "n 2"]:
-    """The values of the pixel, or of the first pixel beside it, that shows the wanted thing; else 1."""
+    """Values of the pixel, or of its first neighbour, that shows the wanted surface; 1 where none does."""
     found = np.ones((len(rows), 2), np.float32)
     open_ = np.ones(len(rows), dtype=bool)
     for dv, du in ((0, 0), (0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1)):

@@ -1,4 +1,4 @@
-"""One video of a twin: what stands where, where the camera goes, and each frame with its truth."""
+"""One video of a twin: its scene, its camera path, and each frame with its ground truth."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from rpl_data.twin.trajectory import hand_held
 from rpl_data.types import Box, ColorImage, DepthImage, FrameLabel, InstanceLabel, Rle
 
 SEEN_WITHIN_M = 0.001
-"""Landmarks lie on the surface; a surface this much in front of one is its own."""
+"""A landmark lies on its surface, so a surface this close in front of it does not hide it."""
 INSTANT_S = 0.002
-"""The camera's velocity is taken between so long before and after a frame."""
+"""The camera's velocity is measured between this long before and this long after a frame."""
 
 
 @dataclass(frozen=True)
 class Shot:
-    """A frame as the sensor gives it, and the truth."""
+    """A frame as the sensor records it, with its ground truth."""
 
     color: ColorImage
     depth_m: DepthImage
@@ -37,13 +37,13 @@ class Shot:
 
 @dataclass(frozen=True)
 class Film:
-    """A video before it is rendered.
+    """A video that can be rendered frame by frame.
 
     Attributes:
-        objects: those of this scene, in the spec's order.
-        table_from_camera: one a frame, in the middle of its exposure.
-        twists: velocity of the camera then.
-        table_from_imager: where the camera was when it took the depth image of each frame.
+        objects: the objects of this scene, in the spec's order.
+        table_from_camera: one pose per frame, in the middle of its exposure.
+        twists: velocity of the camera at those moments.
+        table_from_imager: pose of the camera when it took the depth image of each frame.
     """
 
     spec: TwinSpec
@@ -56,27 +56,27 @@ class Film:
 
     @cached_property
     def renderer(self) -> Renderer:
-        """The scene prepared for rays, on first use."""
+        """The renderer of the scene, prepared on first use."""
         return Renderer(self.scene, self.spec.intrinsics)
 
     @cached_property
     def times_s(self) -> Float64[np.ndarray, " n"]:
-        """When each frame is taken."""
+        """Time of each frame."""
         return self.spec.times_s(self.number)
 
     @property
     def scene_from_camera(self) -> Float64[np.ndarray, "n 4 4"]:
-        """The trajectory in the frame of the first camera."""
+        """The trajectory, in the frame of the first camera."""
         poses: Float64[np.ndarray, "n 4 4"] = invert(self.table_from_camera[0]) @ self.table_from_camera
         return poses
 
     def scene_from_object(self, number: int) -> Transform:
-        """Where an object stands, in the frame of the first camera."""
+        """Pose of an object, in the frame of the first camera."""
         pose: Transform = invert(self.table_from_camera[0]) @ self.scene.table_from_object[number]
         return pose
 
     def shoot(self, frame: int) -> Shot:
-        """Render a frame; the same spec, scene and frame give the same pixels."""
+        """Render a frame; the same spec, scene and frame always give the same pixels."""
         rng = np.random.default_rng([self.spec.seed, self.number, 1, frame])
         perfect = self.renderer.render(self.table_from_camera[frame])
         older = perfect
@@ -91,7 +91,7 @@ class Film:
         return Shot(color, depth_m, perfect, self._label(frame, perfect.thing))
 
     def as_shown(self, label: FrameLabel) -> FrameLabel:
-        """The label with its keypoints where the image has them: off in rows exposed early or late."""
+        """Move the label's keypoints to where the image shows them: rows are exposed at different times."""
         instances = tuple(
             replace(one, keypoints_px=self._shown_px(one, label.frame)) for one in label.instances
         )
@@ -114,7 +114,7 @@ class Film:
     def _instance(
         self, number: int, frame: int, thing: Int64[np.ndarray, "height width"]
     ) -> InstanceLabel | None:
-        """The exact label of an object; None when it is not in the image at all."""
+        """The exact label of an object; None when no part of it projects into the image."""
         table_from_camera, table_from_object = (
             self.table_from_camera[frame],
             self.scene.table_from_object[number],
@@ -146,7 +146,7 @@ class Film:
     def _visibility(
         self, number: int, keypoints_px: Float64[np.ndarray, "k 2"], table_from_camera: Transform
     ) -> Int64[np.ndarray, " k"]:
-        """COCO's v: 2 seen, 1 hidden by the object itself or another thing, 0 outside the image."""
+        """COCO's v: 2 seen, 1 hidden by the object itself or by something else, 0 outside the image."""
         points = transform(self.scene.table_from_object[number], self.objects[number].model.points_object)
         seen = self.renderer.sees(points, table_from_camera, tolerance_m=SEEN_WITHIN_M)
         inside = inside_image(self.spec.intrinsics, keypoints_px)
@@ -154,10 +154,10 @@ class Film:
 
 
 def film(spec: TwinSpec, number: int) -> Film:
-    """The video with that number; everything follows from the spec.
+    """Prepare video `number` of a twin; everything follows from the spec.
 
     Raises:
-        DataError: an object that does not exist.
+        DataError: the spec names an object that does not exist.
     """
     cast = spec.casts[number].objects
     objects = tuple(build(thing) for thing in spec.things if thing.name in cast)

@@ -1,4 +1,4 @@
-"""How a twin is lit: a lamp, a window, the light the room throws back; and what glossy things mirror.
+"""Lighting of a twin: a lamp, a window, light reflected by the room, and reflections on glossy things.
 
 Everything works on rows of points, in linear light, in the table frame (z up).
 """
@@ -16,25 +16,25 @@ Row = Float32[np.ndarray, " n"]
 GAMMA = 2.2
 TO_LINEAR = (np.arange(256, dtype=np.float32) / 255) ** np.float32(GAMMA)
 BRIGHTEST = 4.0
-"""Light beyond this is white."""
+"""Light beyond this is white in the image."""
 KNEE = 0.6
-"""Up to here a camera's response is linear (before gamma); beyond, highlights are pressed together."""
+"""The camera's response is linear up to here (before gamma); brighter highlights are compressed."""
 FRESNEL = 0.04
-"""Share of light that plastic, varnish or glass mirrors when looked at straight (index 1.5)."""
+"""Share of light that plastic, varnish or glass reflects at normal incidence (index 1.5)."""
 
 
 @dataclass(frozen=True)
 class Light:
-    """A lamp above the table, a window, and the light the room throws back.
+    """A lamp above the table, a window, and the light that the room reflects.
 
     Attributes:
-        position_m, radius_m: of the lamp, a ball.
-        strength: of the lamp on the table below it.
+        position_m, radius_m: centre and radius of the lamp, a ball.
+        strength: light of the lamp on the table below it.
         ambient: light of the ceiling.
-        color: of the lamp.
-        window: unit direction to the middle of the window.
-        daylight: strength of the window on what faces it.
-        below: colour that the table throws back.
+        color: colour of the lamp.
+        window: unit direction to the centre of the window.
+        daylight: light of the window on a surface that faces it.
+        below: colour of the light that the table reflects.
     """
 
     position_m: Float64[np.ndarray, "3"]
@@ -58,12 +58,12 @@ def shaded(
     lamp_seen: Row,
     room_seen: Row,
 ) -> Rows:
-    """Linear light towards the camera.
+    """Compute the linear light that reaches the camera from each point.
 
     Args:
         view: unit vectors to the camera.
         lamp_seen: share of the lamp that is not hidden.
-        room_seen: share of the room that is not hidden by what stands near.
+        room_seen: share of the room that nearby things do not hide.
     """
     to_lamp = light.position_m.astype(np.float32) - points
     squared = np.einsum("nk,nk->n", to_lamp, to_lamp)
@@ -85,7 +85,7 @@ def shaded(
 
 
 def _room(light: Light, normals: Rows) -> Rows:
-    """Light from ceiling, table and window on surfaces that face some way."""
+    """Light from ceiling, table and window on surfaces with these normals."""
     up = 0.5 + 0.5 * normals[:, 2:]
     ceiling = np.float32(light.ambient) * np.array([0.97, 1.0, 1.02], np.float32)
     below = np.float32(0.8 * light.ambient) * light.below.astype(np.float32)
@@ -98,7 +98,7 @@ def _room(light: Light, normals: Rows) -> Rows:
 def _mirrored(
     light: Light, normals: Rows, view: Rows, to_lamp: Rows, gloss: Row, lamp: Row, room_seen: Row
 ) -> Rows:
-    """Highlight of the lamp (Blinn, SIGGRAPH 1977) and the mirrored room (Schlick's Fresnel, 1994)."""
+    """Reflection of the lamp (Blinn, SIGGRAPH 1977) and of the room (Schlick's Fresnel term, 1994)."""
     cos = np.einsum("nk,nk->n", normals, view).clip(0)
     fresnel = FRESNEL + (1 - FRESNEL) * (1 - cos) ** 5
     half = to_lamp + view
@@ -112,7 +112,7 @@ def _mirrored(
 
 
 def _surroundings(light: Light, directions: Rows) -> Rows:
-    """What a mirror would show: a bright window with a cross in it, the ceiling, the table below."""
+    """Light that a mirror would show: a bright window with crossbars, the ceiling, the table below."""
     w = light.window.astype(np.float32)
     side = np.cross(w, [0.0, 0.0, 1.0]).astype(np.float32)
     side /= np.linalg.norm(side)
@@ -128,13 +128,13 @@ def _surroundings(light: Light, directions: Rows) -> Rows:
 
 
 def _step(edge: float, value: Row) -> Row:
-    """1 well below the edge, 0 well above."""
+    """A smooth step: 1 well below the edge, 0 well above."""
     step: Row = ((np.float32(edge + 0.03) - value) / np.float32(0.06)).clip(0, 1)
     return step
 
 
 def _response() -> np.ndarray:
-    """Grey levels of linear light 0 .. BRIGHTEST, in 4096 steps: highlights roll off, then gamma."""
+    """Grey levels of linear light 0 .. BRIGHTEST in 4096 steps: highlights are compressed, then gamma."""
     light = np.linspace(0, BRIGHTEST, 4096)
     rolled = np.where(light < KNEE, light, KNEE + (1 - KNEE) * (1 - np.exp(-(light - KNEE) / (1 - KNEE))))
     return np.round(255 * rolled ** (1 / GAMMA)).astype(np.uint8)
@@ -144,6 +144,6 @@ RESPONSE = _response()
 
 
 def to_srgb(linear: np.ndarray) -> np.ndarray:
-    """Grey levels of linear light, any shape."""
+    """Convert linear light to grey levels, any shape."""
     grey: np.ndarray = RESPONSE[(linear * np.float32(4095 / BRIGHTEST)).clip(0, 4095).astype(np.int32)]
     return grey

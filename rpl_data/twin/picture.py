@@ -1,4 +1,4 @@
-"""Textures as the renderer samples them: a pyramid of sizes, so that what is far away does not flicker."""
+"""Textures with smaller copies of themselves, so that distant surfaces do not flicker."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ LEVELS = 6
 
 @dataclass(frozen=True)
 class Picture:
-    """A texture and its halvings side by side in one image (Williams, "Pyramidal parametrics", 1983).
+    """A texture and its repeated halvings in one image (Williams, "Pyramidal parametrics", 1983).
 
     Attributes:
-        image: the texture with the halvings in a column to its right; sRGB.
-        left, top, width, height: of every level in it, pixels.
-        texels_per_m: of every triangle of the surface, at full size.
+        image: the texture, with its halvings in a column to its right; sRGB.
+        left, top, width, height: position and size of each level in the image, pixels.
+        texels_per_m: texture pixels (texels) per metre on every triangle, at full size.
     """
 
     image: ColorImage
@@ -33,7 +33,7 @@ class Picture:
 
     @staticmethod
     def of(surface: Surface) -> Picture:
-        """The pyramid of a surface's texture."""
+        """Build the pyramid of a surface's texture."""
         pages = [surface.texture]
         while len(pages) < LEVELS and min(pages[-1].shape[:2]) > 1:
             height, width = (max(side // 2, 1) for side in pages[-1].shape[:2])
@@ -52,7 +52,7 @@ class Picture:
     def at(
         self, uv: Float32[np.ndarray, "n 2"], footprint_texels: Float32[np.ndarray, " n"]
     ) -> UInt8[np.ndarray, "n 3"]:
-        """The colours at positions (0 to 1, v down), each from the level whose texels fit its pixel."""
+        """Colours at these positions (0 to 1, v down), each from the level whose texels match its pixel."""
         level = np.log2(np.maximum(footprint_texels, 1)).astype(np.int32).clip(0, len(self.left) - 1)
         width, height = self.width[level], self.height[level]
         x = (uv[:, 0] * width - 0.5).clip(0, width - 1) + self.left[level]
@@ -61,7 +61,7 @@ class Picture:
 
 
 def _texels_per_m(surface: Surface) -> Float32[np.ndarray, " m"]:
-    """Square root of the texture's area over the triangle's."""
+    """Square root of the texture's area over the triangle's area."""
     a, b, c = (surface.vertices[surface.triangles[:, i]] for i in range(3))
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     size = np.array(surface.texture.shape[1::-1], np.float64)
@@ -74,8 +74,8 @@ def _texels_per_m(surface: Surface) -> Float32[np.ndarray, " m"]:
 def _remapped(
     image: ColorImage, x: Float32[np.ndarray, " n"], y: Float32[np.ndarray, " n"]
 ) -> UInt8[np.ndarray, "n 3"]:
-    """The image at positions, bilinear."""
-    rows = -(-len(x) // 1024)  # cv2.remap wants an image, no side of it over 32,767
+    """Sample the image at these positions, bilinearly."""
+    rows = -(-len(x) // 1024)  # cv2.remap needs an image with no side over 32,767
     x_image, y_image = (np.resize(axis, (rows, 1024)) for axis in (x, y))
     picked = cv2.remap(image, x_image, y_image, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     colors: UInt8[np.ndarray, "n 3"] = picked.reshape(-1, 3)[: len(x)].astype(np.uint8, copy=False)

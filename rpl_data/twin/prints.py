@@ -1,4 +1,4 @@
-"""What is printed on the objects of a twin: sheets, lettering, bar codes, and where print meets shape."""
+"""Print for the objects of a twin: sheets, lettering, bar codes, and marks placed on grids."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Mark = tuple[int, int, int, int]
 
 
 def sheet(width_m: float, height_m: float, color: Rgb) -> ColorImage:
-    """A blank face, with the darker line a fold has."""
+    """A blank face, with the darker line of a fold."""
     image = np.full((round(height_m * PX_PER_M), round(width_m * PX_PER_M), 3), color, np.uint8)
     worn = tuple(int(0.8 * channel) for channel in color)
     cv2.rectangle(image, (0, 0), (image.shape[1] - 1, image.shape[0] - 1), worn, 5)
@@ -25,12 +25,12 @@ def sheet(width_m: float, height_m: float, color: Rgb) -> ColorImage:
 
 
 def write(image: ColorImage, text: str, at: tuple[int, int], size: float, color: Rgb, thick: int = 2) -> None:
-    """Letters with their lower left corner at a pixel, in place."""
+    """Draw letters into the image; `at` is their lower left corner."""
     cv2.putText(image, text, at, cv2.FONT_HERSHEY_DUPLEX, size, color, thick, cv2.LINE_AA)
 
 
 def barcode(image: ColorImage, left: int, top: int, width: int, height: int) -> None:
-    """Bars on white, in place."""
+    """Draw a bar code on white into the image."""
     cv2.rectangle(image, (left - 10, top - 10), (left + width + 10, top + height + 10), PAPER, -1)
     rng, u = np.random.default_rng(7), left
     while u < left + width:
@@ -40,7 +40,7 @@ def barcode(image: ColorImage, left: int, top: int, width: int, height: int) -> 
 
 
 def small_print(image: ColorImage, left: int, top: int, width: int, lines: int, color: Rgb) -> None:
-    """Lines too fine to read, in place."""
+    """Draw lines too fine to read into the image."""
     rng = np.random.default_rng(left + top)
     for line in range(lines):
         end = left + int(width * rng.uniform(0.6, 1.0))
@@ -50,7 +50,7 @@ def small_print(image: ColorImage, left: int, top: int, width: int, lines: int, 
 def moulded(
     rng: np.random.Generator, height: int, width: int, color: Rgb, *, rough: float = 0.1
 ) -> ColorImage:
-    """Plastic or painted metal of one colour, with the grain and smudges of use."""
+    """Plastic or painted metal of one colour, with grain and smudges of use."""
     grain = textures.fractal_noise(rng, height, width, cells=64, octaves=2)
     smudge = textures.fractal_noise(rng, height, width, cells=3, octaves=3)
     tone = 1 + rough * (0.5 * grain + 0.5 * smudge - 0.5)
@@ -59,7 +59,7 @@ def moulded(
 
 
 def span_px(image: ColorImage, grid: Grid, mark: Mark) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Top left and bottom right pixel of a mark on the picture that covers the whole grid."""
+    """Top left and bottom right pixel of a mark, in the picture that covers the whole grid."""
     rows, columns = grid.shape[0] - 1, grid.shape[1] - 1
     height, width = image.shape[:2]
     top, left, bottom, right = mark
@@ -69,7 +69,7 @@ def span_px(image: ColorImage, grid: Grid, mark: Mark) -> tuple[tuple[int, int],
 
 
 def panel(image: ColorImage, grid: Grid, mark: Mark, color: Rgb) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Fill a mark with a colour, in place; its corners in pixels."""
+    """Fill a mark of the image with a colour, and return its two corners in pixels."""
     corners = span_px(image, grid, mark)
     cv2.rectangle(image, *corners, color, -1)
     return corners

@@ -1,7 +1,7 @@
-"""Exact images of a scene of a twin: colour, depth, which thing every pixel shows.
+"""Render exact images of a scene of a twin: colour, depth, and which surface each pixel shows.
 
-Rays by `rpl_data.raycast`, shading in numpy. Colour is anti-aliased where surfaces end; depth and masks
-are those of the pixel centres.
+Rays are cast by `rpl_data.raycast`, shading is done in numpy. Colour is anti-aliased where surfaces end;
+depth and masks are those of the pixel centres.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ from rpl_data.types import ColorImage, DepthImage, Intrinsics
 SKIN_M = 5e-4
 """Shadow rays start this far above the surface, so that it does not shadow itself."""
 NEAR_M = 0.2
-"""What stands nearer than this keeps the light of the room away."""
+"""Things nearer than this block the light of the room."""
 
 
 @dataclass(frozen=True)
 class Rendered:
-    """What the camera would see if it were perfect.
+    """The image that a perfect camera would record.
 
     Attributes:
-        depth_m: along the optical axis; 0 where there is nothing.
-        thing: number of the surface in `TwinScene.surfaces`; -1 = nothing. The objects come first.
+        depth_m: depth along the optical axis; 0 where there is nothing.
+        thing: number of the surface in `TwinScene.surfaces`; -1 = nothing. Objects come first.
         cos_incidence: cosine of the angle between the ray and the surface's normal; 0 = grazing.
-        albedo: share of the light the surface throws back, mean of the colours; linear, 0 to 1.
+        albedo: share of the light that the surface reflects, mean of the colours; linear, 0 to 1.
         shininess: 0 (paper) to 1 (polished metal).
     """
 
@@ -47,8 +47,8 @@ class Rendered:
 
 
 @dataclass(frozen=True)
-class _Seen:
-    """What some rays met, before any light is worked out.
+class _RayHits:
+    """The surface points that some rays met, before lighting.
 
     Attributes:
         view: unit vectors to the camera.
@@ -64,7 +64,7 @@ class _Seen:
 
 
 class Renderer:
-    """A scene prepared for rays; the camera changes from call to call."""
+    """A scene prepared for ray casting; the camera is given with each call."""
 
     def __init__(self, scene: TwinScene, intrinsics: Intrinsics) -> None:
         self.intrinsics = intrinsics
@@ -79,7 +79,7 @@ class Renderer:
         self._directions = directions.astype(np.float32)
 
     def render(self, table_from_camera: Transform) -> Rendered:
-        """The image from there."""
+        """Render the image of a camera at this pose."""
         shape = self._directions.shape[:2]
         seen = self._look(self._directions, table_from_camera)
         unhidden = self._unhidden(seen, shape)
@@ -98,7 +98,7 @@ class Renderer:
         )
 
     def full_mask(self, object_number: int, table_from_camera: Transform) -> Bool[np.ndarray, "height width"]:
-        """Pixels whose centre ray meets the object when nothing else is there."""
+        """Pixels whose centre ray would meet the object if nothing else were there."""
         mask = np.zeros(self._directions.shape[:2], dtype=bool)
         vertices = transform(invert(table_from_camera), self._surfaces[object_number].vertices)
         uv = project(self.intrinsics, vertices)
@@ -115,11 +115,11 @@ class Renderer:
     def sees(
         self, points_table: Float64[np.ndarray, "n 3"], table_from_camera: Transform, *, tolerance_m: float
     ) -> Bool[np.ndarray, " n"]:
-        """Which points nothing hides: no surface is more than `tolerance_m` in front of them."""
+        """Which points are not hidden: no surface is more than `tolerance_m` in front of them."""
         origin = table_from_camera[:3, 3]
         to_point = points_table - origin
         length = np.linalg.norm(to_point, axis=1, keepdims=True)
-        # Stretched so that every ray has come to within the tolerance of its point at t = 1.
+        # Rays are stretched so that each is within the tolerance of its point at t = 1.
         rays = np.hstack([np.broadcast_to(origin, to_point.shape), to_point * (1 - tolerance_m / length)])
         return ~self._rays.occluded(rays.astype(np.float32), far=1.0)
 
@@ -127,7 +127,7 @@ class Renderer:
 
     def _look(
         self, directions_camera: Float32[np.ndarray, "*shape 3"], table_from_camera: Transform
-    ) -> _Seen:
+    ) -> _RayHits:
         rays = rays_in_object(directions_camera, invert(table_from_camera))
         hits = self._rays.cast(rays)
         distance = np.where(np.isfinite(hits.t), hits.t, np.float32(0))
@@ -135,7 +135,7 @@ class Renderer:
         view = rays[:, 3:] * (-1 / np.sqrt(np.einsum("nk,nk->n", rays[:, 3:], rays[:, 3:])))[:, None]
         cos = np.abs(np.einsum("nk,nk->n", hits.normals, view))
         footprint_m = distance / np.float32(self.intrinsics.fx) / np.sqrt(cos.clip(0.05))
-        return _Seen(hits, points, view, *self._materials(hits, footprint_m), cos)
+        return _RayHits(hits, points, view, *self._materials(hits, footprint_m), cos)
 
     def _materials(
         self, hits: Hits, footprint_m: Float32[np.ndarray, " n"]
@@ -160,7 +160,7 @@ class Renderer:
                 gloss[here] = surface.gloss[corners]
         return albedo, normals, gloss
 
-    def _shaded(self, seen: _Seen, unhidden: Float32[np.ndarray, "n 2"]) -> Float32[np.ndarray, "n 3"]:
+    def _shaded(self, seen: _RayHits, unhidden: Float32[np.ndarray, "n 2"]) -> Float32[np.ndarray, "n 3"]:
         return shaded(
             self._light,
             albedo=seen.albedo,
@@ -174,10 +174,10 @@ class Renderer:
 
     # Shadows ----------------------------------------------------------------------------------------
 
-    def _unhidden(self, seen: _Seen, shape: tuple[int, int]) -> Float32[np.ndarray, "height width 2"]:
+    def _unhidden(self, seen: _RayHits, shape: tuple[int, int]) -> Float32[np.ndarray, "height width 2"]:
         """Share of the lamp and of the room that each pixel sees.
 
-        The pixels take turns, as on a chessboard: one asks for the lamp, the next for the room.
+        Pixels alternate as on a chessboard: one tests the lamp, the next the room.
         """
         sample, asks_lamp = tiled(shape)
         hits, met = seen.hits, seen.hits.mesh_id >= 0
@@ -201,7 +201,7 @@ class Renderer:
         unhidden: Float32[np.ndarray, "height width 2"],
         table_from_camera: Transform,
     ) -> None:
-        """Replace the colour of edge pixels by the mean over four rays through each, in place."""
+        """Replace the colour of edge pixels in `linear` by the mean over four rays through each."""
         rows, columns = np.nonzero(edges)
         if not len(rows):
             return

@@ -1,4 +1,4 @@
-"""How a rigid thing may rest on a table."""
+"""Find the poses in which a rigid thing can rest on a table."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 GIVE = 0.003
-"""How far from its lowest plane a thing still touches the table, of its size: nothing is quite flat."""
+"""Points this close to the lowest plane touch the table, as a share of the size: nothing is quite flat."""
 
 
 def resting_rotations(
     vertices: Float64[np.ndarray, "n 3"], *, steady_deg: float = 6.0, unlike_deg: float = 25.0
 ) -> list[Float64[np.ndarray, "3 3"]]:
-    """`table_from_object` rotations in which a rigid thing stands by itself, unlike one another.
+    """Find `table_from_object` rotations in which a rigid thing stands stably, unlike one another.
 
-    It rests on a face of its convex hull if the centre of mass (here: of the hull) is above that
-    face, and still is when the table tilts by `steady_deg` (Goldberg et al., IJRR 18, 1999). The
-    steadiest comes first, then always the one most unlike those before it.
+    It rests on a face of its convex hull if the centre of mass (here: of the hull) is above that face and
+    stays so when the table tilts by `steady_deg` (Goldberg et al., IJRR 18, 1999). The most stable comes
+    first, then always the one most unlike those before it.
     """
     hull = ConvexHull(vertices)
     corners = vertices[hull.vertices]
@@ -36,7 +36,7 @@ def resting_rotations(
 
 
 def _centroid(hull: ConvexHull) -> Float64[np.ndarray, "3"]:
-    """The centre of mass of the hull filled evenly: tetrahedra from a point inside to its faces."""
+    """Centre of mass of the hull, filled evenly: tetrahedra from an inner point to its faces."""
     inside = hull.points[hull.vertices].mean(axis=0)
     a, b, c = (hull.points[hull.simplices[:, i]] - inside for i in range(3))
     volume = np.abs(np.einsum("nk,nk->n", a, np.cross(b, c)))
@@ -47,7 +47,7 @@ def _centroid(hull: ConvexHull) -> Float64[np.ndarray, "3"]:
 def _most_unlike(
     downs: Float64[np.ndarray, "n 3"], steady_rad: Float64[np.ndarray, " n"], unlike_rad: float
 ) -> list[int]:
-    """Directions at least so far apart: the steadiest, then the farthest from all before, then steadiest."""
+    """Order directions at least `unlike_rad` apart: the most stable, then the farthest from all before."""
     order: list[int] = [int(np.argmax(steady_rad))] if len(downs) else []
     while order:
         apart = np.arccos((downs @ downs[order].T).clip(-1, 1)).min(axis=1).round(2)

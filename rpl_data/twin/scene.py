@@ -1,4 +1,4 @@
-"""What stands where in a scene of a twin; the table frame has z up and z = 0 on the table's top."""
+"""Compose a scene of a twin on a table. The table frame has z up and z = 0 on the table's top."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ ROOM_M = 5.0
 
 @dataclass(frozen=True)
 class TwinScene:
-    """Everything the renderer needs.
+    """Everything that the renderer needs of a scene.
 
     Attributes:
-        surfaces: in the table frame; the objects come first, in order.
-        table_from_object: where each object stands.
-        target_m: what a person filming would look at.
+        surfaces: surfaces in the table frame; the objects come first, in order.
+        table_from_object: pose of each object.
+        target_m: the point that the camera looks at.
     """
 
     surfaces: tuple[Surface, ...]
@@ -45,14 +45,14 @@ def compose(
     turns: Sequence[int],
     clutter: int,
 ) -> TwinScene:
-    """Objects at rest on a table: another support for every `number`, another resting pose a turn.
+    """Put objects at rest on a table; the table changes with `number`, resting poses with `turns`.
 
     Args:
-        turns: in how many scenes each object stood before.
-        clutter: how many other things stand about.
+        turns: in how many earlier scenes each object stood.
+        clutter: number of other things on the table.
     """
-    spots = _spots(rng, [_footprint_m(o.surface.vertices) for o in objects])
-    poses = [_placed(rng, *each) for each in zip(objects, spots, turns, strict=True)]
+    positions = _positions(rng, [_footprint_m(o.surface.vertices) for o in objects])
+    poses = [_placed(rng, *each) for each in zip(objects, positions, turns, strict=True)]
     things = [thing.surface.moved(pose) for thing, pose in zip(objects, poses, strict=True)]
     taken = [(pose[:2, 3], _footprint_m(thing.vertices)) for pose, thing in zip(poses, things, strict=True)]
     for _ in range(clutter):
@@ -65,7 +65,7 @@ def compose(
 
 
 def _light(rng: np.random.Generator, table: Surface) -> Light:
-    """A warm lamp over the table, a window on some side, and what the table throws back."""
+    """A warm lamp over the table, a window on some side, and the light that the table reflects."""
     turn, rise = rng.uniform(0, 2 * np.pi), rng.uniform(0.25, 0.6)
     day = rng.uniform(0.1, 0.35)
     return Light(
@@ -84,12 +84,12 @@ def _light(rng: np.random.Generator, table: Surface) -> Light:
 
 
 def _footprint_m(vertices: Float64[np.ndarray, "n 3"]) -> float:
-    """Radius around the mean vertex of the room a thing needs, whichever way it lies."""
+    """Radius around the mean vertex of the space a thing needs, whichever way it lies."""
     return float(np.linalg.norm(vertices - vertices.mean(axis=0), axis=1).max())
 
 
-def _spots(rng: np.random.Generator, radii_m: Sequence[float]) -> list[Float64[np.ndarray, "2"]]:
-    """Places on the table: one in the middle, more side by side on a circle, never touching."""
+def _positions(rng: np.random.Generator, radii_m: Sequence[float]) -> list[Float64[np.ndarray, "2"]]:
+    """Positions on the table: one in the middle, or several on a circle without touching."""
     if len(radii_m) == 1:
         return [rng.uniform(-0.03, 0.03, 2)]
     closest_m = sum(sorted(radii_m)[-2:]) + 0.01
@@ -99,25 +99,25 @@ def _spots(rng: np.random.Generator, radii_m: Sequence[float]) -> list[Float64[n
 
 
 def _placed(
-    rng: np.random.Generator, thing: TwinObject, spot: Float64[np.ndarray, "2"], turn: int
+    rng: np.random.Generator, thing: TwinObject, position: Float64[np.ndarray, "2"], turn: int
 ) -> Transform:
-    """`table_from_object` with a resting pose that changes from turn to turn, and any heading."""
+    """`table_from_object` with a resting pose that changes from turn to turn, and a random heading."""
     choices = resting_rotations(thing.surface.vertices)[:6]
     heading = Rotation.from_euler("z", rng.uniform(0, 360), degrees=True).as_matrix()
     rotation = heading @ choices[turn % len(choices)]
     turned = thing.surface.vertices @ rotation.T
     middle = turned.mean(axis=0)
-    return rigid(rotation, np.array([spot[0] - middle[0], spot[1] - middle[1], -turned[:, 2].min()]))
+    return rigid(rotation, np.array([position[0] - middle[0], position[1] - middle[1], -turned[:, 2].min()]))
 
 
 def _clutter(rng: np.random.Generator, taken: list[tuple[Float64[np.ndarray, "2"], float]]) -> list[Surface]:
-    """A book, a tin or a ball, where nothing stands yet; nothing when no place was found."""
+    """A book, a tin or a ball where nothing stands yet; empty when no free position was found."""
     for _ in range(40):
-        spot = rng.uniform(-1, 1, 2) * (np.array(TABLE_SIZE_M[:2]) / 2 - 0.1)
+        position = rng.uniform(-1, 1, 2) * (np.array(TABLE_SIZE_M[:2]) / 2 - 0.1)
         size_m = rng.uniform(0.04, 0.075)
-        if all(np.linalg.norm(spot - centre) > size_m * 1.3 + radius + 0.02 for centre, radius in taken):
-            taken.append((spot, size_m * 1.3))
-            return [_thing(rng, size_m).moved(rigid(_heading(rng), np.array([*spot, 0.0])))]
+        if all(np.linalg.norm(position - centre) > size_m * 1.3 + radius + 0.02 for centre, radius in taken):
+            taken.append((position, size_m * 1.3))
+            return [_thing(rng, size_m).moved(rigid(_heading(rng), np.array([*position, 0.0])))]
     return []
 
 
@@ -129,7 +129,7 @@ def _heading(rng: np.random.Generator) -> Float64[np.ndarray, "3 3"]:
 
 
 def _thing(rng: np.random.Generator, size_m: float) -> Surface:
-    """Something that stands on z = 0 with its axis at x = y = 0, no wider than `size_m` from it."""
+    """A thing that stands on z = 0 with its axis at x = y = 0, within `size_m` of that axis."""
     image = textures.print_of(rng, 320, 320)
     kind = rng.choice(["book", "tin", "ball"])
     if kind == "book":

@@ -1,4 +1,4 @@
-"""How the pixels of an image share their shadow rays: each sends few, its neighbours answer for the rest."""
+"""Share shadow rays among the pixels of an image: each casts few, and uses its neighbours' results too."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import numpy as np
 from jaxtyping import Bool, Float32, Int64
 
 TILE = 8
-"""Every pixel of a square of 8 x 8 sends its shadow rays another way; the mean over a square is smooth
+"""Side of a square of pixels that each cast shadow rays in another direction; their mean is smooth
 (interleaved sampling, Keller & Heidrich, 2001)."""
 
 
 @lru_cache(maxsize=2)
 def tiled(shape: tuple[int, int]) -> tuple[Float32[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:
-    """The point of the unit sphere that each pixel takes, and whether it asks for the lamp."""
+    """The point of the unit sphere that each pixel uses, and whether the pixel tests the lamp."""
     count = TILE * TILE // 2
     z = 1 - (np.arange(count) + 0.5) * 2 / count
     turn = np.arange(count) * np.pi * (3 - np.sqrt(5))  # Fibonacci lattice: even on the sphere
@@ -33,7 +33,7 @@ def tile_means(
     asked: Float32[np.ndarray, "n 2"],
     thing: Int64[np.ndarray, "height width"],
 ) -> Float32[np.ndarray, "height width 2"]:
-    """Two means over the tile around each pixel, over pixels of the same thing that were asked."""
+    """Two means over the tile around each pixel, over pixels of the same surface that were tested."""
     sums = np.concatenate([asked * values[:, None], asked], axis=1).reshape(*thing.shape, 4)
     smooth = np.ones((*thing.shape, 2), np.float32)
     for part, mask in _parts(thing):
@@ -45,7 +45,7 @@ def tile_means(
 def _parts(
     thing: Int64[np.ndarray, "height width"],
 ) -> Iterator[tuple[tuple[slice, slice], Bool[np.ndarray, "_ _"]]]:
-    """The box around every thing, and its pixels in it."""
+    """The bounding box of every surface's pixels, and its pixels in that box."""
     order = np.argsort(thing.ravel().astype(np.int16), kind="stable")
     numbers, first = np.unique(thing.ravel()[order], return_index=True)
     for number, pixels in zip(numbers, np.split(order, first[1:]), strict=True):

@@ -1,4 +1,4 @@
-"""What a twin is made of: one frozen dataclass, writable as YAML."""
+"""The specification of a twin: one frozen dataclass, which can be written as YAML."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from rpl_data.types import DataError, Intrinsics
 
 @dataclass(frozen=True)
 class Thing:
-    """An object of a twin; where its name alone says all, the name will do instead.
+    """An object of a twin. A name alone will do when nothing else is needed.
 
     Attributes:
-        name: of the object in the dataset; without `mesh` or `shape` also the name of a shape of ours.
-        shape: one of `twin.objects.OBJECTS`, when the object is to have another name.
+        name: name of the object in the dataset; without `mesh` or `shape` also the name of a built-in shape.
+        shape: a built-in shape, one of `twin.objects.OBJECTS`, when the object is to have another name.
         mesh: an OBJ, PLY or GLB file in metres, with a texture or coloured vertices.
-        landmarks: how many; or, for a mesh, their places in its frame. Of a shape of ours the first so
-            many, all when left out; of a mesh that many corners and edges, 9 when left out.
-        gloss: of a mesh, 0 (paper) to 1 (polished metal).
+        landmarks: number of landmarks or, for a mesh, their positions in its frame. A built-in shape uses its
+            first ones, all when left out; for a mesh, corners and edges are chosen, 9 when left out.
+        gloss: gloss of a mesh, 0 (paper) to 1 (polished metal).
     """
 
     name: str
@@ -35,11 +35,11 @@ class Thing:
 
 @dataclass(frozen=True)
 class Cast:
-    """Scenes in which the same objects stand.
+    """Scenes that contain the same objects.
 
     Attributes:
         objects: their names.
-        count: how many such scenes.
+        count: number of such scenes.
         seconds: length of each; the twin's when left out.
     """
 
@@ -53,21 +53,21 @@ class TwinSpec:
     """A synthetic recording.
 
     Attributes:
-        objects: what there is: names of shapes of ours (`twin.objects.OBJECTS`), or `Thing`s.
-        scenes: how many videos, each with all objects; or a list of `Cast`s that says which objects stand
-            in how many. Each scene has other resting poses, another support, light and background.
+        objects: names of built-in shapes (`twin.objects.OBJECTS`), or `Thing`s.
+        scenes: number of videos, each with all objects; or a list of `Cast`s that says which objects are in
+            how many. Each scene has other resting poses, another table, light and background.
         seconds: length of a video.
-        rate_hz: frames a second that the camera takes.
-        keep_hz: frames a second that are written, of those the camera takes; all when left out. A long
-            orbit is cheap at 3.
+        rate_hz: frames per second that the camera takes.
+        keep_hz: frames per second that are written, out of those; all when left out. A long orbit is cheap
+            at 3.
         width, height: image size in pixels; the field of view stays that of a D435's colour camera.
-        clicks_per_keypoint: in how many well-spread frames of a scene each seen keypoint is clicked.
-        click_noise_px: standard deviation of a click, each axis.
+        clicks_per_keypoint: in how many well-spread frames of a scene each visible keypoint is clicked.
+        click_noise_px: standard deviation of a click, per axis.
         mistakes: clicks that are missing, swapped or on the background; none when left out.
-        seed: of everything random.
-        clutter: other things on the table.
-        sweep_deg: how far around the objects the camera goes.
-        distance_m, elevation_deg: bounds between which the camera wanders.
+        seed: seed of everything random.
+        clutter: number of other things on the table.
+        sweep_deg: angle of the camera's orbit around the objects.
+        distance_m, elevation_deg: bounds between which the camera moves.
         sensor: errors of the images; each effect has its own switch.
     """
 
@@ -90,7 +90,7 @@ class TwinSpec:
 
     @property
     def things(self) -> tuple[Thing, ...]:
-        """The objects, those given by a name too."""
+        """The objects, including those given by name only."""
         return tuple(Thing(thing) if isinstance(thing, str) else thing for thing in self.objects)
 
     @property
@@ -106,24 +106,24 @@ class TwinSpec:
         return tuple(f"{number:02d}" for number in range(len(self.casts)))
 
     def times_s(self, scene: int) -> Float64[np.ndarray, " frames"]:
-        """Time of each frame of a scene, whole microseconds as associations.txt holds them."""
+        """Time of each frame of a scene, in whole microseconds, as associations.txt holds them."""
         length_s = self.casts[scene].seconds or self.seconds
         kept_hz = min(self.keep_hz or self.rate_hz, self.rate_hz)
         ticks = np.round(np.arange(round(length_s * kept_hz)) * self.rate_hz / kept_hz)
         return np.round(ticks / self.rate_hz, 6)
 
     def frames(self, scene: int) -> int:
-        """Frames of a scene."""
+        """Number of frames of a scene."""
         return len(self.times_s(scene))
 
     @property
     def lag_s(self) -> float:
-        """How much older than the colour image its depth image is."""
+        """Age of a depth image relative to its colour image."""
         return self.sensor.lag_frames / self.rate_hz
 
     @property
     def total_frames(self) -> int:
-        """Frames of all scenes."""
+        """Number of frames of all scenes."""
         return sum(self.frames(scene) for scene in range(len(self.casts)))
 
     @property
@@ -134,7 +134,7 @@ class TwinSpec:
         return Intrinsics(focal_px, focal_px, *centre, self.width, self.height)
 
     def check(self) -> None:
-        """Refuse what makes no recording; DataError names the field."""
+        """Refuse a spec that makes no recording, with a DataError that names the field."""
         names = [thing.name for thing in self.things]
         cast_names = {name for cast in self.casts for name in cast.objects}
         wrong = {

@@ -1,4 +1,4 @@
-"""Textured triangle surfaces, and the few shapes everything in a twin is put together from."""
+"""Textured triangle surfaces, and the few shapes that everything in a twin is built from."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ WHOLE: UvRect = (0.0, 0.0, 1.0, 1.0)
 
 @dataclass(frozen=True)
 class Surface:
-    """Textured triangles, counter-clockwise from outside; metres.
+    """Textured triangles, counter-clockwise seen from outside; metres.
 
     Attributes:
         corner_uv: position of every triangle corner in the texture, 0 to 1, v down.
         corner_normals: unit shading normal of every triangle corner.
-        texture: sRGB.
-        gloss: strength of the highlight of every triangle, 0 (paper) to 1 (enamel, polished metal).
+        texture: sRGB image.
+        gloss: strength of the highlight on every triangle, 0 (paper) to 1 (enamel, polished metal).
     """
 
     vertices: Float64[np.ndarray, "n 3"]
@@ -37,13 +37,13 @@ class Surface:
     gloss: Float32[np.ndarray, " m"]
 
     def moved(self, a_from_b: Transform) -> Surface:
-        """This surface, given in frame b, in frame a."""
+        """Transform this surface from frame b to frame a."""
         normals = (self.corner_normals @ a_from_b[:3, :3].T).astype(np.float32)
         return replace(self, vertices=transform(a_from_b, self.vertices), corner_normals=normals)
 
     @property
     def mesh(self) -> Mesh:
-        """The triangles with the texture's colour at every vertex."""
+        """The triangles, with the texture's colour at every vertex."""
         height, width = self.texture.shape[:2]
         uv = np.zeros((len(self.vertices), 2))
         uv[self.triangles.ravel()] = self.corner_uv.reshape(-1, 2)
@@ -53,9 +53,9 @@ class Surface:
 
 
 def patch(grid: Grid, uv_rect: UvRect = WHOLE, *, gloss: float = 0.0) -> Surface:
-    """A grid of points as a smooth surface; seen from outside rows go down and columns to the right.
+    """Make a smooth surface from a grid of points; seen from outside, rows go down, columns to the right.
 
-    The texture is still blank: `joined` gives all patches of a thing theirs.
+    The texture is still blank: `joined` gives all patches of a thing their texture.
     """
     rows, columns = grid.shape[:2]
     index = np.arange(rows * columns).reshape(rows, columns)
@@ -69,11 +69,11 @@ def patch(grid: Grid, uv_rect: UvRect = WHOLE, *, gloss: float = 0.0) -> Surface
     uv = np.stack([u, v], -1).reshape(-1, 2)
     points = grid.reshape(-1, 3)
     flat = _triangle_normals(points, triangles)
-    keep = np.linalg.norm(flat, axis=1) > 1e-12  # at a pole every second triangle is a line
+    keep = np.linalg.norm(flat, axis=1) > 1e-12  # at a pole, every second triangle is a line
     triangles, flat = triangles[keep], flat[keep]
     normals = _unit(_grid_normals(grid).reshape(-1, 3)[triangles])
     flat = _unit(flat)
-    broken = np.einsum("mkc,mc->mk", normals, flat) < 0.3  # the same poles
+    broken = np.einsum("mkc,mc->mk", normals, flat) < 0.3  # at the same poles
     normals[broken] = np.broadcast_to(flat[:, None], normals.shape)[broken]
     blank = np.full((1, 1, 3), 128, np.uint8)
     shine = np.full(len(triangles), gloss, np.float32)
@@ -83,7 +83,7 @@ def patch(grid: Grid, uv_rect: UvRect = WHOLE, *, gloss: float = 0.0) -> Surface
 
 
 def joined(parts: Sequence[Surface], texture: ColorImage) -> Surface:
-    """Several surfaces as one, with one texture; each keeps its gloss."""
+    """Join several surfaces into one with one texture; each keeps its gloss."""
     offsets = np.cumsum([0, *(len(part.vertices) for part in parts)])
     return Surface(
         np.concatenate([part.vertices for part in parts]),
@@ -98,7 +98,7 @@ def joined(parts: Sequence[Surface], texture: ColorImage) -> Surface:
 def quad(
     corners: Sequence[Sequence[float]], uv_rect: UvRect = WHOLE, *, cells: int = 8, gloss: float = 0.0
 ) -> Surface:
-    """A flat patch; corners top left, top right, bottom left, bottom right seen from outside."""
+    """Make a flat patch; corners in the order top left, top right, bottom left, bottom right from outside."""
     top_left, top_right, bottom_left, bottom_right = (np.asarray(corner, dtype=float) for corner in corners)
     t = np.linspace(0, 1, cells + 1)
     top = top_left + t[:, None] * (top_right - top_left)
@@ -114,7 +114,7 @@ def box(
     cells: int = 8,
     gloss: float = 0.0,
 ) -> list[Surface]:
-    """The faces -y (front), +y (back), -x (left), +x (right), +z (top), -z (bottom) of a box."""
+    """Make a box of six faces: -y (front), +y (back), -x (left), +x (right), +z (top), -z (bottom)."""
     x, y, z = (side / 2 for side in size_m)
     corners = [
         [(-x, -y, z), (x, -y, z), (-x, -y, -z), (x, -y, -z)],
@@ -129,7 +129,7 @@ def box(
 
 
 def lathe_grid(profile_rz_m: Sequence[Sequence[float]], *, columns: int = 64) -> Grid:
-    """The profile (radius, z; from the top down the outside) turned about z; columns start at +x."""
+    """Turn a profile (radius, z; from the top down the outside) about z; columns start at +x."""
     radius, z = np.asarray(profile_rz_m, dtype=float).T
     angle = np.linspace(0, 2 * np.pi, columns + 1)
     ring = np.stack([np.cos(angle), np.sin(angle)], -1)
@@ -143,7 +143,9 @@ def loft_grid(
     roundness: float = 2.0,
     columns: int = 64,
 ) -> Grid:
-    """A skin over superellipses (z, centre x, centre y, half x, half y), top to bottom; columns start at +x.
+    """Stretch a skin over superellipses (z, centre x, centre y, half x, half y), from top to bottom.
+
+    Columns start at +x.
 
     Args:
         roundness: exponent of the superellipse: 2 = ellipse, 6 = a box with rounded edges.
@@ -159,7 +161,7 @@ def loft_grid(
 
 
 def smooth_path(points_m: Sequence[Sequence[float]], count: int) -> list[list[float]]:
-    """Evenly spaced points of a smooth curve through the given ones (monotone cubics, no overshoot)."""
+    """Points, evenly spaced, of a smooth curve through the given ones (monotone cubics, no overshoot)."""
     points = np.asarray(points_m, dtype=float)
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     path: list[list[float]] = PchipInterpolator(along, points)(np.linspace(0, along[-1], count)).tolist()
@@ -167,7 +169,7 @@ def smooth_path(points_m: Sequence[Sequence[float]], count: int) -> list[list[fl
 
 
 def tube_grid(path_xz_m: Sequence[Sequence[float]], radii_m: Sequence[float], *, columns: int = 32) -> Grid:
-    """Rings around a path in the plane y = 0, from its end (top row) to its start."""
+    """Make rings around a path in the plane y = 0, from its end (top row) to its start."""
     path = np.asarray(path_xz_m, dtype=float)[::-1]
     radii = np.asarray(radii_m, dtype=float)[::-1]
     along = _unit(np.gradient(path, axis=0))
@@ -184,7 +186,7 @@ def tube_grid(path_xz_m: Sequence[Sequence[float]], radii_m: Sequence[float], *,
 
 def _grid_normals(grid: Grid) -> Grid:
     right = np.gradient(grid, axis=1)
-    if grid.shape[1] > 3 and np.allclose(grid[:, 0], grid[:, -1]):  # closed: no seam in the shading
+    if grid.shape[1] > 3 and np.allclose(grid[:, 0], grid[:, -1]):  # closed: avoid a seam in the shading
         right[:, 0] = right[:, -1] = (grid[:, 1] - grid[:, -2]) / 2
     normals: Grid = np.cross(right, -np.gradient(grid, axis=0))
     return normals

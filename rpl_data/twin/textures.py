@@ -1,4 +1,4 @@
-"""Procedural pictures for supports, clutter and prints: every one follows from its random generator."""
+"""Procedural textures for tables, clutter and prints; each follows from its random generator."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from rpl_data.types import ColorImage
 
 Rgb = tuple[int, int, int]
 AnyImage = UInt8[np.ndarray, "_ _ 3"]
-"""A `ColorImage` among others of other sizes."""
+"""An image whose size differs from that of a `ColorImage` in the same signature."""
 
 
 def fractal_noise(
     rng: np.random.Generator, height: int, width: int, *, cells: int = 4, octaves: int = 6
 ) -> Float32[np.ndarray, "height width"]:
-    """Smooth noise, 0 to 1, with detail at every size from the whole picture / `cells` downwards."""
+    """Smooth noise, 0 to 1, with detail at every scale from the whole picture / `cells` downwards."""
     total = np.zeros((height, width), np.float32)
     for octave in range(octaves):
         size = min(cells << octave, height, width)
@@ -33,14 +33,14 @@ def fractal_noise(
 
 
 def blend(amount: Float32[np.ndarray, "height width"], dark: Rgb, light: Rgb) -> ColorImage:
-    """From `dark` where amount = 0 to `light` where it is 1."""
+    """Mix from `dark` where amount = 0 to `light` where it is 1."""
     low, high = np.array(dark, np.float32), np.array(light, np.float32)
     image: ColorImage = (low + amount[..., None] * (high - low)).clip(0, 255).astype(np.uint8)
     return image
 
 
 def wood(rng: np.random.Generator, size: int = 1024) -> ColorImage:
-    """Boards with fibres along the columns and dark lines of late wood, each cut from another place."""
+    """Boards with fibres along the columns and dark rings of late wood, each cut from another log."""
     bend = fractal_noise(rng, size, size, cells=2, octaves=3)
     strands = rng.random((size, size // 32), dtype=np.float32)
     shade = rng.uniform(0.82, 1.08, 8).astype(np.float32)
@@ -48,7 +48,7 @@ def wood(rng: np.random.Generator, size: int = 1024) -> ColorImage:
     bend = np.where(board[:, None] % 2 == 0, bend, bend[::-1, ::-1])
     across = np.arange(size, dtype=np.float32)[:, None] / size
     ring = (22 * across + 3.5 * bend + 50 * shade[board, None]) % 1
-    late = np.exp(-np.square(np.minimum(12 * ring, 3.5 * (1 - ring))))  # comes slowly, ends at once
+    late = np.exp(-np.square(np.minimum(12 * ring, 3.5 * (1 - ring))))  # fades in slowly, ends abruptly
     fibre = cv2.resize(strands, (size, size), interpolation=cv2.INTER_LINEAR)
     tone = blend((0.35 + 0.55 * fibre - 0.33 * late).astype(np.float32), (112, 74, 44), (190, 143, 96))
     tone = (tone * shade[board, None, None]).clip(0, 255).astype(np.uint8)
@@ -57,7 +57,7 @@ def wood(rng: np.random.Generator, size: int = 1024) -> ColorImage:
 
 
 def cloth(rng: np.random.Generator, size: int = 1024) -> ColorImage:
-    """A checked table cloth."""
+    """A checked tablecloth."""
     first, second = _two_colors(rng)
     stripe = ((np.arange(size) // (size // 24)) % 3 == 0).astype(np.float32)
     amount = 0.5 * stripe[:, None] + 0.5 * stripe[None]
@@ -78,7 +78,7 @@ def stone(rng: np.random.Generator, size: int = 1024) -> ColorImage:
 
 
 def newsprint(rng: np.random.Generator, size: int = 1024) -> ColorImage:
-    """Columns of text and grey pictures, as when paper is laid out under the work."""
+    """Columns of text and grey pictures, like newspaper laid out under the work."""
     page = np.full((size, size, 3), (214, 210, 198), np.uint8)
     for left in range(16, size - 100, 168):
         top = 16
@@ -116,7 +116,7 @@ def newsprint(rng: np.random.Generator, size: int = 1024) -> ColorImage:
 
 
 def plaster(rng: np.random.Generator, size: int = 512) -> ColorImage:
-    """A painted wall or a floor covering: hardly any texture."""
+    """A painted wall or floor covering: hardly any texture."""
     base = np.array(rng.uniform((110, 115, 115), (200, 195, 190)))
     tone = 0.9 + 0.2 * fractal_noise(rng, size, size, cells=4, octaves=7)
     return (base * tone[..., None]).clip(0, 255).astype(np.uint8)
@@ -169,7 +169,7 @@ SUPPORTS: dict[str, Callable[[np.random.Generator], ColorImage]] = {
 
 
 def pack(images: Sequence[AnyImage]) -> tuple[AnyImage, list[UvRect]]:
-    """Images side by side in one texture, and where each ended up (half a pixel inside its edge)."""
+    """Pack images side by side into one texture; also the part each takes (half a pixel inside its edge)."""
     height = max(image.shape[0] for image in images)
     width = sum(image.shape[1] for image in images)
     atlas = np.zeros((height, width, 3), np.uint8)
@@ -184,7 +184,7 @@ def pack(images: Sequence[AnyImage]) -> tuple[AnyImage, list[UvRect]]:
 
 
 def _two_colors(rng: np.random.Generator) -> tuple[Rgb, Rgb]:
-    """Two saturated colours far apart on the colour wheel."""
+    """Two saturated colours, far apart on the colour wheel."""
     hue = int(rng.integers(0, 180))
     hsv = np.array([[[hue, 170, 150], [(hue + 80) % 180, 150, 190]]], np.uint8)
     rgb = cv2.cvtColor(hsv, cv2.COLOR_HSV2RGB)[0]

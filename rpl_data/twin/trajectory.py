@@ -1,4 +1,4 @@
-"""Hand-held camera paths: a smooth partial orbit with the sway and tremor of a hand."""
+"""Hand-held camera paths: a smooth partial orbit, with the sway and tremor of a hand."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ def hand_held(
     aim_m: float = 0.02,
     roll_deg: float = 5.0,
 ) -> Float64[np.ndarray, "n 4 4"]:
-    """`table_from_camera` along a partial orbit around a point on the table (z is up there).
+    """Make `table_from_camera` poses along a partial orbit around a point on the table (z is up).
 
-    The speed along the orbit varies; distance and elevation wander between their bounds; the camera
-    looks at the target but for `aim_m`.
+    The speed along the orbit varies; distance and elevation vary between their bounds; the camera looks at
+    the target up to an error of `aim_m`.
 
     Args:
-        sweep_deg: azimuth between the first and the last moment of `span_s`.
-        span_s: when the orbit starts and ends; `times_s` may reach a little beyond.
-        sway_m, tremor_m: standard deviation of slow and of fast movements of the hand, on each axis.
+        sweep_deg: azimuth between the start and the end of `span_s`.
+        span_s: start and end of the orbit; `times_s` may reach a little beyond.
+        sway_m, tremor_m: standard deviation of slow and of fast movements of the hand, per axis.
     """
     progress = (times_s - span_s[0]) / max(span_s[1] - span_s[0], 1e-6)
     uneven = progress + 0.35 / (2 * np.pi) * np.sin(2 * np.pi * progress + rng.uniform(0, 2 * np.pi))
@@ -55,7 +55,7 @@ def hand_held(
 def look_at(
     position_m: Float64[np.ndarray, "3"], target_m: Float64[np.ndarray, "3"], roll_rad: float
 ) -> Float64[np.ndarray, "4 4"]:
-    """`table_from_camera` of a camera that looks at a point, upright but for the roll."""
+    """`table_from_camera` of a camera that looks at a point, upright up to the roll."""
     forward = target_m - position_m
     forward = forward / np.linalg.norm(forward)
     right = np.cross(forward, [0.0, 0.0, 1.0])

@@ -1,4 +1,4 @@
-"""A twin on disk: an ordinary RapidPoseLabels tree, clicks, and the truth beside them.
+"""Write a twin to disk: a recording in RapidPoseLabels' layout, its clicks, and the ground truth.
 
 ::
 
@@ -39,17 +39,17 @@ Progress = Callable[[int, int], None]
 
 
 def write_twin(folder: Path, spec: TwinSpec, *, workers: int = 2, progress: Progress | None = None) -> None:
-    """Write the recording, its clicks and its truth; the folder appears when all of it is there.
+    """Write the recording, its clicks and its truth; the folder appears only when it is complete.
 
     An older folder of that name is replaced. `truth/` is a `Workspace` with the true models, meshes and
     labels of every frame; the same spec gives the same pixels.
 
     Args:
-        workers: processes that render; 1 = this one.
-        progress: called with the frames done and their total.
+        workers: processes that render; 1 uses this process alone.
+        progress: called with the number of frames done and their total.
 
     Raises:
-        DataError: an unknown object, a spec that makes no video, a full disk, a worker that died.
+        DataError: an unknown object, a spec that makes no video, a full disk, or a worker that died.
     """
     spec.check()
     with _building(folder) as partial:
@@ -64,17 +64,17 @@ def write_twin(folder: Path, spec: TwinSpec, *, workers: int = 2, progress: Prog
             video = film(spec, number)
             shown = [video.as_shown(label) for label in of_scene]
             _write_lists(partial / scene, video)
-            for place, name in enumerate(one.model.name for one in video.objects):
+            for row, name in enumerate(one.model.name for one in video.objects):
                 clicks[name] += _clicks(spec, number, name, shown)
-                poses[name][scene] = video.scene_from_object(place)
-        next(labels, None)  # lets the pool end
+                poses[name][scene] = video.scene_from_object(row)
+        next(labels, None)  # lets the process pool end
         _write_objects(truth, spec, poses)
         write_text(partial / "clicks.csv", _csv(spec, clicks))
 
 
 @contextmanager
 def _building(folder: Path) -> Iterator[Path]:
-    """A folder beside `folder` that takes its place when the block ends well, and else disappears."""
+    """Yield a temporary folder that replaces `folder` when the block ends well, and is deleted otherwise."""
     partial = folder.with_name(f".{folder.name}.partial")
     try:
         shutil.rmtree(partial, ignore_errors=True)
@@ -98,7 +98,7 @@ def _building(folder: Path) -> Iterator[Path]:
 def _render_all(
     partial: Path, spec: TwinSpec, workers: int, progress: Progress | None
 ) -> Iterator[FrameLabel]:
-    """Render and write every frame, in order; their labels as they are done."""
+    """Render and write every frame in order, and yield their labels as they are done."""
     jobs = [
         (partial, spec, scene, frame)
         for scene in range(len(spec.casts))
@@ -120,21 +120,21 @@ def _in_processes(jobs: list[tuple[Path, TwinSpec, int, int]], workers: int) -> 
         yield from pool.map(_write_frame, jobs, chunksize=4)
     except BrokenProcessPool as error:
         raise DataError(
-            "a process that rendered the twin died, out of memory perhaps; use fewer workers"
+            "a process that rendered the twin died, perhaps out of memory; use fewer workers"
         ) from error
     finally:
         pool.shutdown(cancel_futures=True)
 
 
 def _one_thread() -> None:
-    """The processes share the cores; threads below them would only fight."""
+    """Restrict this process to one thread: the processes already share the cores."""
     cv2.setNumThreads(1)
     os.environ["OMP_NUM_THREADS"] = "1"
 
 
 @lru_cache(maxsize=1)
 def _film(spec: TwinSpec, scene: int) -> Film:
-    """The prepared scene; a process works on one at a time."""
+    """The prepared scene; a process works on one scene at a time."""
     return film(spec, scene)
 
 
@@ -187,7 +187,7 @@ def _clicks(spec: TwinSpec, number: int, name: str, labels: list[FrameLabel]) ->
 
 
 def _csv(spec: TwinSpec, clicks: dict[str, list[Click]]) -> str:
-    """One table for all objects: the heading once."""
+    """Write the clicks on all objects as one table with one heading."""
     tables = [clicks_to_csv(clicks[thing.name], build(thing).model.keypoints) for thing in spec.things]
     return tables[0] + "".join(table.split("\n", 1)[1] for table in tables[1:])
 

@@ -1,1 +1,1 @@
-"""Our files on disk: what a workspace holds, and the records that stages hand one another."""
+"""The workspace: the files that the stages write and read, and how each record is stored in them."""

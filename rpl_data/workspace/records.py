@@ -1,4 +1,4 @@
-"""Records of `types` as JSON-ready dictionaries and back; nothing here touches a file.
+"""Convert the records of `types` to JSON-ready dictionaries and back; nothing here touches a file.
 
 Matrices are row-major lists; NaN (a keypoint without a position) becomes null.
 """
@@ -31,7 +31,7 @@ from rpl_data.types import (
 
 
 def recording_to_json(recording: Recording) -> Json:
-    """Everything about a recording but its trajectory."""
+    """Convert a recording, without its trajectory, to a dictionary."""
     scene = recording.scene
     return {
         "name": scene.name,
@@ -56,7 +56,7 @@ def recording_to_json(recording: Recording) -> Json:
 
 
 def recording_from_json(data: Json) -> Recording:
-    """The recording of `recording_to_json`, without a trajectory."""
+    """Convert what `recording_to_json` returned back to a recording, without a trajectory."""
     intrinsics = Intrinsics(**data["intrinsics"] | {"distortion": tuple(data["intrinsics"]["distortion"])})
     frames = tuple(
         Frame(
@@ -78,12 +78,12 @@ def recording_from_json(data: Json) -> Recording:
 
 
 def _warp_from_json(data: Json | None) -> DepthWarp | None:
-    """The warp; None where there is none, as in files of older versions."""
+    """The warp of the depth image; None when there is none, as in files of older versions."""
     return None if data is None else DepthWarp(data["zoom"], tuple(data["shift_px"]))
 
 
 def solution_to_json(solution: Solution) -> Json:
-    """A solution; covariances as 9 numbers a keypoint."""
+    """Convert a solution; each covariance becomes a row of 9 numbers per keypoint."""
     model = solution.model
     return {
         "object": model.name,
@@ -101,7 +101,7 @@ def solution_to_json(solution: Solution) -> Json:
 
 
 def solution_from_json(data: Json) -> Solution:
-    """The solution of `solution_to_json`."""
+    """Convert what `solution_to_json` returned back to a solution."""
     model = KeypointModel(
         name=data["object"],
         keypoints=tuple(data["keypoints"]),
@@ -125,7 +125,7 @@ def solution_from_json(data: Json) -> Solution:
 
 
 def frame_label_to_json(label: FrameLabel) -> Json:
-    """A line of `labels/<scene>.jsonl`."""
+    """Convert the labels of one frame to the content of one line of `labels/<scene>.jsonl`."""
     return {
         "scene": label.scene,
         "frame": label.frame,
@@ -135,7 +135,7 @@ def frame_label_to_json(label: FrameLabel) -> Json:
 
 
 def frame_label_from_json(data: Json) -> FrameLabel:
-    """The label of `frame_label_to_json`."""
+    """Convert what `frame_label_to_json` returned back to a label."""
     instances = tuple(_instance_from_json(instance) for instance in data["instances"])
     return FrameLabel(data["scene"], data["frame"], data["timestamp_s"], instances)
 

@@ -84,7 +84,7 @@ def test_a_job_says_where_it_is_and_what_came_out() -> None:
     assert at.wait(5)
     now = jobs.now()
     assert now is not None and (now.what, now.done, now.total, now.state) == ("label 00", 3, 10, "running")
-    with pytest.raises(DataError, match="the job label is at work"):
+    with pytest.raises(DataError, match="the job label is running"):
         jobs.start("export")
     go.set()
     assert (ended(jobs).state, ended(jobs).lines) == ("done", ("label is there",))
@@ -109,7 +109,7 @@ def test_a_job_stops_at_its_next_word() -> None:
     ("error", "words"),
     [
         (DataError("scene 03 shares too little; click more"), "click more"),
-        (KeyError("x"), "fault of the program"),
+        (KeyError("x"), "this is a bug, see the terminal"),
     ],
 )
 def test_what_went_wrong_is_said(error: Exception, words: str) -> None:
@@ -162,4 +162,4 @@ def test_two_builds_never_run_in_one_workspace(root: Path) -> None:
     with locked(Workspace(root).build_lock, "held"):
         client.post("/api/jobs", json={"stage": "export"})
         state = wait(client)
-    assert state["job"]["state"] == "failed" and "another build is at work" in state["job"]["error"]
+    assert state["job"]["state"] == "failed" and "another build is running" in state["job"]["error"]

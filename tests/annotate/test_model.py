@@ -80,7 +80,7 @@ def test_three_clicks_place_a_known_model(
     [
         ("sparse_model.txt", b"<SparseObjectPoints></SparseObjectPoints>", "has no point"),
         ("points.pp", b"<PickedPoints", "not a PickedPoints file"),
-        ("mesh.ply", b"ply", "no triangles"),
+        ("mesh.ply", b"ply", "Choose a mesh"),
     ],
 )
 def test_broken_models_are_refused_by_their_own_name(

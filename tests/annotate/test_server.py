@@ -16,7 +16,7 @@ from fastapi.testclient import TestClient
 
 from rpl_data.annotate.server import make_app
 from rpl_data.annotate.session import Session
-from rpl_data.cli.annotate import place_of, work_of
+from rpl_data.cli.annotate import address_of, work_of
 from rpl_data.types import DataError
 from rpl_data.workspace.workspace import Workspace
 
@@ -159,7 +159,7 @@ def test_a_loose_scene_does_not_hold_the_others_back(client: TestClient) -> None
             act(client, {"op": "delete", **{k: mark[k] for k in ("keypoint", "scene", "frame")}})
     result = client.get(OBJECT + "/result").json()
     assert sorted(result["scene_from_object"]) == ["00", "01"]
-    assert result["scenes"]["02"]["state"] == "few" and "2 of at least 3" in result["loose"]["02"]
+    assert result["scenes"]["02"]["state"] == "few" and "at least 3 are needed" in result["loose"]["02"]
     assert result["next"]["text"].startswith("scene 0")
     assert {p["scene"] for p in result["lifted"]} == {"02"}
 
@@ -286,7 +286,7 @@ def test_too_much_is_refused(client: TestClient, monkeypatch: pytest.MonkeyPatch
 
 
 def test_another_address_wants_the_token(root: Path) -> None:
-    place = place_of("192.168.1.5", 8017)
+    place = address_of("192.168.1.5", 8017)
     assert place.token is not None and place.token in place.url
     app = make_app(Session(Workspace(root), work_of(Workspace(root))), place)
     there = TestClient(app, base_url="http://192.168.1.5:8017")
@@ -297,10 +297,10 @@ def test_another_address_wants_the_token(root: Path) -> None:
 
 
 def test_only_this_machine_needs_no_token() -> None:
-    assert place_of("127.0.0.1", 1).token is None and place_of("localhost", 1).token is None
-    assert place_of("0.0.0.0", 1).token is not None
+    assert address_of("127.0.0.1", 1).token is None and address_of("localhost", 1).token is None
+    assert address_of("0.0.0.0", 1).token is not None
     with pytest.raises(DataError, match="port 0"):
-        place_of("127.0.0.1", 0)
+        address_of("127.0.0.1", 0)
 
 
 def test_nothing_is_fetched_from_elsewhere(client: TestClient) -> None:

@@ -20,12 +20,13 @@ import cv2
 import torch
 
 from rpl_data.torch.transforms import Augmentation
-from training.evaluate_masks import evaluate
 from training.masks.crops import SquareCrops
+from training.masks.evaluation import evaluate
 from training.masks.mask_rcnn import build_model, with_norm
-from training.masks.module import train
-from training.masks.settings import Settings, load_settings
+from training.masks.settings import MaskSettings, load_settings
 from training.masks.weights import load_segmenter
+from training.reproduce.segmentation.experiment import given
+from training.train_masks import train_masks
 
 ROOT = Path(__file__).parents[2]
 CONFIGS = ROOT / "training/configs"
@@ -48,13 +49,13 @@ def overfit(data: Path, epochs: int) -> None:
     """Train on 8 images until they are known by heart."""
     still = Augmentation(scale=0.0, shift=0.0, rotation_deg=0.0, gain=0.0, offset=0.0)
     cpu = load_settings(CONFIGS / "masks_cpu.yaml")
-    larger = replace(cpu.model, size_px=192)
-    settings = replace(cpu, model=larger, augmentation=still, epochs=epochs, batch=2)
+    larger, learning = replace(cpu.network, size_px=192), replace(cpu.learning, epochs=epochs, batch=2)
+    settings = replace(cpu, network=larger, augment=still, learning=learning, validate_every=0)
     with tempfile.TemporaryDirectory() as place:
         folder = some_images(data, 8, Path(place))
         start = time.process_time()
-        done = train(settings, folder, Path(place) / "run")
-        score = evaluate(load_segmenter(done.checkpoint), folder / "train.json")
+        checkpoint = train_masks(folder, Path(place) / "run", **given(settings))
+        score = evaluate(load_segmenter(checkpoint), folder / "train.json")
     print(
         f"8 images, 192 px, {epochs} epochs: box AP50 {score.box_ap50:.3f}, mask AP50 {score.mask_ap50:.3f} "
         f"(asked 1.0), mean IoU {score.mean_iou:.3f} (asked 0.9); {time.process_time() - start:.0f} CPU s"
@@ -72,33 +73,33 @@ class Cost:
     loss: float
 
 
-def cost_of(settings: Settings, data: Path, steps: int) -> Cost:
+def cost_of(settings: MaskSettings, data: Path, steps: int) -> Cost:
     """The best of `steps` training steps on one core, measured in a process of its own."""
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as alone:
         return alone.submit(_cost, settings, data, steps).result()
 
 
-def _cost(settings: Settings, data: Path, steps: int) -> Cost:
+def _cost(settings: MaskSettings, data: Path, steps: int) -> Cost:
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
-    settings = replace(settings, model=with_norm(settings.model, "scratch"))
+    network, count = with_norm(settings.network, "scratch"), settings.learning.batch
     torch.manual_seed(0)
-    crops = SquareCrops(data / "train.json", settings.model.size_px, settings.augmentation, seed=0)
-    model = build_model(settings.model, len(crops.images.names) - 1)
+    crops = SquareCrops(data / "train.json", network.size_px, settings.augment)
+    model = build_model(network, len(crops.names) - 1)
     optimizer = torch.optim.SGD(model.parameters(), lr=1e-4)
     before_mb = _peak_mb()
     loading, training = [], []
     for step in range(steps):
         start = time.process_time()
-        batch = [crops[(step * settings.batch + n) % len(crops)] for n in range(settings.batch)]
+        batch = [crops[(step * count + n) % len(crops)] for n in range(count)]
         loaded = time.process_time()
         loss = sum(model([image for image, _ in batch], [target for _, target in batch]).values())
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
-        loading.append((loaded - start) / settings.batch)
-        training.append((time.process_time() - loaded) / settings.batch)
-    taken_mb = (_peak_mb() - before_mb) / settings.batch
+        loading.append((loaded - start) / count)
+        training.append((time.process_time() - loaded) / count)
+    taken_mb = (_peak_mb() - before_mb) / count
     return Cost(min(training), min(loading), taken_mb, _peak_mb(), loss.item())
 
 
@@ -106,13 +107,13 @@ def _peak_mb() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
-def show(name: str, settings: Settings, cost: Cost) -> None:
+def show(name: str, settings: MaskSettings, cost: Cost) -> None:
     """A line."""
     share = cost.load_s / (cost.step_s + cost.load_s)
     print(
         f"{name:30s} {cost.step_s:6.3f} CPU s an image, loading {1e3 * cost.load_s:4.1f} ms = {share:.1%} "
-        f"(asked < 5 %); {cost.memory_mb:.0f} MB an image in batches of {settings.batch}, the process "
-        f"{cost.process_mb:.0f} MB; loss from scratch {cost.loss:.2f}",
+        f"(asked < 5 %); {cost.memory_mb:.0f} MB an image in batches of {settings.learning.batch}, "
+        f"the process {cost.process_mb:.0f} MB; loss from scratch {cost.loss:.2f}",
         flush=True,
     )
 
@@ -126,10 +127,13 @@ def main() -> None:
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
     cpu, paper = (load_settings(CONFIGS / f"masks_{name}.yaml") for name in ("cpu", "paper"))
-    wide = replace(cpu.model, size_px=192, stages=4, channels=256, hidden=1024, proposals=2000, rois=512)
+    wide = replace(cpu.network, size_px=192, stages=4, channels=256, hidden=1024, proposals=2000, rois=512)
     runs = {
         "cpu preset": (cpu, 5),
-        "ResNet-18, 192 px, full width": (replace(cpu, model=wide, batch=2), 2),
+        "ResNet-18, 192 px, full width": (
+            replace(cpu, network=wide, learning=replace(cpu.learning, batch=2)),
+            2,
+        ),
         "paper preset": (paper, 2),
     }
     costs = {name: cost_of(settings, options.data, steps) for name, (settings, steps) in runs.items()}

@@ -26,6 +26,7 @@ from pytorch_lightning import Callback, LightningModule, Trainer, seed_everythin
 from rpl_data.torch.datamodule import KeypointDataModule
 from rpl_data.torch.transforms import Augmentation
 from training.keypoints.module import PCK_SHARE, distances_by_box, untrained
+from training.runs.callbacks import Steps
 from training.runs.options import Learning, Network
 from training.train_keypoints import train_keypoints
 
@@ -131,7 +132,8 @@ def trained(
         enable_checkpointing=False,
         enable_progress_bar=False,
         enable_model_summary=False,
-        callbacks=[clock],
+        use_distributed_sampler=False,
+        callbacks=[Steps(given.learning, seed=0), clock],
     )
     trainer.fit(untrained(data.train.model, given.network, given.learning), data.train_dataloader())
     return clock.seen

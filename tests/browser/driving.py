@@ -62,11 +62,11 @@ class ServerHere:
 
         from rpl_data.annotate.server import make_app
         from rpl_data.annotate.session import Session
-        from rpl_data.cli.annotate import place_of, work_of
+        from rpl_data.cli.annotate import address_of, work_of
 
         self.workspace = workspace
         taken = socket.create_server(("127.0.0.1", 0))
-        place = place_of("127.0.0.1", taken.getsockname()[1])
+        place = address_of("127.0.0.1", taken.getsockname()[1])
         self.url, root = place.url, Workspace(workspace)
         app = make_app(Session(root, work_of(root)), place)
         config = uvicorn.Config(

@@ -218,7 +218,7 @@ def test_scenes_share_one_camera(tmp_path: Path) -> None:
         record_scene(camera.device, tmp_path, None, QUICK, preview_port=None)
         assert next_scene(tmp_path) == "01"
         captured_of(camera, tmp_path, scene="01")
-        with pytest.raises(DataError, match="01 is there already; choose another --scene"):
+        with pytest.raises(DataError, match="01 already exists; choose another --scene"):
             captured_of(camera, tmp_path, scene="01")
     assert [found.scene.name for found in open_scenes(tmp_path, "rpl")] == ["00", "01"]
     other = SoftwareCamera(unit_m=0.0001)

@@ -144,9 +144,9 @@ def test_a_bag_cut_in_the_middle_of_a_chunk(tmp_path: Path) -> None:
     recording = read(file)
     kept = len(recording.scene.frames)
     assert BAG_PAIRS // 3 < kept < BAG_PAIRS
-    assert "bytes behind them are lost" in recording.skipped[0]
+    assert "bytes after them are lost" in recording.skipped[0]
     file.write_bytes(content[:9000])
-    with pytest.raises(DataError, match="cut off before its first chunk was whole"):
+    with pytest.raises(DataError, match="cut off within its first chunk"):
         read(file)
 
 
@@ -160,7 +160,7 @@ def test_a_whole_bag_survives_its_repair(tmp_path: Path) -> None:
 def test_other_files_are_refused(tmp_path: Path, suffix: str) -> None:
     file = tmp_path / f"text.{suffix}"
     file.write_text("no recording at all" * 100)
-    with pytest.raises(DataError, match=r"is no (ROS bag|recording)"):
+    with pytest.raises(DataError, match=r"is not a (ROS bag|recording)"):
         read(file)
     file.unlink()
     with pytest.raises(DataError, match="does not exist"):

@@ -144,7 +144,7 @@ FAULTS: dict[str, tuple[Callable[[Recording], Recording], str]] = {
     ),
     "dropped frames": (
         lambda r: with_frames(r, [f for f in r.scene.frames if f.index not in (9, 20, 21)]),
-        r"about 3 frames are missing in 2 gaps",
+        r"about 3 frames missing in 2 gaps",
     ),
     "repeated depth": (
         lambda r: with_frames(
@@ -191,7 +191,7 @@ def test_poses_that_stray_are_found(sound: Recording) -> None:
     poses[:, :3, 3] += np.linspace(0, 0.06, FRAMES)[:, None] * poses[:, :3, 2]
     (finding,) = examine(with_poses(sound, poses)).findings
     assert finding.kind == "drift"
-    assert "`rpl build` cuts it into" in finding.todo
+    assert "`rpl build` cuts the recording into" in finding.todo
 
 
 def test_two_faults_are_found_one_after_the_other(sound: Recording) -> None:

@@ -137,5 +137,5 @@ def test_picked_points_find_their_keypoints_by_name_or_number() -> None:
 
 
 def test_a_point_of_another_name_is_refused() -> None:
-    with pytest.raises(DataError, match="'nose' is no keypoint"):
+    with pytest.raises(DataError, match="'nose' is not a keypoint"):
         picked_in_order(("nose",), np.zeros((1, 3)), ("a", "b"), source="x.pp")

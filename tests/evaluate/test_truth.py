@@ -72,7 +72,7 @@ def test_a_truth_workspace_is_written(tmp_path: Path) -> None:
 def test_poses_of_other_scenes_are_refused(tmp_path: Path) -> None:
     poses = tmp_path / "truth.json"
     poses.write_text(json.dumps(content(POSE)))
-    with pytest.raises(DataError, match="name them alike"):
+    with pytest.raises(DataError, match="give them the same names"):
         truth_from_poses(Workspace(tmp_path / "w"), Workspace(tmp_path / "t"), poses)
 
 

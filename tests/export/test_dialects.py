@@ -175,7 +175,7 @@ def test_models_of_bop_are_millimetres(coco: Path, tmp_path: Path) -> None:
 
 def test_an_okt_folder(coco: Path, tmp_path: Path) -> None:
     summary = export_okt(tmp_path / "okt", coco)
-    assert summary.messages == ("box: keypoints left out, they were never clicked: 1",)
+    assert summary.messages == ("box: keypoints left out, as they were never clicked: 1",)
     place = tmp_path / "okt/box"
     assert (place / "keypoints.txt").read_text().split() == ["a", "b", "c"]
     np.testing.assert_array_equal(np.load(place / "camera_matrix.npy"), PLAIN.matrix)
@@ -215,7 +215,7 @@ def test_a_lens_with_distortion_is_refused_and_nothing_stays(tmp_path: Path) -> 
 
 def test_dialects_are_made_of_coco() -> None:
     refuse_unknown_exports(["yolo", "coco", "bop"])
-    with pytest.raises(DataError, match=r"is made of `coco`; write `export: \[coco, yolo\]`"):
+    with pytest.raises(DataError, match=r"is made from `coco`; write `export: \[coco, yolo\]`"):
         refuse_unknown_exports(["yolo"])
     with pytest.raises(DataError, match="unknown export 'voc'"):
         refuse_unknown_exports(["coco", "voc"])

@@ -139,7 +139,7 @@ def test_broken_files_and_frames(folder: Path) -> None:
     }
     assert list(recording.true_poses["obj_000005"]) == [2, 10]
     cut(folder / "scene_camera.json")
-    assert "behind 3 images; the rest of it is lost" in read_bop(folder)[0].skipped[0]
+    assert "after 3 images; the rest of it is lost" in read_bop(folder)[0].skipped[0]
     (folder / "scene_camera.json").write_text('{"2": {"cam_K"')
     with pytest.raises(DataError, match=r"scene_camera.json is not valid JSON"):
         read_bop(folder)

@@ -145,7 +145,7 @@ def test_truth_that_is_cut_off_leaves_the_frames(tmp_path: Path) -> None:
     path.write_text(path.read_text()[:-150])
     recording = read(tmp_path, "bop")
     assert len(recording.scene.frames) == 4 and len(recording.true_poses["obj_000005"]) == 3
-    assert any("scene_gt.json was cut off or is broken" in note for note in recording.notes)
+    assert any("scene_gt.json was cut off or is damaged" in note for note in recording.notes)
 
 
 # Recordings in one file ---------------------------------------------------------------------------

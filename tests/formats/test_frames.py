@@ -46,7 +46,7 @@ def test_what_the_layout_does_not_say_is_said(folder: Path) -> None:
     (recording,) = read_frames(folder)
     assert not recording.scene.registered
     notes = "\n".join(recording.notes)
-    assert "30 frames a second assumed" in notes
+    assert "30 frames per second assumed" in notes
     assert "set `registered: true`" in notes
     assert "metres_per_unit not given, assumed 0.001" in notes
     assert open_scenes(folder, "frames", registered=True)[0].scene.registered

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from rpl_data.formats.recordings.camera_file import write_camera
-from rpl_data.formats.recordings.image_files import probe
+from rpl_data.formats.recordings.image_headers import probe
 from rpl_data.formats.recordings.rpl import read_rpl, write_associations, write_poses
 from rpl_data.geometry import from_rotvec
 from rpl_data.recordings.open import open_scenes
@@ -240,7 +240,7 @@ def test_camera_txt_also_holds_distortion_and_the_depth_unit(tree: Path) -> None
 @pytest.mark.parametrize(
     ("line", "message"),
     [
-        ("distortion 0.1 0.2", "expected 4 or 5 or 8 numbers behind distortion"),
+        ("distortion 0.1 0.2", "expected 4 or 5 or 8 numbers after distortion"),
         ("metres_per_unit mm", "could not convert .* repair or delete the line"),
     ],
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import numpy as np
@@ -157,3 +158,22 @@ def test_clicked_points_by_hand() -> None:
     s = solution()
     points = clicked_points(observations, Solution(s.model, s.covariance, s.scene_from_object, residuals))
     np.testing.assert_allclose(points["00"], [[1, 0, 0.6], [np.nan] * 3, [np.nan] * 3])
+
+
+def test_a_long_file_of_beginnings_is_read_in_no_time(tmp_path: Path) -> None:
+    for text in (
+        "<SparseObjectPoints>" * 50_000,
+        "<SparseObjectPoints>" + "<point " * 100_000 + "</SparseObjectPoints>",
+    ):
+        (tmp_path / "m.txt").write_text(text)
+        started = time.process_time()
+        with pytest.raises(DataError):
+            read_sparse_model(tmp_path / "m.txt")
+        assert time.process_time() - started < 2
+
+
+def test_a_keypoint_with_an_enormous_number_is_refused(tmp_path: Path) -> None:
+    point = '<point x="0" y="0" z="0" name="999999999"/>'
+    (tmp_path / "m.txt").write_text(f"<SparseObjectPoints>{point}</SparseObjectPoints>")
+    with pytest.raises(DataError, match="from 0 to 9999"):
+        read_sparse_model(tmp_path / "m.txt")

@@ -60,22 +60,22 @@ def test_by_hand(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"no ply", "is no surface of ElasticFusion"),
+        (b"no ply", "is not a surface of ElasticFusion"),
         (b"ply\nformat ascii 1.0\nend_header\n", "expected a binary little-endian PLY"),
         (
             b"ply\nformat binary_little_endian 1.0\nelement vertex 1\nproperty float x\nend_header\n",
             "lacking y, z, red",
         ),
-        (b"", "is no surface"),
+        (b"", "is not a surface"),
     ],
 )
 def test_others_are_refused(tmp_path: Path, content: bytes, message: str) -> None:
     (tmp_path / "a.ply").write_bytes(content)
     with pytest.raises(DataError, match=message):
         read_surfels(tmp_path / "a.ply")
-    with pytest.raises(DataError, match="cannot read"):
+    with pytest.raises(DataError, match="does not exist"):
         read_surfels(tmp_path / "nowhere.ply")
     write_surfels(tmp_path / "b.ply", ball(1))
     (tmp_path / "b.ply").write_bytes((tmp_path / "b.ply").read_bytes()[:-1])
-    with pytest.raises(DataError, match="holds no whole surfel"):
+    with pytest.raises(DataError, match="holds no complete surfel"):
         read_surfels(tmp_path / "b.ply")

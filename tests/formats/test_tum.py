@@ -62,7 +62,7 @@ def test_images_are_paired_by_time_not_by_row(folder: Path) -> None:
     (recording,) = read_tum(folder)
     assert [frame.index for frame in recording.scene.frames] == [0, 2, 3, 4]
     assert [str(frame.depth)[-5] for frame in recording.scene.frames] == ["0", "2", "3", "4"]
-    assert recording.skipped == ("1 colour images without a depth image within 0.02 s of their own",)
+    assert recording.skipped == ("1 colour image without a depth image within 0.02 s of their own",)
 
 
 def test_images_too_far_apart_are_no_pair(tmp_path: Path) -> None:
@@ -103,10 +103,10 @@ def test_the_benchmarks_cameras_are_known_by_folder(tmp_path: Path) -> None:
     """The files do not hold them; 525 px would be the ROS default, 2 % off."""
     folder = make_sequence(tmp_path / "rgbd_dataset_freiburg3_long_office")
     (folder / "camera.txt").unlink()
-    with pytest.raises(DataError, match="principal point .* is it of another resolution"):
+    with pytest.raises(DataError, match="principal point .* is it for another resolution"):
         read_tum(folder)  # the image here is 64 x 48, the camera's 640 x 480
     unnamed = folder.rename(tmp_path / "office")
-    with pytest.raises(DataError, match=r"does not say its camera; give `camera: \[fx, fy, cx, cy\]`"):
+    with pytest.raises(DataError, match=r"does not hold its camera; give `camera: \[fx, fy, cx, cy\]`"):
         read_tum(unnamed)
     assert read_tum(unnamed, camera=LENS)[0].scene.intrinsics.fy == 51
 

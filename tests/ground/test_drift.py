@@ -53,5 +53,5 @@ def test_the_error_is_in_the_camera_not_in_the_scene() -> None:
 def test_short_paths_and_no_drift() -> None:
     assert np.array_equal(errors(Drift(0.0, 0.0), 0), np.broadcast_to(np.eye(4), (len(TIMES), 4, 4)))
     assert len(errors(Drift(), 0, TIMES[:1])) == 1 and len(errors(Drift(), 0, TIMES[:2])) == 2
-    with pytest.raises(DataError, match="not negative"):
+    with pytest.raises(DataError, match="must not be negative"):
         Drift(metres=-0.1)

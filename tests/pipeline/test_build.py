@@ -16,6 +16,7 @@ from rpl_data.pipeline.build import Progress, build, recipe_of, stale_steps
 from rpl_data.pipeline.ledger import Ledger, Outcome, Step, stamps
 from rpl_data.pipeline.pool import Pool
 from rpl_data.pipeline.recipe import LabelRecipe, ObjectRecipe, Recipe, SceneSource
+from rpl_data.pipeline.stages import ORDER
 from rpl_data.pipeline.stages.quality import quality_rows
 from rpl_data.pipeline.stages.report import timings
 from rpl_data.pipeline.stages.surface import joined_meshes, joined_spheres
@@ -77,7 +78,7 @@ def test_everything_is_there(tiny_workspace: Workspace) -> None:
     assert table["label"]["frames"] == 18
     assert all(row["seconds"] >= 0 for row in table.values())
     report = tiny_workspace.report.read_text()
-    assert report.count("poses stray by") == 3
+    assert report.count("poses drift by") == 3
     assert report.count("clicks of a keypoint are") == 3
 
 
@@ -245,3 +246,19 @@ def test_pool_keeps_the_order_and_equals_one_process() -> None:
         assert [b - a for a, b in ranges] == [100] * 10
         assert list(pool.stream(range, ranges)) == list(range(1000))
     assert Pool(1).ranges(1000) == [(0, 1000)]
+
+
+def test_the_order_of_stages_is_that_of_the_build() -> None:
+    assert tuple(module.STAGES) == ORDER
+
+
+def test_planning_changes_nothing(tiny_workspace: Workspace, tmp_path: Path) -> None:
+    """Labels of a recording that is no longer placed go when the build runs, not when it is asked about."""
+    root = Path(shutil.copytree(tiny_workspace.root, tmp_path / "ws", symlinks=True))
+    workspace = Workspace(root)
+    shutil.copy(workspace.labels_file("00"), workspace.labels_file("old_scene"))
+    before = {path: path.stat().st_mtime_ns for path in root.rglob("*")}
+    stale_steps(recipe_of(workspace), workspace)
+    assert {path: path.stat().st_mtime_ns for path in root.rglob("*")} == before
+    build(recipe_of(workspace), workspace, until="label", workers=1)
+    assert not workspace.labels_file("old_scene").exists()

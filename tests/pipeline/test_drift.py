@@ -153,7 +153,7 @@ def test_a_recording_is_cut_only_where_clicks_place_every_part() -> None:
     enough = choose_cut("00", drift, {"cup": clicks([0, 30])}, max_drift_m=0.01)
     assert enough.spans == ((0, 15), (16, 30))
     assert enough.messages == (
-        "scene 00: its poses stray by 20 mm (max_drift_mm: 10), so it was cut into 2 (frames 0 to 15, "
+        "scene 00: its poses drift by 20 mm (max_drift_mm: 10), so it was cut into 2 (frames 0 to 15, "
         "16 to 30)",
     )
     short = choose_cut("00", drift, {"cup": clicks([0]) + clicks([0], scene="01")}, max_drift_m=0.01)
@@ -172,7 +172,7 @@ def test_a_recording_is_cut_as_far_as_clicks_allow() -> None:
 
 
 def test_poses_that_stray_too_fast_are_refused() -> None:
-    with pytest.raises(DataError, match=r"scene 00: its poses stray by .* mm.*max_drift_mm: 10.*slowly"):
+    with pytest.raises(DataError, match=r"scene 00: its poses drift by .* mm.*max_drift_mm: 10.*slowly"):
         choose_cut("00", walked(list(0.1 * np.arange(9))), {"cup": clicks([0])}, max_drift_m=0.01)
 
 

@@ -78,7 +78,7 @@ def test_a_recording_without_poses_is_mended_too() -> None:
 
 
 def test_a_lag_longer_than_the_recording_is_refused() -> None:
-    with pytest.raises(DataError, match="no frame is left"):
+    with pytest.raises(DataError, match="no frames are left"):
         mended(recording(), Mend(depth_lag=8))
 
 
@@ -111,7 +111,7 @@ def test_repeated_depth_is_left_out_with_its_pose(tmp_path: Path) -> None:
     assert found.left_out == (5,)
     assert found.notes == (
         "read with `mend: {no_repeats: true}`",
-        "1 frames left out: their depth image is the one before over again",
+        "1 frame left out: the depth image repeats the one before",
     )
 
 

@@ -11,7 +11,7 @@ from rpl_data.formats.datasets.coco import read_coco
 from rpl_data.geometry import project, transform
 from rpl_data.torch.heatmaps import decode_heatmaps, positions_in_image
 from rpl_data.torch.keypoints import KeypointDataset, KeypointSample
-from rpl_data.torch.regions import region_around
+from rpl_data.torch.pixel_cache import rectangle_around
 from rpl_data.torch.transforms import (
     Augmentation,
     chained,
@@ -231,7 +231,7 @@ def test_jitter_is_a_gain_a_channel_and_an_offset():
 
 
 def test_region_stays_on_the_image():
-    region = region_around(np.array([2.0, 3.0, 10.0]), half=1.0, width=20, height=30)
-    assert (region.left, region.top, region.right, region.bottom) == (0, 0, 14, 15)
-    beyond = region_around(np.array([-200.0, 300.0, 10.0]), half=1.0, width=20, height=30)
+    rectangle = rectangle_around(np.array([2.0, 3.0, 10.0]), half=1.0, width=20, height=30)
+    assert (rectangle.left, rectangle.top, rectangle.right, rectangle.bottom) == (0, 0, 14, 15)
+    beyond = rectangle_around(np.array([-200.0, 300.0, 10.0]), half=1.0, width=20, height=30)
     assert beyond.right > beyond.left and beyond.bottom > beyond.top

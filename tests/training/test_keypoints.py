@@ -16,17 +16,19 @@ from labelled_scenes import BOX, CAMERA, exported
 
 from rpl_data.formats.datasets.coco import read_coco, write_coco
 from rpl_data.geometry import project
-from rpl_data.types import DataError, KeypointModel
+from rpl_data.meshes import save_mesh
+from rpl_data.types import DataError, KeypointModel, Mesh
 from training.evaluate_pose import evaluate_pose
 from training.keypoints.module import load_keypoints, untrained
 from training.pose.evaluation import evaluate
 from training.pose.pipeline import PosePipeline, SeenKeypoints, load_pipeline, read_depth_m
 from training.predict import predict
+from training.runs.folder import trained_epochs
 from training.runs.options import DetectorNetwork, Learning, Machine, Network
 from training.runs.program import main
-from training.runs.trainer import trained_epochs
 from training.train_detector import train_detector
 from training.train_keypoints import train_keypoints
+from training.train_masks import train_masks
 
 CONFIGS = Path(__file__).parents[2] / "training" / "configs"
 WEDGE = KeypointModel(
@@ -79,30 +81,6 @@ def test_checkpoint_rebuilds_the_network(run):
         torch.testing.assert_close(value, weights[name])
 
 
-def test_a_run_that_was_cut_off_goes_on(coco, tmp_path, monkeypatch):
-    from training.keypoints.module import KeypointTraining
-
-    options = {"network": TINY, "learning": Learning(epochs=3, batch=4, rate=1e-3), "machine": ONE}
-    step = KeypointTraining.training_step
-
-    def cut(self, batch, number):
-        if self.current_epoch == 2:
-            raise KeyboardInterrupt
-        return step(self, batch, number)
-
-    monkeypatch.setattr(KeypointTraining, "training_step", cut)
-    with pytest.raises((KeyboardInterrupt, SystemExit)):
-        train_keypoints(coco, out=tmp_path, **options)
-    assert trained_epochs(tmp_path / "last.ckpt") == 2
-    monkeypatch.setattr(KeypointTraining, "training_step", step)
-    train_keypoints(coco, out=tmp_path, **options, resume=True)
-    assert trained_epochs(tmp_path / "last.ckpt") == 3
-    logs = [
-        list(csv.DictReader(path.read_text().splitlines())) for path in sorted(tmp_path.glob("logs*/*.csv"))
-    ]
-    assert [[int(row["epoch"]) for row in rows if row["train_loss"]] for rows in logs] == [[0, 1], [2]]
-
-
 def test_paper_preset_takes_a_step(coco, tmp_path, capsys):
     arguments = ["--config", str(CONFIGS / "keypoints_paper.yaml"), str(coco), "--out", str(tmp_path)]
     smaller = ["--learning.epochs=1", "--learning.batch=1", "--machine.workers=0", "--validate_every=2"]
@@ -120,7 +98,8 @@ def keep_one(data) -> None:
 def test_presets_are_understood():
     from jsonargparse import ArgumentParser
 
-    for name, program in (("keypoints", train_keypoints), ("detector", train_detector)):
+    programs = {"keypoints": train_keypoints, "detector": train_detector, "masks": train_masks}
+    for name, program in programs.items():
         for preset in ("cpu", "paper"):
             parser = ArgumentParser()
             parser.add_function_arguments(program)
@@ -151,7 +130,7 @@ def test_loss_that_is_no_number_names_the_batch(coco, tmp_path):
     module = untrained(WEDGE, TINY, FAST)
     batch = {"image": torch.full((2, 3, 32, 32), torch.nan), "heatmaps": torch.zeros(2, 5, 8, 8)}
     batch |= {"weights": torch.ones(2, 5), "image_id": torch.tensor([7, 9])}
-    with pytest.raises(DataError, match=r"epoch 0, batch 4, images 7, 9"):
+    with pytest.raises(DataError, match=r"epoch 1, batch 5, images 7, 9 .*the loss is nan"):
         module.training_step((batch, ()), 4)
 
 
@@ -256,19 +235,17 @@ def test_predictions(coco, run, detector, tmp_path):
         predict(tmp_path / "out" / "overlays" / "none", [run / "last.ckpt"], detector, camera)
 
 
-def test_evaluation_counts_what_is_missing(coco, run, detector, tmp_path, monkeypatch):
-    import training.pose.evaluation as evaluation
-
-    points = np.random.default_rng(0).uniform(-0.1, 0.1, (50, 3))
-    monkeypatch.setattr(evaluation, "surface_points", lambda mesh, count: points)
+def test_evaluation_counts_what_is_missing(coco, run, detector, tmp_path):
+    corners = np.random.default_rng(0).uniform(-0.1, 0.1, (51, 3))
+    save_mesh(tmp_path / "mesh.ply", Mesh(corners, np.arange(51).reshape(-1, 3)))
     data = read_coco(coco / "train.json")
-    data["rpl"]["objects"][0]["mesh"] = "train.json"  # some file
+    data["rpl"]["objects"][0]["mesh"] = "mesh.ply"
     write_coco(tmp_path / "train.json", data)
     (tmp_path / "images").symlink_to(coco / "images")
     for crops in ("given", "detected"):
-        out = tmp_path / f"{crops}.json"
+        out = tmp_path / crops
         evaluate_pose(tmp_path, [run / "last.ckpt"], detector, split="train", crops=crops, out=out)
-        found = json.loads(out.read_text())
+        found = json.loads((out / "train_poses.json").read_text())
         figures = found["figures"]["wedge consensus"]
         assert figures["instances"] == len(data["annotations"]) and len(found["instances"]) == 2 * len(
             data["annotations"]

@@ -6,6 +6,7 @@ import ast
 import json
 import subprocess
 import sys
+from collections import Counter
 from pathlib import Path
 
 import cv2
@@ -18,11 +19,13 @@ from pycocotools.cocoeval import COCOeval
 
 from rpl_data.formats.datasets.coco import read_coco
 from rpl_data.types import DataError
-from training.evaluate_masks import evaluate, table
-from training.masks.mask_rcnn import ModelConfig, build_model
+from training.masks.evaluation import evaluate, table
+from training.masks.mask_rcnn import build_model
+from training.masks.prediction import predict_to
 from training.masks.scores import average_precision, score_split
 from training.masks.weights import Segmenter
-from training.predict_masks import predict_masks, predict_to
+from training.predict_masks import predict_masks
+from training.runs.options import MaskNetwork
 
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "training/examples/plain_torchvision.py"
@@ -37,7 +40,7 @@ def coco(tmp_path_factory):
 def segmenter():
     """Random weights and no threshold: it finds something everywhere."""
     torch.manual_seed(0)
-    config = ModelConfig(
+    config = MaskNetwork(
         "resnet18", 64, channels=32, hidden=64, proposals=50, rois=16, detections=5, norm="group"
     )
     model = build_model(config, classes=2).eval()
@@ -155,8 +158,8 @@ def test_evaluate_writes_results_that_pycocotools_reads(coco, segmenter, tmp_pat
 
 
 def test_predict_a_folder_an_image_and_a_video(coco, segmenter, tmp_path):
-    source = coco / "images" / "desk"
-    images, drawn = predict_to(segmenter, source, tmp_path / "folder", threshold=0.0)
+    source, none = coco / "images" / "desk", Counter()
+    images, drawn = predict_to(segmenter, source, tmp_path / "folder", threshold=0.0, unreadable=none)
     listed = json.loads((tmp_path / "folder" / "images.json").read_text())
     results = json.loads((tmp_path / "folder" / "results.json").read_text())
     assert images == len(listed["images"]) == 6 and drawn == len(results) > 6
@@ -166,7 +169,10 @@ def test_predict_a_folder_an_image_and_a_video(coco, segmenter, tmp_path):
     for name in names:
         drawn, plain = (cv2.imread(str(folder / name)) for folder in (tmp_path / "folder", source))
         assert drawn.shape == plain.shape and (drawn != plain).any()
-    assert predict_to(segmenter, source / names[0], tmp_path / "image", threshold=2.0) == (1, 0)
+    assert predict_to(segmenter, source / names[0], tmp_path / "image", threshold=2.0, unreadable=none) == (
+        1,
+        0,
+    )
     np.testing.assert_array_equal(
         cv2.imread(str(tmp_path / "image" / names[0])), cv2.imread(str(source / names[0]))
     )
@@ -176,7 +182,8 @@ def test_predict_a_folder_an_image_and_a_video(coco, segmenter, tmp_path):
     for name in names[:3]:
         writer.write(cv2.imread(str(source / name)))
     writer.release()
-    assert predict_to(segmenter, tmp_path / "clip.avi", tmp_path / "video", threshold=0.0)[0] == 3
+    video = predict_to(segmenter, tmp_path / "clip.avi", tmp_path / "video", threshold=0.0, unreadable=none)
+    assert video[0] == 3 and not none
     film = cv2.VideoCapture(str(tmp_path / "video" / "clip.mp4"))
     assert (film.get(cv2.CAP_PROP_FRAME_COUNT), film.get(cv2.CAP_PROP_FPS)) == (3, 12)
 
@@ -186,10 +193,10 @@ def test_predict_refuses_what_it_cannot_read(segmenter, coco, tmp_path):
     (tmp_path / "empty").mkdir()
     for source in (tmp_path / "notes.txt", tmp_path / "empty", tmp_path / "absent.mp4"):
         with pytest.raises(DataError, match=source.name):
-            predict_to(segmenter, source, tmp_path / "out", threshold=0.5)
+            predict_to(segmenter, source, tmp_path / "out", threshold=0.5, unreadable=Counter())
     assert not (tmp_path / "out" / "results.json").exists()
     with pytest.raises(DataError, match="would replace"):
-        predict_masks(tmp_path / "last.ckpt", coco / "images/desk", out=coco / "images/desk")
+        predict_masks(coco / "images/desk", tmp_path / "last.ckpt", out=coco / "images/desk")
 
 
 # COCO files without us ----------------------------------------------------------------------------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,24 +15,38 @@ from labelled_scenes import CAMERA, exported, rle
 from torchvision.models import resnet18
 from torchvision.models.detection import maskrcnn_resnet50_fpn
 
+from rpl_data.torch.epochs import SeededRows
 from rpl_data.torch.instances import InstanceDataset
 from rpl_data.torch.transforms import Augmentation
 from rpl_data.types import DataError
+from training.evaluate_masks import evaluate_masks
 from training.masks.crops import SMALLEST_PX, SquareCrops, random_square
-from training.masks.mask_rcnn import ModelConfig, build_model, train_body, with_norm
-from training.masks.module import CHECKPOINT, train
-from training.masks.results import predict
-from training.masks.settings import Settings, learning_rate, load_settings
+from training.masks.mask_rcnn import build_model, train_body, with_norm
+from training.masks.module import class_ious
+from training.masks.results import predict, predict_split
+from training.masks.scores import score_split
+from training.masks.settings import OLD_NAMES as NEW_BY_OLD
+from training.masks.settings import MaskSettings, load_settings
 from training.masks.weights import Segmenter, load_segmenter, load_weights
+from training.predict_masks import predict_masks
+from training.reproduce.segmentation.experiment import given
+from training.runs.options import Learning, Machine, MaskNetwork
+from training.runs.program import main
+from training.runs.schedule import learning_rate
+from training.train_masks import train_masks
 
 ROOT = Path(__file__).parents[2]
-SMALL = ModelConfig(
+SMALL = MaskNetwork(
     backbone="resnet18", size_px=64, channels=32, hidden=64, proposals=50, rois=16, norm="batch"
 )
-QUICK = Settings(
-    model=SMALL, weights="scratch", epochs=2, head_epochs=1, optimizer="adamw", warmup_steps=2, workers=0,
-    accelerator="cpu",
-)  # fmt: skip
+QUICK = MaskSettings(
+    network=SMALL,
+    learning=Learning(epochs=2, batch=2, optimizer="adamw", rate=1e-3, warmup_steps=2, clip=5.0),
+    machine=Machine(accelerator="cpu"),
+    weights="scratch",
+    head_epochs=1,
+)
+ONCE = replace(QUICK, learning=replace(QUICK.learning, epochs=1))
 
 
 @pytest.fixture(scope="module")
@@ -43,18 +58,21 @@ def preset(name):
     return load_settings(ROOT / f"training/configs/masks_{name}.yaml")
 
 
+def train(settings, coco, out, **more):
+    return train_masks(coco, out, **given(settings), **more)
+
+
 def losses_of(out):
     rows = []
-    for file in sorted(out.glob("csv/*/metrics.csv")):
+    for file in sorted(out.glob("logs*/metrics.csv")):
         with file.open() as lines:
-            rows += [
-                (row["step"], row["loss"], row["loss_mask"], row["rate"]) for row in csv.DictReader(lines)
-            ]
+            rows += [(row["step"], row["train_loss"], row["rate"]) for row in csv.DictReader(lines)]
     return [row for row in rows if row[1]]
 
 
 def batch_of(coco, size_px=64):
-    crops = SquareCrops(coco / "train.json", size_px, Augmentation(shift=0.0), seed=0)
+    torch.manual_seed(0)
+    crops = SquareCrops(coco / "train.json", size_px, Augmentation(shift=0.0))
     samples = [crops[row] for row in range(2, 4)]
     return [image for image, _ in samples], [target for _, target in samples]
 
@@ -92,11 +110,11 @@ def test_first_losses_from_scratch_are_of_order_1(coco, norm):
 
 def test_the_papers_network_takes_a_step(coco):
     config = preset("paper")
-    assert (config.model.backbone, config.model.size_px, config.head_epochs, config.epochs) == (
+    assert (config.network.backbone, config.network.size_px, config.head_epochs, config.learning.epochs) == (
         "resnet101", 512, 20, 40,
     )  # fmt: skip
     torch.manual_seed(0)
-    model = build_model(with_norm(replace(config.model, size_px=128, rois=64), "scratch"), classes=2)
+    model = build_model(with_norm(replace(config.network, size_px=128, rois=64), "scratch"), classes=2)
     assert sum(p.numel() for p in model.parameters()) == pytest.approx(62.9e6, rel=0.01)
     losses = model(*batch_of(coco, 128))
     sum(losses.values()).backward()
@@ -137,7 +155,7 @@ def test_resnet_weights_from_a_file(tmp_path):
 def test_torchvisions_mask_rcnn_fits_all_but_its_classes(tmp_path):
     published = maskrcnn_resnet50_fpn(weights=None, weights_backbone=None, num_classes=91)
     torch.save(published.state_dict(), tmp_path / "coco.pth")
-    config = ModelConfig(backbone="resnet50", size_px=64, norm="frozen")
+    config = MaskNetwork(backbone="resnet50", size_px=64, norm="frozen")
     model = build_model(config, classes=2)
     said = load_weights(model, config, str(tmp_path / "coco.pth"))
     # Weight and bias of the class scores, the box offsets and the masks depend on the classes.
@@ -156,16 +174,49 @@ def test_broken_weights_are_refused(tmp_path):
 
 
 def test_settings_that_are_none(tmp_path):
-    (tmp_path / "typo.yaml").write_text("settings: {epoch: 3}")
+    (tmp_path / "typo.yaml").write_text("learning: {epoch: 3}")
     with pytest.raises(DataError, match="epoch"):
         load_settings(tmp_path / "typo.yaml")
     with pytest.raises(DataError, match="does not exist"):
         load_settings(tmp_path / "absent.yaml")
+    with pytest.raises(DataError, match="head_epochs"):
+        replace(QUICK, head_epochs=3)
+
+
+OLD_NAMES = """
+settings:
+  model: {backbone: resnet18, size_px: 64, channels: 32}
+  augmentation: {scale: 0.2}
+  weights: scratch
+  epochs: 3
+  head_epochs: 1
+  workers: 0
+"""
+
+
+def test_old_names_are_understood_with_a_hint(coco, tmp_path, capsys):
+    (tmp_path / "old.yaml").write_text(OLD_NAMES)
+    settings = load_settings(tmp_path / "old.yaml")
+    said = capsys.readouterr().err
+    assert "settings.model is now network" in said and "settings.epochs is now learning.epochs" in said
+    assert settings.network == MaskNetwork(backbone="resnet18", size_px=64, channels=32)
+    assert (settings.learning.epochs, settings.learning.optimizer, settings.learning.batch) == (3, "sgd", 2)
+    assert (settings.weights, settings.head_epochs, settings.machine.workers) == ("scratch", 1, 0)
+    assert (settings.augment.scale, settings.augment.rotation_deg) == (0.2, 10.0)
+    preset("cpu")
+    assert capsys.readouterr().err == ""  # ours have the new names
+    command = ["--config", str(tmp_path / "old.yaml"), str(coco), "--out", str(tmp_path / "run")]
+    smaller = ["--settings.model.hidden=32", "--settings.epochs", "1", "--network.norm=group", "--until=1"]
+    assert main(train_masks, [*command, *smaller], old_names=NEW_BY_OLD) == 0
+    said = capsys.readouterr().err
+    assert "--settings.epochs is now --learning.epochs" in said and "--settings.model.hidden" in said
+    network = load_segmenter(tmp_path / "run" / "last.ckpt").network
+    assert (network.size_px, network.hidden, network.norm) == (64, 32, "group")
 
 
 @pytest.mark.parametrize("wrong", [{"size_px": 100}, {"rois": 0}])
 def test_configs_that_cannot_be_built(wrong):
-    with pytest.raises(DataError, match="model"):
+    with pytest.raises(DataError, match="network"):
         replace(SMALL, **wrong)
 
 
@@ -173,10 +224,14 @@ def test_configs_that_cannot_be_built(wrong):
 
 
 def test_crops_repeat_and_change_with_the_epoch(coco):
-    crops, again = (SquareCrops(coco / "train.json", 64, Augmentation(), seed=3) for _ in range(2))
-    assert torch.equal(crops[4][0], again[4][0]) and torch.equal(crops[4][1]["masks"], again[4][1]["masks"])
-    again.epoch = 1
-    assert not torch.equal(crops[4][0], again[4][0])
+    crops, again = (
+        SeededRows(SquareCrops(coco / "train.json", 64, Augmentation()), seed=3) for _ in range(2)
+    )
+    before = torch.random.get_rng_state()
+    first, second = crops[0, 4], again[0, 4]
+    assert torch.equal(first[0], second[0]) and torch.equal(first[1]["masks"], second[1]["masks"])
+    assert not torch.equal(first[0], again[1, 4][0])
+    assert torch.equal(before, torch.random.get_rng_state())
 
 
 def test_squares_stay_inside_the_image_without_shift():
@@ -193,49 +248,93 @@ def test_squares_stay_inside_the_image_without_shift():
 
 
 def test_slivers_are_not_trained_on(coco):
-    crops = SquareCrops(coco / "train.json", 64, Augmentation(shift=0.5), seed=0)
-    for crops.epoch in range(20):
+    crops = SeededRows(SquareCrops(coco / "train.json", 64, Augmentation(shift=0.5)), seed=0)
+    for epoch in range(20):
         for row in range(len(crops)):
-            boxes = crops[row][1]["boxes"]
+            boxes = crops[epoch, row][1]["boxes"]
             assert ((boxes[:, 2:] - boxes[:, :2]) >= SMALLEST_PX).all()
 
 
 # Training -----------------------------------------------------------------------------------------
 
 
-def test_resumed_run_has_the_same_losses(coco, tmp_path):
-    straight = train(QUICK, coco, tmp_path / "straight")
-    paused = train(QUICK, coco, tmp_path / "paused", until=1)
-    assert paused.epochs == 1 and straight.epochs == 2
-    resumed = train(QUICK, coco, tmp_path / "paused")
-    assert resumed.epochs == 2
-    assert losses_of(tmp_path / "straight") == losses_of(tmp_path / "paused")
-    assert len(losses_of(tmp_path / "straight")) == 6
-    states = [torch.load(done.checkpoint, weights_only=True)["state_dict"] for done in (straight, resumed)]
-    assert all(torch.equal(states[0][key], states[1][key]) for key in states[0])
-    segmenter = load_segmenter(resumed.checkpoint)
-    assert segmenter.names == ("background", "box", "can") and segmenter.config == SMALL
-    with pytest.raises(DataError, match="another rate"):
-        train(replace(QUICK, rate=0.1), coco, tmp_path / "paused")
+def test_checkpoint_rebuilds_the_network(coco, tmp_path):
+    checkpoint = train(ONCE, coco, tmp_path)
+    segmenter = load_segmenter(checkpoint)
+    assert segmenter.names == ("background", "box", "can") and segmenter.network == SMALL
+    state = torch.load(checkpoint, weights_only=True)["state_dict"]
+    assert all(
+        torch.equal(value, state[f"model.{key}"]) for key, value in segmenter.model.state_dict().items()
+    )
+    with pytest.raises(DataError, match="resume with the options"):
+        train(replace(ONCE, network=replace(SMALL, hidden=32)), coco, tmp_path, resume=True)
+
+
+def test_validated_iou_is_that_of_the_scores(coco, monkeypatch):
+    """Random weights that find something everywhere, judged by the module and by the evaluation."""
+    import training.masks.module as module
+
+    torch.manual_seed(0)
+    network = replace(SMALL, norm="group", detections=5)
+    segmenter = Segmenter(build_model(network, classes=2).eval(), network, ("background", "box", "can"))
+    segmenter.model.roi_heads.score_thresh = 0.0
+    monkeypatch.setattr(module, "SCORE_THRESHOLD", 0.0)
+    dataset, path, ious = InstanceDataset(coco / "train.json"), coco / "train.json", []
+    with torch.no_grad():
+        for image, target in (dataset[row] for row in range(len(dataset))):
+            ious += class_ious(segmenter.model([image])[0], target)
+    scores = score_split(path, predict_split(segmenter, path)[0], threshold=0.0)
+    weights = [row.images for row in scores.classes]
+    expected = np.average([row.mean_iou for row in scores.classes], weights=weights)
+    assert len(ious) == sum(weights) == 10 and np.mean(ious) == pytest.approx(expected)
+    assert 0.001 < expected < 0.9
+
+
+def test_a_broken_image_is_left_out_and_counted(coco, tmp_path, capsys):
+    """In training, validation, evaluation and prediction."""
+    place = tmp_path / "coco"
+    shutil.copytree(coco, place)
+    bad = place / json.loads((place / "train.json").read_text())["images"][3]["file_name"]
+    bad.write_bytes(b"no image")
+    shutil.copy(place / "train.json", place / "val.json")
+    checkpoint = train(QUICK, place, tmp_path / "run")
+    said = capsys.readouterr().out
+    assert (
+        f"left out 4 times: cannot read the image {bad}" in said
+    )  # two epochs of training and of validation
+    assert (tmp_path / "run" / "best.ckpt").exists()
+    evaluate_masks(place, checkpoint, "val", tmp_path / "scores")
+    assert f"left out 1 time: cannot read the image {bad}" in capsys.readouterr().out
+    assert json.loads((tmp_path / "scores" / "val_scores.json").read_text())["images"] == 5
+    predict_masks(place / "images" / "desk", checkpoint, tmp_path / "found")
+    said = capsys.readouterr().out
+    assert "5 images" in said and f"left out 1 time: cannot read the image {bad}" in said
+    with pytest.raises(DataError, match="there is no .*holdout.json.*train, val"):
+        evaluate_masks(place, checkpoint, "holdout")
+
+
+def test_half_precision_takes_a_step(coco, tmp_path):
+    train(replace(ONCE, machine=Machine("cpu", precision="bf16-mixed")), coco, tmp_path)
+    assert all(np.isfinite(float(loss)) for _, loss, *_ in losses_of(tmp_path))
 
 
 def test_learning_rate_rises_stays_and_falls():
-    settings = replace(QUICK, epochs=10, rate=1.0, warmup_steps=5, cooldown=0.2)
-    rates = [learning_rate(settings, step, 10) for step in range(100)]
+    learning = replace(QUICK.learning, epochs=10, rate=1.0, warmup_steps=5, cooldown=0.2)
+    rates = [learning_rate(learning, step, 10) for step in range(100)]
     np.testing.assert_allclose(rates[:5], [0.2, 0.4, 0.6, 0.8, 1.0])
     np.testing.assert_allclose(rates[5:81], 1.0)
     np.testing.assert_allclose(rates[80:], np.linspace(1, 0.05, 20))
 
 
 def test_a_loss_that_is_not_finite_names_the_batch(coco, tmp_path):
-    with pytest.raises(DataError, match=r"step \d+: loss_.* = (nan|inf) on images/.*png, images/.*png"):
-        train(replace(QUICK, rate=1e9, warmup_steps=0, clip=0.0, head_epochs=0), coco, tmp_path)
+    wild = replace(QUICK.learning, rate=1e9, warmup_steps=0, clip=0.0)
+    with pytest.raises(DataError, match=r"epoch \d, batch \d, images \d, \d .*: loss_\w+ is (nan|inf)"):
+        train(replace(QUICK, learning=wild, head_epochs=0), coco, tmp_path)
 
 
 def test_a_class_absent_from_training(coco, tmp_path):
     data = rewritten(coco, tmp_path, lambda image, found: [a for a in found if a["category_id"] == 1])
-    done = train(replace(QUICK, epochs=1), data, tmp_path / "run")
-    segmenter = load_segmenter(done.checkpoint)
+    segmenter = load_segmenter(train(ONCE, data, tmp_path / "run"))
     image, _ = InstanceDataset(coco / "train.json")[0]
     assert segmenter.names == ("background", "box", "can")
     assert segmenter.model([image])[0]["masks"].shape[1:] == (1, 120, 160)
@@ -248,7 +347,7 @@ def test_images_without_objects_teach_the_background(coco, tmp_path):
     losses = build_model(replace(SMALL, norm="group"), classes=2)(images, targets)
     assert losses["loss_classifier"] > 0 and losses["loss_objectness"] > 0
     assert losses["loss_mask"] == losses["loss_box_reg"] == losses["loss_rpn_box_reg"] == 0
-    train(replace(QUICK, epochs=1), data, tmp_path / "run")
+    train(ONCE, data, tmp_path / "run")
     assert all(np.isfinite(float(loss)) for _, loss, *_ in losses_of(tmp_path / "run"))
 
 
@@ -257,8 +356,9 @@ def test_slivers_of_an_object_are_left_out(coco, tmp_path, size):
     """torchvision refuses a whole batch for one box without width or height."""
     data = rewritten(coco, tmp_path, lambda image, found: [*found, *(boxed(a, 70, 50, *size) for a in found)])
     upright = Augmentation(shift=0.0, rotation_deg=0.0)
-    crops = [SquareCrops(folder / "train.json", 64, upright, seed=0) for folder in (data, coco)]
-    assert [len(each.images[2][1]["labels"]) for each in crops] == [4, 2]
+    crops = [SquareCrops(folder / "train.json", 64, upright) for folder in (data, coco)]
+    whole = [InstanceDataset(folder / "train.json") for folder in (data, coco)]
+    assert [len(each[2][1]["labels"]) for each in whole] == [4, 2]
     assert [each[2][1]["labels"].tolist() for each in crops] == [[1, 2], [1, 2]]
 
 
@@ -302,4 +402,4 @@ def test_nothing_to_train_on(coco, tmp_path):
     (tmp_path / "train.json").write_text(json.dumps({**data, "images": [], "annotations": []}))
     with pytest.raises(DataError, match="no images"):
         train(QUICK, tmp_path, tmp_path / "run")
-    assert not (tmp_path / "run" / CHECKPOINT).exists()
+    assert not (tmp_path / "run" / "last.ckpt").exists()

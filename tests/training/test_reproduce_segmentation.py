@@ -11,24 +11,20 @@ import pytest
 
 from rpl_data.types import DataError
 from rpl_data.workspace.workspace import Workspace
-from training.masks.module import train
 from training.masks.scores import ClassScore, SplitScore
 from training.masks.settings import comparable, load_settings
 from training.reproduce.__main__ import main
-from training.reproduce.segmentation.experiment import segmentation, sources_of, train_round
+from training.reproduce.segmentation.experiment import given, segmentation, sources_of, train_round
 from training.reproduce.segmentation.page import verdict
 from training.reproduce.segmentation.progress import Progress
+from training.train_masks import train_masks
 
 SETTINGS = """
-settings:
-  model: {backbone: resnet18, size_px: 64, channels: 32, hidden: 64, proposals: 20, rois: 16, detections: 5}
-  weights: scratch
-  epochs: 4
-  head_epochs: 0
-  batch: 4
-  optimizer: adamw
-  workers: 0
-  accelerator: cpu
+network: {backbone: resnet18, size_px: 64, channels: 32, hidden: 64, proposals: 20, rois: 16, detections: 5}
+learning: {epochs: 4, batch: 4, optimizer: adamw}
+weights: scratch
+head_epochs: 0
+machine: {workers: 0, accelerator: cpu}
 """
 
 
@@ -79,7 +75,7 @@ def test_an_interrupted_run_goes_on_as_if_it_had_not_been(
     preset = Path(command[5])
     settings, sources = load_settings(preset), sources_of(workspace.root)
     train_round(sources, settings, Progress(comparable(settings)), tmp_path)
-    train(settings, sources["OURS"], tmp_path / "ours", until=4)
+    train_masks(sources["OURS"], tmp_path / "ours", **given(settings), resume=True, until=4)
     segmentation(workspace.root, tmp_path, preset)
     straight, paused = (
         json.loads((f / "segmentation.json").read_text()) for f in (Path(command[3]), tmp_path)
@@ -91,7 +87,7 @@ def test_an_interrupted_run_goes_on_as_if_it_had_not_been(
 def test_other_settings_do_not_go_on(
     command: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (tmp_path / "other.yaml").write_text(SETTINGS + "  rate: 0.5\n")
+    (tmp_path / "other.yaml").write_text(SETTINGS.replace("adamw", "adamw, rate: 0.5"))
     assert main([*command[:5], str(tmp_path / "other.yaml")]) == 1
     assert "other settings" in capsys.readouterr().err
 

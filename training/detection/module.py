@@ -1,8 +1,7 @@
-"""The detector in front of the hourglass, in the role the paper gives YOLO: torchvision's, from scratch."""
+"""The detector in front of the hourglass, as a Lightning module. The paper uses YOLO, we torchvision's."""
 
 from __future__ import annotations
 
-import time
 from collections import Counter, OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
@@ -20,17 +19,17 @@ from torchvision.ops import box_iou
 
 from rpl_data.torch.detection import DetectionTarget, shrunk, square_from_box
 from rpl_data.torch.images import to_unit_range
-from rpl_data.torch.readable import Unreadable
 from training.keypoints.hourglass import Hourglass, Residual
 from training.runs.options import DetectorNetwork, Learning
-from training.runs.trainer import load_module, optimizer_of, stop_if_not_finite
+from training.runs.schedule import optimizer_of
+from training.runs.trainer import load_module, nothing_read, stop_if_not_finite
 
 Collated = tuple[list[Tensor], list[DetectionTarget], Sequence[str]]
-"""Of `collate_detection`."""
+"""What `collate_readable_lists` makes of a batch: images, targets, messages about unreadable images."""
 
 
 class HourglassBackbone(nn.Module):
-    """One feature map of stride 8, with an hourglass for context."""
+    """A backbone with one feature map of stride 8, and an hourglass that gives it context."""
 
     def __init__(self, features: int) -> None:
         super().__init__()
@@ -47,38 +46,43 @@ class HourglassBackbone(nn.Module):
         )
 
     def forward(self, images: Tensor) -> OrderedDict[str, Tensor]:
-        """The map, under the name torchvision looks for."""
+        """The feature map, under the name that torchvision looks for."""
         return OrderedDict(p3=self.layers(images))
 
 
-def small_fcos(classes: int, network: DetectorNetwork) -> nn.Module:
-    """FCOS (Tian, Shen, Chen and He, ICCV 2019) on one map: objects of a few sizes need no pyramid."""
-    backbone = HourglassBackbone(network.features)
-    return FCOS(
+def small_fcos(classes: int, options: DetectorNetwork) -> nn.Module:
+    """FCOS (Tian, Shen, Chen and He, ICCV 2019) on one feature map; a few sizes need no pyramid."""
+    backbone = HourglassBackbone(options.features)
+    network: nn.Module = FCOS(
         backbone,
         num_classes=classes,
         anchor_generator=AnchorGenerator(sizes=((8,),), aspect_ratios=((1.0,),)),
         head=FCOSHead(backbone.out_channels, 1, classes, num_convs=1),
         score_thresh=0.05,
-        **_size(network),
+        **_size(options),
     )
+    return network
 
 
-def fcos(classes: int, network: DetectorNetwork) -> nn.Module:
-    """Torchvision's, with batch normalisation that learns, since nothing is pretrained."""
-    return fcos_resnet50_fpn(
+def fcos(classes: int, options: DetectorNetwork) -> nn.Module:
+    """Torchvision's FCOS. Its batch normalisation learns, since nothing is pretrained."""
+    network: nn.Module = fcos_resnet50_fpn(
         weights=None,
         weights_backbone=None,
         num_classes=classes,
         norm_layer=nn.BatchNorm2d,
         trainable_backbone_layers=5,
-        **_size(network),
+        **_size(options),
     )
+    return network
 
 
-def ssdlite(classes: int, network: DetectorNetwork) -> nn.Module:
-    """Torchvision's; it resizes images to 320 x 320 whatever their size."""
-    return ssdlite320_mobilenet_v3_large(weights=None, weights_backbone=None, num_classes=classes)
+def ssdlite(classes: int, options: DetectorNetwork) -> nn.Module:
+    """Torchvision's SSDLite, which resizes every image to 320 x 320 px."""
+    network: nn.Module = ssdlite320_mobilenet_v3_large(
+        weights=None, weights_backbone=None, num_classes=classes
+    )
+    return network
 
 
 ARCHITECTURES: dict[str, Callable[[int, DetectorNetwork], nn.Module]] = {
@@ -88,9 +92,9 @@ ARCHITECTURES: dict[str, Callable[[int, DetectorNetwork], nn.Module]] = {
 }
 
 
-def _size(network: DetectorNetwork) -> dict[str, Any]:
-    """Images of 4:3 come at their size and keep it; others are made to fit into that."""
-    return {"min_size": network.width_px * 3 // 4, "max_size": network.width_px}
+def _size(options: DetectorNetwork) -> dict[str, Any]:
+    """The size of the network's images: 4:3 images keep theirs, others are made to fit into it."""
+    return {"min_size": options.width_px * 3 // 4, "max_size": options.width_px}
 
 
 class Detection(NamedTuple):
@@ -101,19 +105,19 @@ class Detection(NamedTuple):
 
 
 class DetectorTraining(LightningModule):
-    """One detector of all objects of a label source.
+    """One detector for all objects of a dataset.
 
     Attributes:
-        names: of the labels, `names[0]` is the background.
-        network: its options.
-        unreadable: how often an image could not be read, by message.
+        names: of the labels; `names[0]` is the background.
+        options: the options of the network.
+        unreadable: how often images could not be read, by message.
     """
 
     def __init__(self, names: list[str], network: dict[str, Any], learning: dict[str, Any]) -> None:
-        """An untrained detector.
+        """Build a detector with random weights.
 
         Args:
-            names: of the labels.
+            names: of the labels, the background first.
             network: fields of `DetectorNetwork`.
             learning: fields of `Learning`.
         """
@@ -121,6 +125,8 @@ class DetectorTraining(LightningModule):
         self.save_hyperparameters()
         self.names, self.options, self._learning = names, DetectorNetwork(**network), Learning(**learning)
         self.detector = ARCHITECTURES[self.options.architecture](len(names), self.options)
+        if self._learning.channels_last:
+            self.detector = self.detector.to(memory_format=torch.channels_last)
         self.unreadable: Counter[str] = Counter()
 
     def training_step(self, collated: Collated, number: int) -> Tensor | None:
@@ -128,30 +134,29 @@ class DetectorTraining(LightningModule):
         images, targets, messages = collated
         self.unreadable.update(messages)
         if not images:
-            return None
+            return nothing_read(self)
         losses: dict[str, Tensor] = self.detector(images, targets)
         loss = torch.stack(list(losses.values())).sum()
-        stop_if_not_finite(loss, self.current_epoch, number, [int(target["image_id"]) for target in targets])
+        stop_if_not_finite(losses, self.current_epoch, number, [target["image_id"] for target in targets])
         self.log("train_loss", loss, on_step=False, on_epoch=True, batch_size=len(images))
         return loss
 
     def validation_step(self, collated: Collated, _: int) -> None:
-        """Share of the objects whose best detection overlaps them by half or more."""
+        """Log the share of objects whose best detection overlaps them with an IoU of at least 0.5."""
         images, targets, messages = collated
         self.unreadable.update(messages)
         found = self.detector(images) if images else []
         hits = [hit for output, target in zip(found, targets, strict=True) for hit in _hits(output, target)]
         if hits:
             self.log("val_found", sum(hits) / len(hits), batch_size=len(hits))
-            self.log("cpu_s", time.process_time(), batch_size=1, reduce_fx="max")
 
-    def configure_optimizers(self) -> Any:
-        """By the options."""
-        return optimizer_of(self, self._learning)
+    def configure_optimizers(self) -> torch.optim.Optimizer:
+        """The optimizer that the options name; `Steps` sets its rate."""
+        return optimizer_of(self, self._learning, fused=self.trainer.precision == "32-true")
 
     @torch.no_grad()
     def detect(self, image: np.ndarray) -> dict[str, Detection]:
-        """The best detection of every object that is found in an RGB image of any size."""
+        """Detect objects in an RGB image of any size; the best detection of each that is found, by name."""
         small = shrunk(image, self.options.width_px)
         output = self.detector([to_unit_range(small).to(self.device)])[0]
         zoom = image.shape[1] / self.options.width_px
@@ -165,28 +170,21 @@ class DetectorTraining(LightningModule):
 
 
 def untrained_detector(names: list[str], network: DetectorNetwork, learning: Learning) -> DetectorTraining:
-    """A new detector."""
+    """Build a new detector."""
     return DetectorTraining(names, asdict(network), asdict(learning))
 
 
 def load_detector(checkpoint: Path) -> DetectorTraining:
-    """The trained detector of a checkpoint, ready to detect.
+    """Load the trained detector of a checkpoint, ready to detect.
 
     Raises:
-        DataError: it is missing, or no checkpoint of `train_detector`.
+        DataError: the checkpoint is missing, or another program wrote it.
     """
     return load_module(DetectorTraining, checkpoint, "training.train_detector")
 
 
-def collate_detection(samples: Sequence[Any]) -> Collated:
-    """Images and targets as lists, and why the others could not be read."""
-    read = [sample for sample in samples if not isinstance(sample, Unreadable)]
-    failed = tuple(sample.message for sample in samples if isinstance(sample, Unreadable))
-    return [image for image, _ in read], [target for _, target in read], failed
-
-
 def _hits(output: dict[str, Tensor], target: DetectionTarget) -> list[bool]:
-    """For every object of an image, whether its label's best detection overlaps it by half or more."""
+    """Whether the best detection of an object's label overlaps it with an IoU of at least 0.5, per object."""
     hits = []
     for box, label in zip(target["boxes"], target["labels"], strict=True):
         mine = output["boxes"][output["labels"] == label]  # best score first

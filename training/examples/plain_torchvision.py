@@ -8,21 +8,24 @@ from pathlib import Path
 
 import torch
 from pycocotools.coco import COCO
+from torch import Tensor
 from torchvision.io import decode_image
 from torchvision.models.detection import maskrcnn_resnet50_fpn
 
+Target = dict[str, Tensor]
 
-class CocoInstances(torch.utils.data.Dataset):
+
+class CocoInstances(torch.utils.data.Dataset[tuple[Tensor, Target]]):
     """Images and torchvision's targets."""
 
-    def __init__(self, json_file):
+    def __init__(self, json_file: str) -> None:
         self.coco, self.folder = COCO(json_file), Path(json_file).parent
         self.ids = sorted(self.coco.getImgIds())
 
-    def __len__(self):
+    def __len__(self) -> int:
         return len(self.ids)
 
-    def __getitem__(self, row):
+    def __getitem__(self, row: int) -> tuple[Tensor, Target]:
         entry = self.coco.loadImgs(self.ids[row])[0]
         annotations = self.coco.loadAnns(self.coco.getAnnIds(imgIds=entry["id"]))
         image = decode_image(str(self.folder / entry["file_name"]), mode="RGB") / 255
@@ -34,12 +37,12 @@ class CocoInstances(torch.utils.data.Dataset):
         return image, {"boxes": boxes, "labels": labels, "masks": torch.stack(masks) if masks else empty}
 
 
-def collate(batch):
+def collate(batch: list[tuple[Tensor, Target]]) -> tuple[list[Tensor], list[Target]]:
     """Images and targets as two lists."""
     return [image for image, _ in batch], [target for _, target in batch]
 
 
-def main():
+def main() -> None:
     """Train from scratch and print the loss of every step."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("json_file")

@@ -1,8 +1,8 @@
 """The stacked hourglass of Newell, Yang and Deng (ECCV 2016), the paper's keypoint network.
 
-Layer for layer the authors' own network (pre-activation bottlenecks, one residual a level, batch
-normalisation, nearest upsampling), with options for its size: `StackedHourglass(keypoints=16)` is the
-published one with two stacks. Shapes are (batch, channels, rows, columns).
+Layer for layer the authors' own network (pre-activation bottlenecks, one residual block per level, batch
+normalisation, nearest-neighbour upsampling), with options for its size: `StackedHourglass(keypoints=16)` is
+the published one with two stacks. Shapes are (batch, channels, rows, columns).
 """
 
 from __future__ import annotations
@@ -12,22 +12,22 @@ from torch import Tensor, nn
 
 
 class StackedHourglass(nn.Module):
-    """Images to heatmaps, a set from every stack; all of them are trained, the last is used.
+    """Turns images into one set of heatmaps per stack. All sets are trained, the last one is used.
 
     Attributes:
-        shrink: input pixels a heatmap pixel.
+        shrink: input pixels per heatmap pixel, on each axis.
     """
 
     shrink = 4
 
     def __init__(self, keypoints: int, *, stacks: int = 2, features: int = 256, levels: int = 4) -> None:
-        """The network, untrained.
+        """Build the network with random weights.
 
         Args:
-            keypoints: heatmaps a stack.
+            keypoints: heatmaps per stack.
             stacks: hourglasses one behind the other; the paper has 2.
             features: channels of the hourglasses; the paper has 256.
-            levels: halvings of an hourglass; heatmaps must be at least 2^levels pixels wide.
+            levels: how often an hourglass halves its feature map; heatmaps must be 2^levels pixels or wider.
         """
         super().__init__()
         half, quarter = max(features // 2, 16), max(features // 4, 16)
@@ -47,7 +47,7 @@ class StackedHourglass(nn.Module):
         self.heatmaps_back = nn.ModuleList(nn.Conv2d(keypoints, features, 1) for _ in range(stacks - 1))
 
     def forward(self, images: Tensor) -> list[Tensor]:
-        """Heatmaps of every stack, each batch x keypoints x rows / 4 x columns / 4.
+        """Compute the heatmaps of every stack, each batch x keypoints x rows / 4 x columns / 4.
 
         Args:
             images: batch x 3 x rows x columns, 0 to 1; both sides multiples of 4 * 2^levels.
@@ -65,7 +65,7 @@ class StackedHourglass(nn.Module):
 
 
 class Hourglass(nn.Module):
-    """Down to 1 / 2^levels and up again, with a residual beside every level."""
+    """Halves a feature map `levels` times and enlarges it again, with a residual block beside every level."""
 
     def __init__(self, levels: int, features: int) -> None:
         super().__init__()
@@ -75,14 +75,14 @@ class Hourglass(nn.Module):
         self.up = Residual(features, features)
 
     def forward(self, x: Tensor) -> Tensor:
-        """The same shape."""
+        """The shape stays the same."""
         below = self.up(self.inner(self.down(x)))
         raised: Tensor = self.beside(x) + nn.functional.interpolate(below, scale_factor=2, mode="nearest")
         return raised
 
 
 class Residual(nn.Module):
-    """He et al.'s pre-activation bottleneck: 1x1, 3x3, 1x1, half as wide in the middle."""
+    """Pre-activation bottleneck (He et al. 2016): 1x1, 3x3 and 1x1 convolutions, half as wide in between."""
 
     def __init__(self, before: int, after: int) -> None:
         super().__init__()
@@ -115,16 +115,16 @@ def _neck(features: int) -> nn.Sequential:
 
 
 def parameter_count(network: nn.Module) -> int:
-    """How many numbers are trained."""
+    """How many parameters are trained."""
     return sum(parameter.numel() for parameter in network.parameters())
 
 
 def mean_squares(heatmaps: Tensor, targets: Tensor, weights: Tensor) -> Tensor:
-    """Squared difference, the mean over the pixels of the keypoints that weigh something.
+    """Mean squared difference over the pixels of the keypoints with a weight.
 
     Args:
         heatmaps, targets: batch x k x rows x columns.
-        weights: batch x k; 0 = not labelled or outside the crop.
+        weights: batch x k; 0 where a keypoint is not labelled or outside the crop.
     """
     pixels = heatmaps.shape[-1] * heatmaps.shape[-2]
     squares = (heatmaps - targets).square().sum(dim=(-1, -2)) / pixels
@@ -132,10 +132,10 @@ def mean_squares(heatmaps: Tensor, targets: Tensor, weights: Tensor) -> Tensor:
 
 
 def cross_entropy(logits: Tensor, targets: Tensor, weights: Tensor) -> Tensor:
-    """Cross entropy of each keypoint's place, a distribution over the pixels, with its target's.
+    """Cross entropy between the predicted and the target distribution of each keypoint over the pixels.
 
-    It teaches where, not how high, so that the first epochs are not spent on learning to say nowhere.
-    Arguments as of `mean_squares`.
+    It teaches the position alone, not the height of the peak, so the first epochs are not spent on learning
+    that most pixels are empty. Arguments as of `mean_squares`.
     """
     wanted = targets.flatten(-2)
     wanted = wanted / wanted.sum(dim=-1, keepdim=True).clamp_min(1e-6)

@@ -1,8 +1,7 @@
-"""One object's hourglass as a Lightning module: losses, learning rate, what is measured, checkpoints."""
+"""The hourglass of one object as a Lightning module: losses, validation, checkpoints."""
 
 from __future__ import annotations
 
-import time
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -20,26 +19,27 @@ from rpl_data.torch.keypoints import KeypointSample
 from rpl_data.types import DataError, KeypointModel
 from training.keypoints.hourglass import StackedHourglass, cross_entropy, mean_squares
 from training.runs.options import Learning, Network
-from training.runs.trainer import load_module, optimizer_of, stop_if_not_finite
+from training.runs.schedule import optimizer_of
+from training.runs.trainer import load_module, nothing_read, stop_if_not_finite
 
 Collated = tuple[KeypointSample | None, Sequence[str]]
-"""Of `collate_readable`."""
+"""What `collate_readable` makes of a batch: samples, and messages about unreadable images."""
 
 PCK_SHARE = 0.1
-"""A keypoint is right within this share of its square box's side."""
+"""A keypoint counts as correct (PCK) within this share of the side of its square box."""
 
 
 class KeypointTraining(LightningModule):
-    """An hourglass with its object: all that predicting poses needs is in its checkpoint.
+    """An hourglass with its object. Its checkpoint holds all that predicting poses needs.
 
     Attributes:
         model: the sparse model whose keypoints the heatmaps are.
-        options: of the network.
-        unreadable: how often an image could not be read, by message.
+        options: the options of the network.
+        unreadable: how often images could not be read, by message.
     """
 
     def __init__(self, model: dict[str, Any], options: dict[str, Any], learning: dict[str, Any]) -> None:
-        """An untrained network.
+        """Build a network with random weights.
 
         Args:
             model: name, keypoints and points_object (rows of metres, None where never clicked).
@@ -71,11 +71,11 @@ class KeypointTraining(LightningModule):
             self.network = self.network.to(memory_format=torch.channels_last)
 
     def forward(self, images: Tensor) -> Keypoints:
-        """Keypoints of crops, in pixels of the heatmap."""
+        """Find the keypoints of crops, in pixels of the heatmap."""
         return self.located(self.network(self._laid_out(images))[-1])
 
     def located(self, output: Tensor) -> Keypoints:
-        """What the last stack's output says."""
+        """Decode the output of the last stack into keypoints, in pixels of the heatmap."""
         sigma_px = self.options.sigma_px
         heatmaps = (
             probabilities(output.float(), sigma_px=sigma_px)
@@ -85,7 +85,7 @@ class KeypointTraining(LightningModule):
         return locate(heatmaps, sigma_px=sigma_px)
 
     def keypoints_in_image(self, images: Tensor, crop_from_image: Tensor) -> Keypoints:
-        """Keypoints of crops, in pixels of the full images, float64."""
+        """Find the keypoints of crops, in pixels of the full images, float64."""
         found = self(images)
         sizes = {"input_px": self.options.input_px, "heatmap_px": self.options.heatmap_px}
         return Keypoints(
@@ -95,7 +95,7 @@ class KeypointTraining(LightningModule):
         )
 
     def loss_of(self, outputs: list[Tensor], batch: KeypointSample) -> Tensor:
-        """The mean over the stacks; every one is supervised."""
+        """The loss, averaged over the stacks; every stack is supervised."""
         one = cross_entropy if self.options.loss == "entropy" else mean_squares
         losses = [one(output.float(), batch["heatmaps"], batch["weights"]) for output in outputs]
         return torch.stack(losses).mean()
@@ -104,14 +104,14 @@ class KeypointTraining(LightningModule):
         """The loss; None when no image of the batch could be read."""
         batch = self._read(collated)
         if batch is None:
-            return None
+            return nothing_read(self)
         loss = self.loss_of(self.network(self._laid_out(batch["image"])), batch)
-        stop_if_not_finite(loss, self.current_epoch, number, batch["image_id"].tolist())
+        stop_if_not_finite({"the loss": loss}, self.current_epoch, number, _ids(batch))
         self.log("train_loss", loss, on_step=False, on_epoch=True, batch_size=len(batch["image"]))
         return loss
 
     def validation_step(self, collated: Collated, _: int) -> None:
-        """Share of keypoints within `PCK_SHARE` of the box, and their mean distance by the box."""
+        """Log the share of correct keypoints (PCK), and their mean distance as a share of the box's side."""
         batch = self._read(collated)
         if batch is None:
             return
@@ -122,14 +122,13 @@ class KeypointTraining(LightningModule):
         distances = distances_by_box(found.positions, batch)
         self.log("val_pck", (distances < PCK_SHARE).double().mean(), batch_size=distances.numel())
         self.log("val_error", distances.clamp_max(1).mean(), batch_size=distances.numel())
-        self.log("cpu_s", time.process_time(), batch_size=size, reduce_fx="max")
 
-    def configure_optimizers(self) -> Any:
-        """By the options."""
-        return optimizer_of(self, self._learning)
+    def configure_optimizers(self) -> torch.optim.Optimizer:
+        """The optimizer that the options name; `Steps` sets its rate."""
+        return optimizer_of(self, self._learning, fused=self.trainer.precision == "32-true")
 
     def _read(self, collated: Collated) -> KeypointSample | None:
-        """The samples that could be read; the others are counted by what is wrong with them."""
+        """The samples that could be read; the others are counted by their messages."""
         batch, messages = collated
         self.unreadable.update(messages)
         return batch
@@ -140,30 +139,36 @@ class KeypointTraining(LightningModule):
         return images
 
 
+def _ids(batch: KeypointSample) -> list[int]:
+    """The images of a batch, whose ids were collated to a tensor."""
+    ids: list[int] = torch.as_tensor(batch["image_id"]).tolist()
+    return ids
+
+
 def distances_by_box(positions_px: Tensor, batch: KeypointSample) -> Tensor:
-    """Distance of every labelled keypoint inside its crop, as a share of the square box's side; flat."""
-    off = (positions_px - batch["keypoints_px"]).norm(dim=-1) / batch["square_box"][:, 2:]
+    """Distances of the labelled keypoints inside their crops, as shares of the square box's side; 1-D."""
+    off: Tensor = (positions_px - batch["keypoints_px"]).norm(dim=-1) / batch["square_box"][:, 2:]
     return off[batch["weights"] > 0]
 
 
 def untrained(model: KeypointModel, options: Network, learning: Learning) -> KeypointTraining:
-    """A new network for an object."""
+    """Build a new network for an object."""
     rows = [row.tolist() if np.isfinite(row).all() else None for row in model.points_object]
     plain = {"name": model.name, "keypoints": list(model.keypoints), "points_object": rows}
     return KeypointTraining(plain, asdict(options), asdict(learning))
 
 
 def load_keypoints(checkpoint: Path) -> KeypointTraining:
-    """The trained network of a checkpoint, ready to predict.
+    """Load the trained network of a checkpoint, ready to predict.
 
     Raises:
-        DataError: it is missing, or no checkpoint of `train_keypoints`.
+        DataError: the checkpoint is missing, or another program wrote it.
     """
     return load_module(KeypointTraining, checkpoint, "training.train_keypoints")
 
 
 def check_same_object(trained: KeypointTraining, model: KeypointModel, *, source: str) -> None:
-    """DataError unless a checkpoint's keypoints are those of the dataset."""
+    """Refuse, with a DataError, a checkpoint whose keypoints are not those of the dataset."""
     if trained.model.name != model.name or trained.model.keypoints != model.keypoints:
         raise DataError(
             f"{source}: the checkpoint is of {trained.model.name} with {len(trained.model.keypoints)} "

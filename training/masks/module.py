@@ -1,193 +1,104 @@
-"""Mask R-CNN in training: a Lightning module whose every step depends on seed and epoch only."""
+"""Mask R-CNN as a Lightning module: the paper's stages, losses, validation, checkpoints."""
 
 from __future__ import annotations
 
-import logging
-import sys
-import time
-import warnings
-from dataclasses import dataclass, replace
-from pathlib import Path
+from collections import Counter
+from collections.abc import Sequence
 from typing import Any
 
-import cv2
-import pytorch_lightning as lightning
 import torch
-from pytorch_lightning.callbacks import ModelCheckpoint
-from pytorch_lightning.loggers import CSVLogger, TensorBoardLogger
+from pytorch_lightning import LightningModule
 from torch import Tensor
-from torch.utils.data import DataLoader
 
-from rpl_data.torch.instances import InstanceSample, InstanceTarget
-from rpl_data.types import DataError
-from training.masks.crops import SquareCrops, crop_loader
-from training.masks.mask_rcnn import build_model, train_body, with_norm
-from training.masks.settings import Settings, comparable, learning_rate
-from training.masks.weights import description, load_weights, read_file
+from rpl_data.torch.instances import InstanceTarget
+from training.masks.mask_rcnn import build_model, train_body
+from training.masks.results import MASK_THRESHOLD
+from training.masks.settings import SCORE_THRESHOLD
+from training.masks.weights import description
+from training.runs.options import Learning, MaskNetwork
+from training.runs.schedule import optimizer_of
+from training.runs.trainer import nothing_read, stop_if_not_finite
 
-log = logging.getLogger(__name__)
-
-CHECKPOINT = "last.ckpt"
-
-Batch = tuple[list[Tensor], list[InstanceTarget]]
+Collated = tuple[list[Tensor], list[InstanceTarget], Sequence[str]]
+"""What `collate_readable_lists` makes of a batch: images, targets, messages about unreadable images."""
 
 
-class MaskTraining(lightning.LightningModule):
-    """A network in training. Everything random depends on seed, epoch and step, so a run can be resumed."""
-
-    def __init__(self, settings: Settings, data: Path) -> None:
-        """Build the network and read the annotations of `data`/train.json."""
-        super().__init__()
-        self.settings = settings
-        self.crops = SquareCrops(
-            data / "train.json", settings.model.size_px, settings.augmentation, settings.seed
-        )
-        if not len(self.crops):
-            raise DataError(f"{data / 'train.json'} has no images; export a dataset with a train split")
-        torch.manual_seed(settings.seed)
-        self.model = build_model(settings.model, len(self.crops.images.names) - 1)
-        self.seconds_waiting, self._ready_s = 0.0, 0.0
-
-    def configure_optimizers(self) -> torch.optim.Optimizer:
-        """All parameters from the start; those of a frozen ResNet have no gradient."""
-        settings, parameters = self.settings, self.model.parameters()
-        if settings.optimizer == "adamw":
-            return torch.optim.AdamW(
-                parameters, lr=settings.rate, weight_decay=settings.weight_decay, fused=True
-            )
-        return torch.optim.SGD(
-            parameters, lr=settings.rate, momentum=0.9, weight_decay=settings.weight_decay, nesterov=True
-        )
-
-    def train_dataloader(self) -> DataLoader[InstanceSample]:
-        """The batches of the current epoch."""
-        settings = self.settings
-        self.crops.epoch = self.current_epoch
-        return crop_loader(self.crops, batch=settings.batch, workers=settings.workers, seed=settings.seed)
-
-    def on_train_epoch_start(self) -> None:
-        """Heads first, then all."""
-        train_body(self.model, self.current_epoch >= self.settings.head_epochs)
-        self._ready_s = time.perf_counter()
-
-    def on_train_batch_start(self, batch: Batch, batch_idx: int) -> None:
-        """Seed the network's own sampling of boxes, and set the learning rate."""
-        self.seconds_waiting += time.perf_counter() - self._ready_s
-        torch.manual_seed(self.settings.seed * 1_000_003 + self.global_step)
-        steps = max(1, int(self.trainer.num_training_batches))
-        rate = learning_rate(self.settings, self.global_step, steps)
-        for group in self.optimizers().param_groups:
-            group["lr"] = rate
-        self.log("rate", rate)
-
-    def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
-        """The sum of torchvision's five losses; DataError naming the images when it is not finite."""
-        images, targets = batch
-        losses: dict[str, Tensor] = self.model(images, targets)
-        total = torch.stack([*losses.values()]).sum()
-        if not torch.isfinite(total):
-            raise DataError(self._not_finite(losses, targets))
-        for name, value in {**losses, "loss": total}.items():
-            self.log(
-                name, value, on_step=True, on_epoch=False, batch_size=len(images), prog_bar=name == "loss"
-            )
-        return total
-
-    def on_train_batch_end(self, outputs: Any, batch: Batch, batch_idx: int) -> None:
-        """From here to the next batch is the time that loading takes."""
-        self._ready_s = time.perf_counter()
-
-    def _not_finite(self, losses: dict[str, Tensor], targets: list[InstanceTarget]) -> str:
-        bad = ", ".join(f"{name} = {value.item()}" for name, value in losses.items() if not value.isfinite())
-        files = ", ".join(self.crops.images.file_name(target["image_id"]) for target in targets)
-        return (
-            f"epoch {self.current_epoch}, step {self.global_step}: {bad} on {files}; choose a lower rate or "
-            "more warmup_steps, or look at these images"
-        )
-
-    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """What is needed to build the network again, and to refuse to resume another run."""
-        checkpoint["masks"] = description(self.settings.model, tuple(self.crops.images.names))
-        checkpoint["settings"] = comparable(self.settings)
-
-
-@dataclass(frozen=True)
-class Trained:
-    """A finished (or paused) run.
+class MaskTraining(LightningModule):
+    """A Mask R-CNN in training. First its heads alone are trained, then all of it.
 
     Attributes:
-        seconds: of this call. seconds_waiting: of these, for images to be loaded.
+        model: torchvision's network.
+        network: the options it was built with.
+        names: of the labels; `names[0]` is the background.
+        unreadable: how often images could not be read, by message.
     """
 
-    checkpoint: Path
-    epochs: int
-    seconds: float
-    seconds_waiting: float
+    def __init__(
+        self, names: Sequence[str], network: MaskNetwork, learning: Learning, *, head_epochs: int
+    ) -> None:
+        """A network with random weights.
+
+        Args:
+            names: of the labels, the background first.
+            network: its norm must be decided (`with_norm`).
+            learning: how it is trained.
+            head_epochs: how many epochs, from the first one, the ResNet is frozen.
+        """
+        super().__init__()
+        self.names, self.network, self._learning = tuple(names), network, learning
+        self._head_epochs = head_epochs
+        self.unreadable: Counter[str] = Counter()
+        self.model = build_model(network, len(names) - 1)
+        if learning.channels_last:
+            self.model = self.model.to(memory_format=torch.channels_last)
+
+    def configure_optimizers(self) -> torch.optim.Optimizer:
+        """The optimizer that the options name; `Steps` sets its rate."""
+        return optimizer_of(self, self._learning, fused=self.trainer.precision == "32-true")
+
+    def on_train_batch_start(self, batch: Collated, batch_idx: int) -> None:
+        """At the start of an epoch, freeze or free the ResNet."""
+        if batch_idx == 0:
+            train_body(self.model, self.current_epoch >= self._head_epochs)
+
+    def training_step(self, collated: Collated, number: int) -> Tensor | None:
+        """The sum of torchvision's five losses; None when no image of the batch could be read."""
+        images, targets, messages = collated
+        self.unreadable.update(messages)
+        if not images:
+            return nothing_read(self)
+        losses: dict[str, Tensor] = self.model(images, targets)
+        stop_if_not_finite(losses, self.current_epoch, number, [target["image_id"] for target in targets])
+        total = torch.stack([*losses.values()]).sum()
+        shown = {"train_loss": total, **{f"train_{name}": loss for name, loss in losses.items()}}
+        self.log_dict(shown, on_step=False, on_epoch=True, batch_size=len(images))
+        return total
+
+    def validation_step(self, collated: Collated, _: int) -> None:
+        """Mean IoU over the images and the classes that each of them shows (the paper's figure)."""
+        images, targets, messages = collated
+        self.unreadable.update(messages)
+        found = self.model(images) if images else []
+        ious = [
+            iou for output, target in zip(found, targets, strict=True) for iou in class_ious(output, target)
+        ]
+        if ious:
+            self.log("val_iou", sum(ious) / len(ious), batch_size=len(ious))
+
+    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """All that building the network again needs."""
+        checkpoint["masks"] = description(self.network, self.names)
 
 
-def train(settings: Settings, data: Path, out: Path, *, until: int | None = None) -> Trained:
-    """Train, or go on where `out`/last.ckpt stopped.
+def class_ious(output: dict[str, Tensor], target: InstanceTarget) -> list[float]:
+    """For each class that an image shows, the IoU of all its predicted with all its true pixels.
 
-    Args:
-        settings: what to do; `settings.epochs` may differ from that of the run that is resumed.
-        data: folder of train.json, as `rpl export` writes it.
-        out: folder for the checkpoint and the logs (csv/, tensorboard/).
-        until: pause after this epoch; the learning rate still follows `settings.epochs`.
-
-    Raises:
-        DataError: the data or weights cannot be read, `out` holds another run, or a loss is not finite.
+    Predictions with a score below `SCORE_THRESHOLD` do not count.
     """
-    _quiet()
-    settings = replace(settings, model=with_norm(settings.model, settings.weights))
-    module = MaskTraining(settings, data)
-    checkpoint = out / CHECKPOINT
-    if checkpoint.exists():
-        _check_same_run(checkpoint, module)
-    else:
-        log.info(load_weights(module.model, settings.model, settings.weights))
-    cv2.setNumThreads(1)  # its threads would fight with torch's
-    trainer = _trainer(settings, out, until or settings.epochs)
-    start = time.perf_counter()
-    trainer.fit(module, ckpt_path=str(checkpoint) if checkpoint.exists() else None, weights_only=True)
-    return Trained(checkpoint, trainer.current_epoch, time.perf_counter() - start, module.seconds_waiting)
-
-
-def _trainer(settings: Settings, out: Path, epochs: int) -> lightning.Trainer:
-    saver = ModelCheckpoint(
-        dirpath=out, filename=Path(CHECKPOINT).stem, enable_version_counter=False, save_on_exception=False
-    )
-    return lightning.Trainer(
-        max_epochs=epochs,
-        accelerator=settings.accelerator,
-        devices=1,
-        precision=settings.precision,
-        gradient_clip_val=settings.clip or None,
-        callbacks=[saver],
-        logger=[
-            CSVLogger(out, name="csv", flush_logs_every_n_steps=20),
-            TensorBoardLogger(out, name="tensorboard"),
-        ],
-        log_every_n_steps=1,
-        reload_dataloaders_every_n_epochs=1,
-        enable_model_summary=False,
-        enable_progress_bar=sys.stderr.isatty(),
-    )
-
-
-def _quiet() -> None:
-    """Silence what Lightning says at every start; its other warnings stay."""
-    logging.getLogger("pytorch_lightning.utilities.rank_zero").setLevel(logging.WARNING)
-    warnings.filterwarnings("ignore", message=".*Checkpoint directory .* exists and is not empty")
-    warnings.filterwarnings("ignore", message=".*LeafSpec.*is deprecated")
-
-
-def _check_same_run(checkpoint: Path, module: MaskTraining) -> None:
-    found = read_file(checkpoint)
-    wanted = comparable(module.settings)
-    names = list(module.crops.images.names)
-    if found["settings"] != wanted or found["masks"]["names"] != names:
-        changed = [key for key in wanted if found["settings"].get(key) != wanted[key]] or ["classes"]
-        raise DataError(
-            f"{checkpoint} belongs to a run with another {', '.join(changed)}; choose another --out, or the "
-            "settings it was started with"
-        )
+    sure = output["scores"] >= SCORE_THRESHOLD
+    ious = []
+    for label in torch.unique(target["labels"]):
+        true = (target["masks"][target["labels"] == label] > 0).any(dim=0)
+        found = (output["masks"][sure & (output["labels"] == label), 0] > MASK_THRESHOLD).any(dim=0)
+        ious.append(float((true & found).sum() / (true | found).sum().clamp_min(1)))
+    return ious

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -13,16 +14,17 @@ from rich.progress import track
 from torch import Tensor
 
 from rpl_data.torch.instances import InstanceDataset
+from rpl_data.types import DataError
 from training.masks.weights import Segmenter
 
 Json = dict[str, Any]
 MASK_THRESHOLD = 0.5
-"""A pixel belongs to the object when the network gives it more than this."""
+"""A pixel belongs to the object when the network gives it a higher probability than this."""
 
 
 @torch.no_grad()
 def predict(segmenter: Segmenter, image: Tensor, image_id: int) -> list[Json]:
-    """COCO results of an image (float32, 3 x height x width, 0 to 1), best first.
+    """Find objects in an image (float32, 3 x height x width, 0 to 1) as COCO results, best first.
 
     Masks are visible pixels of the whole image; instances without a pixel are left out.
     """
@@ -44,11 +46,29 @@ def _result(image_id: int, pixels: np.ndarray, label: int, score: float) -> Json
     }
 
 
-def predict_split(segmenter: Segmenter, coco_json: Path) -> list[Json]:
-    """The results of every image of a COCO file; a bar on a terminal shows how far it is."""
+def predict_split(
+    segmenter: Segmenter, coco_json: Path, *, unreadable: Counter[str] | None = None
+) -> tuple[list[Json], set[int]]:
+    """Find objects in every image of a COCO file; results, and the ids of images that could not be read.
+
+    A bar on a terminal shows how far it is.
+
+    Args:
+        segmenter: the trained network.
+        coco_json: the file.
+        unreadable: counts images that cannot be read, by message; without it the first is a DataError.
+    """
     dataset = InstanceDataset(coco_json)
     results: list[Json] = []
+    left_out: set[int] = set()
     for row in track(range(len(dataset)), coco_json.name, transient=True, disable=not sys.stdout.isatty()):
-        image, target = dataset[row]
+        try:
+            image, target = dataset[row]
+        except DataError as error:
+            if unreadable is None:
+                raise
+            unreadable[str(error)] += 1
+            left_out.add(dataset.image_id(row))
+            continue
         results += predict(segmenter, image, target["image_id"])
-    return results
+    return results, left_out

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,13 +16,15 @@ from training.masks.results import Json
 
 @dataclass(frozen=True)
 class ClassScore:
-    """One class on one split; None where nothing could be measured: the truth does not have the class.
+    """The scores of one class on one split; None where the truth does not have the class.
 
     Attributes:
-        images: that show the class.
-        mean_iou: over these images, of all its predicted pixels with all its true ones; 0 where it is missed.
-        missed: images that show it where nothing of it was found.
-        false_alarms: images that do not show it where it was found.
+        name: of the class.
+        images: how many images show the class.
+        mean_iou: mean, over these images, of the IoU of all its predicted with all its true pixels; an image
+            where it is missed counts as 0.
+        missed: how many of these images have no detection of it.
+        false_alarms: how many other images have one.
         box_ap, mask_ap, mask_ap50: COCO's average precision, 0 to 1.
     """
 
@@ -38,7 +40,7 @@ class ClassScore:
 
 @dataclass(frozen=True)
 class SplitScore:
-    """All classes on one split; means are over the classes that the truth has."""
+    """The scores of all classes on one split; means are taken over the classes that the truth has."""
 
     images: int
     mean_iou: float | None
@@ -49,14 +51,17 @@ class SplitScore:
     classes: tuple[ClassScore, ...]
 
 
-def score_split(coco_json: Path, results: Sequence[Json], *, threshold: float) -> SplitScore:
-    """Predictions against the labels of a COCO file.
+def score_split(
+    coco_json: Path, results: Sequence[Json], *, threshold: float, left_out: Collection[int] = ()
+) -> SplitScore:
+    """Score predictions against the labels of a COCO file.
 
     Args:
         results: COCO results with masks.
         threshold: the least score of what counts for IoU, missed and false alarms; AP uses all of them.
+        left_out: ids of images that are not judged.
     """
-    truth = read_coco(coco_json)
+    truth = _without(read_coco(coco_json), left_out)
     names = {int(category["id"]): str(category["name"]) for category in truth["categories"]}
     boxes, shapes = (average_precision(truth, results, kind) for kind in ("bbox", "segm"))
     overlaps = class_overlaps(truth, [entry for entry in results if entry["score"] >= threshold])
@@ -80,8 +85,15 @@ def score_split(coco_json: Path, results: Sequence[Json], *, threshold: float) -
     return SplitScore(len(truth["images"]), mean_iou, *aps, tuple(classes))
 
 
+def _without(truth: Json, image_ids: Collection[int]) -> Json:
+    """A COCO file without some of its images."""
+    images = [image for image in truth["images"] if image["id"] not in image_ids]
+    annotations = [each for each in truth["annotations"] if each["image_id"] not in image_ids]
+    return {**truth, "images": images, "annotations": annotations}
+
+
 def class_overlaps(truth: Json, results: Sequence[Json]) -> dict[int, tuple[list[float], int]]:
-    """For each category: the IoU in every image that shows it, and how many others it was found in.
+    """For each category, the IoU in every image that shows it, and in how many other images it was found.
 
     All instances of a category in an image count as one set of pixels, as in the paper's figure.
     """
@@ -97,7 +109,7 @@ def class_overlaps(truth: Json, results: Sequence[Json]) -> dict[int, tuple[list
 
 
 def _united(entries: Sequence[Json]) -> dict[tuple[int, int], Json]:
-    """The union of the masks of each image and category."""
+    """Unite the masks of each image and category."""
     groups: dict[tuple[int, int], list[Json]] = defaultdict(list)
     for entry in entries:
         groups[entry["image_id"], entry["category_id"]].append(entry["segmentation"])
@@ -114,7 +126,7 @@ def _mean(values: Sequence[float]) -> float | None:
 
 @dataclass(frozen=True)
 class Precision:
-    """Average precision over IoU 0.5 to 0.95, and at 0.5; a category the truth lacks has none."""
+    """Average precision over IoU 0.5 to 0.95 and at IoU 0.5; none for categories that the truth lacks."""
 
     all: float | None
     all50: float | None

@@ -1,29 +1,31 @@
-"""Weights of a Mask R-CNN: where training starts from, and what it leaves behind."""
+"""Weights of a Mask R-CNN: those that training starts from, and those in its checkpoints."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from pickle import UnpicklingError
 from typing import Any
 from urllib.error import URLError
 
-import torch
 from torch import Tensor, nn
 from torchvision.models import get_model_weights
 from torchvision.models.detection import MaskRCNN
 
 from rpl_data.types import DataError
-from training.masks.mask_rcnn import ModelConfig, build_model
+from training.masks.mask_rcnn import build_model
+from training.runs.folder import read_checkpoint
+from training.runs.options import MaskNetwork
 
 
-def load_weights(model: MaskRCNN, config: ModelConfig, weights: str) -> str:
-    """Put trained weights into the network; a line saying what came from where.
+def load_weights(model: MaskRCNN, config: MaskNetwork, weights: str) -> str:
+    """Put trained weights into the network; a line comes back that says what came from where.
 
     Args:
+        model: the network.
+        config: its options, with the norm decided.
         weights: `scratch`; `imagenet`, which torchvision fetches; or the path of a file with a ResNet, a
-            torchvision Mask R-CNN (other classes than ours: the layers that name them stay random) or one of
+            torchvision Mask R-CNN (layers that depend on its classes stay random where ours differ) or one of
             our checkpoints.
 
     Raises:
@@ -64,46 +66,44 @@ def _fetched(backbone: str) -> Mapping[str, Tensor]:
 
 
 def _read(path: Path) -> Mapping[str, Tensor]:
-    """The state dict of a file: our own checkpoints hold it one level down, with a prefix."""
-    content = read_file(path)
+    """Read the state dict of a file. Our own checkpoints hold it one level down, with a prefix."""
+    content = read_checkpoint(path)
     if "state_dict" in content:
         return {key.removeprefix("model."): value for key, value in content["state_dict"].items()}
     return content
 
 
-def read_file(path: Path) -> dict[str, Any]:
-    """A file that `torch.save` wrote, tensors and plain values only; DataError when it is anything else."""
-    if not path.is_file():
-        raise DataError(f"{path} does not exist; expected a file of weights")
-    try:
-        content = torch.load(path, map_location="cpu", weights_only=True)
-    except (UnpicklingError, RuntimeError, EOFError, KeyError, ValueError, OSError) as error:
-        raise DataError(f"cannot read {path} as weights: {str(error).splitlines()[0]}") from error
-    if not isinstance(content, dict):
-        raise DataError(f"{path} holds a {type(content).__name__}; expected a dictionary of tensors")
-    return content
-
-
 @dataclass(frozen=True)
 class Segmenter:
-    """A trained network and what its labels mean: `names[0]` is the background."""
+    """A trained network, its options, and the names of its labels; `names[0]` is the background."""
 
     model: MaskRCNN
-    config: ModelConfig
+    network: MaskNetwork
     names: tuple[str, ...]
 
 
-def description(config: ModelConfig, names: tuple[str, ...]) -> dict[str, Any]:
-    """What a checkpoint says about its network, in plain values."""
+def description(config: MaskNetwork, names: tuple[str, ...]) -> dict[str, Any]:
+    """Describe a network in plain values, for its checkpoint."""
     return {"model": asdict(config), "names": list(names)}
 
 
+def checkpoint_of(masks: Path | None) -> Path:
+    """The checkpoint after --masks.
+
+    Raises:
+        DataError: there is none.
+    """
+    if masks is None:
+        raise DataError("no mask network is named; give a checkpoint of train_masks: --masks run/last.ckpt")
+    return masks
+
+
 def load_segmenter(checkpoint: Path) -> Segmenter:
-    """The network of a checkpoint of `training.train_masks`, ready to predict."""
-    content = read_file(checkpoint)
+    """Load the network of a checkpoint of `training.train_masks`, ready to predict."""
+    content = read_checkpoint(checkpoint)
     if "masks" not in content:
         raise DataError(f"{checkpoint} is not a checkpoint of training.train_masks")
-    config, names = ModelConfig(**content["masks"]["model"]), tuple(content["masks"]["names"])
+    config, names = MaskNetwork(**content["masks"]["model"]), tuple(content["masks"]["names"])
     model = build_model(config, len(names) - 1)
     state = content["state_dict"]
     model.load_state_dict({key.removeprefix("model."): value for key, value in state.items()})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -17,6 +18,7 @@ from rpl_data.formats.datasets.coco import (
     read_coco,
 )
 from rpl_data.geometry import fit_rigid
+from rpl_data.meshes import load_mesh, sampled
 from rpl_data.pose.errors import INFINITE, pose_errors
 from rpl_data.pose.estimate import Method, PoseEstimate, PoseFailure
 from rpl_data.torch.images import read_image
@@ -28,12 +30,13 @@ from training.runs.options import Crops
 
 @dataclass(frozen=True)
 class TrueObject:
-    """An object as the truth has it.
+    """An object as the true labels describe it.
 
     Attributes:
-        category: its category id in the file.
-        surface: points of its surface, n x 3, metres, the truth's object frame.
-        centre: of the surface's bounding box: where position errors are taken.
+        category: its category id in the COCO file.
+        model: its keypoints.
+        surface: points of its surface, n x 3, metres, in the truth's object frame.
+        centre: centre of the surface's bounding box, where position errors are measured.
     """
 
     category: int
@@ -43,7 +46,7 @@ class TrueObject:
 
 
 def true_objects(coco_json: Path, *, points: int = 1000) -> dict[str, TrueObject]:
-    """The objects of a true export, with points of their meshes, by name.
+    """Read the objects of a true export, with points on their meshes, by name.
 
     Raises:
         DataError: the export has no mesh of an object.
@@ -52,19 +55,10 @@ def true_objects(coco_json: Path, *, points: int = 1000) -> dict[str, TrueObject
     for category, item in enumerate(objects_from_coco(read_coco(coco_json)), start=1):
         if item.mesh is None or not (coco_json.parent / item.mesh).exists():
             raise DataError(f"{coco_json}: {item.model.name} has no mesh; ADD needs one: export again")
-        surface = surface_points(coco_json.parent / item.mesh, points)
+        surface = sampled(load_mesh(coco_json.parent / item.mesh), count=points)
         centre = (surface.min(axis=0) + surface.max(axis=0)) / 2
         found[item.model.name] = TrueObject(category, item.model, surface, centre)
     return found
-
-
-def surface_points(mesh: Path, count: int) -> np.ndarray:
-    """Points spread evenly over a mesh file's surface, the same ones every time."""
-    import open3d
-
-    open3d.utility.random.seed(0)
-    triangles = open3d.io.read_triangle_mesh(str(mesh))
-    return np.asarray(triangles.sample_points_uniformly(count).points)
 
 
 def evaluate(
@@ -76,18 +70,21 @@ def evaluate(
     truth: Mapping[str, TrueObject],
     metres_per_unit: float | None = None,
     least_visible: float = 0.1,
+    unreadable: Counter[str] | None = None,
 ) -> Iterator[Judged]:
-    """Every true instance of the pipeline's objects, judged; a line an instance and method.
+    """Judge every true instance of the pipeline's objects, once per method.
 
     Args:
-        pipeline: trained on any labels of the same keypoints; its object frames may differ from the truth's
-            by one rigid transform an object, which the two sparse models give.
+        pipeline: trained on any labels of the same keypoints. Its object frames may differ from the truth's
+            by one rigid transform per object, which the two sparse models give.
         coco_json: a split of the true export.
         crops: the true boxes, or what the detector finds.
-        methods: of PnP.
-        truth: of `true_objects`.
-        metres_per_unit: of the export's depth images; None leaves depth unused.
+        methods: methods of PnP.
+        truth: what `true_objects` read.
+        metres_per_unit: unit of the export's depth images; None leaves depth unused.
         least_visible: instances that show a smaller share of themselves are left out.
+        unreadable: counts the images that cannot be read, by message; they are left out. Without it the first
+            of them is a DataError.
     """
     data = read_coco(coco_json)
     if unknown := set(pipeline.networks) - set(truth):
@@ -104,7 +101,13 @@ def evaluate(
         labels = labels_of.get(image["id"], [])
         if not labels:
             continue
-        pixels = read_image(str(coco_json.parent / image["file_name"]))
+        try:
+            pixels = read_image(str(coco_json.parent / image["file_name"]))
+        except DataError as error:
+            if unreadable is None:
+                raise
+            unreadable[str(error)] += 1
+            continue
         squares = {label.object: _square(label) for label in labels} if crops == "given" else None
         seen = {each.object: each for each in pipeline.see(pixels, squares)}
         depth = None
@@ -129,7 +132,7 @@ def evaluate(
 def _labels(
     data: Mapping[str, Any], names: Mapping[int, str], least_visible: float
 ) -> dict[int, list[InstanceLabel]]:
-    """Labels of the named categories that show enough of themselves, by image id."""
+    """Labels of the named categories of which enough is visible, by image id."""
     found: dict[int, list[InstanceLabel]] = {}
     for annotation in data["annotations"]:
         name = names.get(annotation["category_id"])
@@ -139,7 +142,7 @@ def _labels(
 
 
 def aligned(true: KeypointModel, trained: KeypointModel, *, source: str) -> np.ndarray:
-    """``truth_from_trained``: the one rigid transform between the object frames of two label sources."""
+    """The rigid transform ``truth_from_trained`` between the object frames of two label sources, 4 x 4."""
     if true.keypoints != trained.keypoints:
         raise DataError(
             f"{source}: {true.name} has the keypoints {', '.join(true.keypoints)}, the checkpoint "
@@ -159,7 +162,7 @@ def _judged(
     truth: TrueObject,
     truth_from_trained: np.ndarray,
 ) -> Judged:
-    """What was seen and solved against a true label."""
+    """Compare the predicted keypoints and pose with a true label."""
     known = label.visibility > 0
     if seen is None or solved is None:
         missed = np.full(int(known.sum()), np.inf)

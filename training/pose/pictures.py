@@ -1,4 +1,4 @@
-"""Pictures of predicted poses: keypoints with what the network thinks of them, and the object's axes."""
+"""Pictures of predicted poses: keypoints with their confidence and covariance, and the object's axes."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def drawn(
     *,
     true_px: np.ndarray | None = None,
 ) -> np.ndarray:
-    """A copy of an RGB image with what was predicted for one object.
+    """Draw what was predicted for one object on a copy of an RGB image.
 
     Args:
         seen: crop and keypoints: red to green by confidence, with the ellipse of two standard deviations.
@@ -42,7 +42,7 @@ def drawn(
 
 
 def close_up(picture: np.ndarray, square_px: np.ndarray, *, side_px: int = 240) -> np.ndarray:
-    """The square (cx, cy, side) of a picture, resized; black beyond its edge."""
+    """Cut the square (cx, cy, side) out of a picture and resize it; black beyond the picture's edge."""
     cx, cy, side = square_px
     zoom = side_px / side
     out_from_picture = np.array([[zoom, 0, -zoom * (cx - side / 2)], [0, zoom, -zoom * (cy - side / 2)]])
@@ -52,8 +52,8 @@ def close_up(picture: np.ndarray, square_px: np.ndarray, *, side_px: int = 240) 
 
 def _draw_keypoints(picture: np.ndarray, seen: SeenKeypoints) -> None:
     cx, cy, side = seen.square_px
-    corners = [(round(cx - side / 2), round(cy - side / 2)), (round(cx + side / 2), round(cy + side / 2))]
-    cv2.rectangle(picture, *corners, (255, 200, 0), 1)
+    left, top, width = round(cx - side / 2), round(cy - side / 2), round(side)
+    cv2.rectangle(picture, (left, top), (left + width, top + width), (255, 200, 0), 1)
     for (u, v), confidence, covariance in zip(
         seen.positions_px, seen.confidence, seen.covariance_px, strict=True
     ):

@@ -1,4 +1,4 @@
-"""Detector, hourglass and PnP in a row: an image to the poses of its objects (the paper's figure of IV-C)."""
+"""Detector, hourglass and PnP in a row: from an image to the poses of its objects (paper, section IV-C)."""
 
 from __future__ import annotations
 
@@ -21,19 +21,20 @@ from training.detection.module import Detection, DetectorTraining, load_detector
 from training.keypoints.module import KeypointTraining, load_keypoints
 
 LEAST_CONFIDENCE = 0.1
-"""Of a keypoint that is used at all; the covariance weighs the others."""
+"""Keypoints below this confidence are not used; the others are weighted by their covariance."""
 
 
 @dataclass(frozen=True)
 class SeenKeypoints:
-    """What the hourglass says about one object, in pixels of the full image; k keypoints.
+    """The k keypoints that the hourglass found on one object, in pixels of the full image.
 
     Attributes:
-        square_px: cx, cy, side of the crop.
-        score: of the detection; 1 where the crop was given.
-        positions_px: k x 2.
-        confidence: k, 0 to 1.
-        covariance_px: k x 2 x 2.
+        object: its name.
+        square_px: centre and side of the crop: cx, cy, side.
+        score: score of the detection; 1 where the crop was given.
+        positions_px: (u, v) of each keypoint, k x 2.
+        confidence: one number from 0 to 1 per keypoint.
+        covariance_px: one 2 x 2 covariance per position, k x 2 x 2, in px^2.
     """
 
     object: str
@@ -46,11 +47,11 @@ class SeenKeypoints:
 
 @dataclass(frozen=True)
 class PosePipeline:
-    """Trained networks.
+    """The trained networks that together estimate poses.
 
     Attributes:
-        networks: an hourglass an object, by name.
-        detector: None where crops are given.
+        networks: one hourglass per object, by the object's name.
+        detector: finds the crops; None where crops are given.
     """
 
     networks: Mapping[str, KeypointTraining]
@@ -59,11 +60,11 @@ class PosePipeline:
     def see(
         self, image: np.ndarray, squares_px: Mapping[str, np.ndarray] | None = None
     ) -> list[SeenKeypoints]:
-        """Keypoints of the objects of an RGB image.
+        """Find the keypoints of the objects in an RGB image.
 
         Args:
             image: height x width x 3, uint8.
-            squares_px: cx, cy, side of each object's crop by name; detected when left out.
+            squares_px: cx, cy, side of each crop, by its object's name; detected when left out.
         """
         if squares_px is not None:
             found = {name: Detection(np.asarray(square), 1.0) for name, square in squares_px.items()}
@@ -85,14 +86,14 @@ class PosePipeline:
         method: Method = "consensus",
         depth: DepthImage | None = None,
     ) -> PoseEstimate | PoseFailure:
-        """``camera_from_object`` in the frame of the model the network was trained with.
+        """Estimate ``camera_from_object``, in the object frame that the network was trained with.
 
         Args:
-            seen: of `see`.
+            seen: what `see` found.
             intrinsics: the camera of the full image.
-            method: `epnp` and `sqpnp` believe every keypoint and are not refined, as in the paper; the
-                others leave wrong ones out and weigh the rest by their covariance.
-            depth: registered to the image; pins the distance.
+            method: `epnp` and `sqpnp` use every keypoint and are not refined, as in the paper; the others
+                leave outliers out and weight the rest by their covariance.
+            depth: a depth image registered to the colour image; it fixes the distance.
         """
         used = np.where(seen.confidence[:, None] >= LEAST_CONFIDENCE, seen.positions_px, np.nan)
         depth_m = None if depth is None else depths_at(depth, used)
@@ -108,11 +109,11 @@ class PosePipeline:
 
 
 KEYPOINT_DEPTH_SIGMA_M = 0.006
-"""Beside a corner, the depth about a keypoint is that of another point of the surface."""
+"""Added to the sensor's standard deviation: at a corner, the depth may be that of a neighbouring point."""
 
 
 def read_depth_m(path: Path, metres_per_unit: float, *, like: np.ndarray) -> DepthImage:
-    """A 16-bit depth image in metres, 0 = none.
+    """Read a 16-bit depth image; float32 metres, 0 where there is none.
 
     Raises:
         DataError: it is missing, broken, or not of the size of the colour image `like`.
@@ -128,7 +129,15 @@ def read_depth_m(path: Path, metres_per_unit: float, *, like: np.ndarray) -> Dep
 
 
 def load_pipeline(networks: Sequence[Path], detector: Path | None = None) -> PosePipeline:
-    """The pipeline of checkpoints, one of `train_keypoints` an object; DataError when that is not so."""
+    """Load the networks of a pipeline.
+
+    Args:
+        networks: checkpoints of `train_keypoints`, one per object.
+        detector: checkpoint of `train_detector`.
+
+    Raises:
+        DataError: there is no network, or two are of the same object.
+    """
     if not networks:
         raise DataError("no keypoint network is named; --keypoints takes a list: '[run/last.ckpt]'")
     loaded = [load_keypoints(path) for path in networks]

@@ -1,8 +1,8 @@
-"""Judged poses as figures, and as a file."""
+"""Scores of judged poses, and judged poses as a JSON file."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -17,13 +17,13 @@ from training.pose.pipeline import SeenKeypoints
 
 @dataclass(frozen=True)
 class Judged:
-    """One object in one image.
+    """One object in one image: what was predicted, and how far off it is.
 
     Attributes:
         found: `ok`, `not detected`, or why there is no pose.
-        errors: infinite where there is none.
-        keypoint_errors: distance of each labelled keypoint by the side of the true square box; infinite
-            where the object was not detected.
+        errors: infinite where there is no pose.
+        keypoint_errors: distance of each labelled keypoint, divided by the side of the true square box;
+            infinite where the object was not detected.
         pose: ``camera_from_object`` in the truth's object frame; None without one.
         seen: what the hourglass said; None where the object was not detected.
     """
@@ -40,13 +40,15 @@ class Judged:
 
 @dataclass(frozen=True)
 class PoseScore:
-    """Of one object, method and protocol; failures count as infinite errors.
+    """Scores of one object under one PnP method and protocol; a failure counts as an infinite error.
 
     Attributes:
-        instances, failures: how many were judged, and without a pose.
-        position_mm, orientation_deg, add_mm, adds_mm: medians.
-        recall_add: share whose ADD is below a tenth of the object's diameter; `recall_adds` likewise.
-        recall_5cm_5deg: share within 5 cm and 5 degrees.
+        instances: how many were judged.
+        failures: how many of them have no pose.
+        position_mm, orientation_deg, add_mm, adds_mm: median errors.
+        recall_add: share of instances whose ADD is below a tenth of the object's diameter.
+        recall_adds: the same for ADD-S.
+        recall_5cm_5deg: share of instances within 5 cm and 5 degrees.
         pck: share of keypoints within `PCK_SHARE` of the box.
     """
 
@@ -63,7 +65,7 @@ class PoseScore:
 
 
 def score(judged: Sequence[Judged], surface: np.ndarray) -> PoseScore:
-    """The figures of instances of one object, `surface` the points of its true surface."""
+    """Score the instances of one object; `surface` holds points of its true surface, n x 3, metres."""
     errors = errors_table(judged)
     diameter_m = diameter(surface)
     position_m, orientation_rad, add_m, adds_m = errors.T
@@ -85,13 +87,13 @@ def score(judged: Sequence[Judged], surface: np.ndarray) -> PoseScore:
 
 
 def errors_table(judged: Sequence[Judged]) -> np.ndarray:
-    """Position, orientation, ADD and ADD-S a row, metres and radians."""
+    """Errors as a table, n x 4: position (m), orientation (rad), ADD (m) and ADD-S (m) per instance."""
     rows = [[e.position_m, e.orientation_rad, e.add_m, e.adds_m] for e in (each.errors for each in judged)]
     return np.array(rows, dtype=float).reshape(-1, 4)
 
 
 def diameter(surface: np.ndarray) -> float:
-    """The largest distance between two points, metres."""
+    """The largest distance between two points of a surface, in metres."""
     from scipy.spatial import ConvexHull
     from scipy.spatial.distance import pdist
 
@@ -103,18 +105,22 @@ def _share(holds: np.ndarray) -> float:
 
 
 def save_judged(path: Path, judged: Sequence[Judged]) -> None:
-    """Write instances as JSON; null = infinite or missing."""
+    """Write instances as JSON; null stands for infinite or missing."""
     write_json(path, finite([asdict(each) for each in judged]), indent=None)
 
 
+def _seen_from(row: Mapping[str, Any]) -> SeenKeypoints:
+    """Keypoints from their JSON values."""
+    arrays = {name: np.array(value) for name, value in row.items() if isinstance(value, list)}
+    return SeenKeypoints(object=str(row["object"]), score=float(row["score"]), **arrays)
+
+
 def load_judged(path: Path) -> list[Judged]:
-    """What `save_judged` wrote."""
+    """Read the instances that `save_judged` wrote."""
     judged = []
     for row in read_json(path):
         errors = PoseErrors(**{name: _or_infinite(value) for name, value in row["errors"].items()})
-        seen = row["seen"] and SeenKeypoints(
-            **{name: np.array(v) if isinstance(v, list) else v for name, v in row["seen"].items()}
-        )
+        seen = None if row["seen"] is None else _seen_from(row["seen"])
         off = np.array([_or_infinite(value) for value in row["keypoint_errors"]], dtype=float)
         pose = None if row["pose"] is None else np.array(row["pose"])
         judged.append(
@@ -124,7 +130,7 @@ def load_judged(path: Path) -> list[Judged]:
 
 
 def finite(value: Any) -> Any:
-    """JSON-ready: arrays become lists, infinite and missing numbers null."""
+    """Make values ready for JSON: arrays become lists, infinite and missing numbers null."""
     if isinstance(value, dict):
         return {key: finite(item) for key, item in value.items()}
     if isinstance(value, np.ndarray):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class PaperRow:
-    """A row of Table I: accuracy of the sparse model and of the labels."""
+    """One row of Table I: the accuracy of the sparse model and of the labels."""
 
     object: str
     keypoints: int

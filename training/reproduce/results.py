@@ -26,7 +26,7 @@ def write_results(
     note: str = "",
     figures: Mapping[str, bytes] | None = None,
 ) -> Path:
-    """Write `<name>.json`, `<name>.html` and a PNG a figure into `out`; the path of the page comes back.
+    """Write `<name>.json`, `<name>.html` and one PNG per figure into `out`; the page's path comes back.
 
     Args:
         data: the numbers; NaN is written as null.
@@ -44,7 +44,7 @@ def write_results(
 
 
 def picture(png: bytes, caption: str) -> str:
-    """A figure inside the page, so that the page can be passed on alone."""
+    """Embed a figure in the page, so that the page can be passed on alone."""
     source = "data:image/png;base64," + base64.b64encode(png).decode("ascii")
     return f'<figure class="chart"><img alt="{text(caption)}" src="{source}">' + (
         f"<figcaption>{text(caption)}</figcaption></figure>"
@@ -52,14 +52,14 @@ def picture(png: bytes, caption: str) -> str:
 
 
 def png_of(figure: Figure) -> bytes:
-    """A matplotlib figure as PNG bytes, the same bytes for the same figure."""
+    """Render a matplotlib figure as PNG; the same figure gives the same bytes."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=150, bbox_inches="tight", metadata={"Software": None})
     return buffer.getvalue()
 
 
 def finite_or_none(value: Any) -> Any:
-    """JSON-ready: NaN becomes null, tuples lists."""
+    """Make values ready for JSON: NaN becomes null, tuples become lists."""
     if isinstance(value, Mapping):
         return {str(key): finite_or_none(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

@@ -1,25 +1,32 @@
-"""What the training programs can be told, as their YAML files say it; no torch, so that help is quick."""
+"""The options of the training programs, named as in their YAML files. No torch, so that help is quick."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
+from rpl_data.types import DataError
+
 Crops = Literal["given", "detected"]
-"""The labels' boxes, or the detector's."""
+"""Where an object's crop comes from: the box of its label, or the detector."""
 
 Architecture = Literal["small_fcos", "fcos", "ssdlite"]
+Precision = Literal["32-true", "16-mixed", "bf16-mixed"]
 
 
 @dataclass(frozen=True)
 class Network:
-    """The network and what goes in and out; the defaults are the paper's.
+    """The hourglass, its input and its output. The defaults are the paper's.
 
     Attributes:
-        stacks, features, levels: of `StackedHourglass`.
-        input_px, heatmap_px: sides; the heatmap is a quarter of the input.
-        sigma_px: of the targets' Gaussians, heatmap pixels.
-        loss: `squares` as the paper, or `entropy`.
+        stacks: hourglasses one behind the other.
+        features: channels of the hourglasses.
+        levels: how often an hourglass halves its feature map.
+        input_px: side of the square input crop, in pixels.
+        heatmap_px: side of a heatmap in pixels: a quarter of the input.
+        sigma_px: standard deviation of the target Gaussians, in heatmap pixels.
+        loss: `squares` (the paper's) or `entropy`.
     """
 
     stacks: int = 2
@@ -33,12 +40,12 @@ class Network:
 
 @dataclass(frozen=True)
 class DetectorNetwork:
-    """The detector and what goes in.
+    """The detector and its input.
 
     Attributes:
-        architecture: `small_fcos` is FCOS with one map of stride 8 behind an hourglass, for CPUs; `fcos`
-            has a ResNet-50 with a feature pyramid; `ssdlite` is SSDLite320 with MobileNetV3.
-        width_px: of the images.
+        architecture: `small_fcos` is FCOS with one feature map of stride 8 behind an hourglass, for CPUs;
+            `fcos` has a ResNet-50 with a feature pyramid; `ssdlite` is SSDLite320 with MobileNetV3.
+        width_px: width to which images are resized, in pixels.
         features: channels of `small_fcos`, a multiple of 32.
     """
 
@@ -48,40 +55,133 @@ class DetectorNetwork:
 
 
 @dataclass(frozen=True)
+class MaskNetwork:
+    """All that is needed to build the Mask R-CNN again. The defaults are the paper's.
+
+    Attributes:
+        backbone: the ResNet.
+        size_px: shorter side of the image as the network sees it, in pixels. Anchors are 1/16 to 1 of it.
+        stages: how many of the ResNet's four stages are used. The last one's grid is too coarse for small
+            images.
+        channels: channels of the feature pyramid and of the mask head.
+        hidden: width of the two layers of the box head.
+        proposals: boxes per image that the first stage hands to the second.
+        rois: how many of these boxes per image the second stage is trained on.
+        detections: largest number of objects found in an image.
+        norm: normalisation of the ResNet. `auto` is `frozen` with trained weights and `batch` from scratch.
+    """
+
+    backbone: Literal["resnet18", "resnet34", "resnet50", "resnet101"] = "resnet101"
+    size_px: int = 512
+    stages: int = 4
+    channels: int = 256
+    hidden: int = 1024
+    proposals: int = 2000
+    rois: int = 512
+    detections: int = 100
+    norm: Literal["auto", "batch", "group", "frozen"] = "auto"
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be built."""
+        if self.size_px < 64 or self.size_px % 16:
+            raise DataError(f"network.size_px must be a multiple of 16 and at least 64, got {self.size_px}")
+        if not 2 <= self.stages <= 4:
+            raise DataError(f"network.stages must be 2, 3 or 4, got {self.stages}")
+        if min(self.channels, self.hidden, self.proposals, self.rois, self.detections) < 1:
+            raise DataError("network: channels, hidden, proposals, rois and detections must be at least 1")
+
+
+@dataclass(frozen=True)
 class Learning:
-    """How it is trained; the defaults are the paper's.
+    """How long and how fast a network is trained. The defaults are the paper's for the hourglass.
 
     Attributes:
         epochs: passes over the training images.
-        batch: images a step.
-        optimizer: `rmsprop` as the paper, or `adam`.
-        rate: the learning rate; of `one_cycle` its highest.
-        schedule: `constant`, or `one_cycle` (Smith and Topin 2018): up for a third, then down to nothing.
-        channels_last: memory layout; faster on CPUs.
+        batch: samples per step, and per process when several train together.
+        optimizer: `rmsprop` (the paper's for the hourglass), `sgd` with Nesterov momentum 0.9 (the paper's
+            for Mask R-CNN), `adam` or `adamw`.
+        rate: learning rate; the highest one where it changes.
+        schedule: `constant`, or `one_cycle` (Smith and Topin 2018): up during the first 30 % of the steps,
+            then down to nothing.
+        warmup_steps: with `constant`, the steps over which the rate first rises from 0.
+        cooldown: with `constant`, the share of the epochs at the end over which the rate falls to 0.
+        weight_decay: strength of the pull of the weights towards 0.
+        clip: largest norm of the gradient; 0 allows any.
+        channels_last: memory layout of the network, faster on CPUs.
     """
 
     epochs: int = 60
     batch: int = 16
-    optimizer: Literal["rmsprop", "adam"] = "rmsprop"
+    optimizer: Literal["rmsprop", "sgd", "adam", "adamw"] = "rmsprop"
     rate: float = 2.5e-4
     schedule: Literal["constant", "one_cycle"] = "constant"
+    warmup_steps: int = 0
+    cooldown: float = 0.0
+    weight_decay: float = 0.0
+    clip: float = 0.0
     channels_last: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be run."""
+        if min(self.epochs, self.batch) < 1:
+            raise DataError("learning.epochs and learning.batch must be at least 1")
+        if self.rate <= 0 or not 0 <= self.cooldown <= 1:
+            raise DataError("learning.rate must be above 0, and learning.cooldown from 0 to 1")
+        if min(self.warmup_steps, self.weight_decay, self.clip) < 0:
+            raise DataError("learning: warmup_steps, weight_decay and clip must be 0 or more")
+        if self.schedule == "one_cycle" and (self.warmup_steps or self.cooldown):
+            raise DataError(
+                "learning.schedule one_cycle rises and falls by itself; leave out warmup_steps and cooldown, "
+                "or choose the schedule constant"
+            )
 
 
 @dataclass(frozen=True)
 class Machine:
-    """What a training runs on.
+    """The hardware that a training uses.
 
     Attributes:
         accelerator: `auto` takes a GPU when there is one.
-        devices: GPUs, or processes on the CPU; more than one is trained by DDP.
+        devices: how many GPUs, or how many processes on the CPU. More than one train together by DDP.
         precision: `bf16-mixed` and `16-mixed` are for GPUs; most CPUs are slower with them.
-        workers: processes that load images; 0 suits cached pixels.
-        threads: of torch; None leaves it to torch.
+        workers: processes that load images; 0 loads them in the training process.
+        threads: processor threads of torch; None leaves the number to torch.
     """
 
     accelerator: Literal["auto", "cpu", "gpu"] = "auto"
     devices: int = 1
-    precision: Literal["32-true", "16-mixed", "bf16-mixed"] = "32-true"
+    precision: Precision = "32-true"
     workers: int = 0
     threads: int | None = None
+
+
+@dataclass(frozen=True)
+class Run:
+    """A training without its network and its data: what all three programs share.
+
+    Attributes:
+        out: folder of the checkpoints and logs.
+        validate_every: epochs from one validation to the next; 0 never validates.
+        seed: of everything that is drawn at random.
+        resume: go on with the run that is in `out`.
+        overwrite: delete the run that is in `out` and start anew.
+        until: stop after this epoch; the learning rate still follows all epochs.
+    """
+
+    out: Path
+    learning: Learning
+    machine: Machine
+    validate_every: int = 1
+    seed: int = 0
+    resume: bool = False
+    overwrite: bool = False
+    until: int | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse what contradicts itself."""
+        if self.resume and self.overwrite:
+            raise DataError("--resume goes on with a run and --overwrite deletes it; choose one of them")
+        if min(self.seed, self.validate_every) < 0:
+            raise DataError("--seed and --validate_every must be 0 or more")
+        if self.until is not None and self.until < 1:
+            raise DataError("--until must be at least 1")

@@ -1,24 +1,67 @@
-"""What `python -m training.<program>` does: options from the command line, mistakes in one line."""
+"""The entry point of `python -m training.<program>`: options from the command line, mistakes in one line."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 
 from rpl_data.types import DataError
+from training.runs.old_names import arguments_with_new_names
 
 
-def main(program: Callable[..., object], arguments: Sequence[str] | None = None) -> int:
-    """Run a program; 1 with one line on stderr when the user can mend it."""
+def main(
+    program: Callable[..., object],
+    arguments: Sequence[str] | None = None,
+    *,
+    old_names: Mapping[str, str] = {},  # noqa: B006 (never changed)
+) -> int:
+    """Run a program; the exit status comes back, 1 with one line on stderr when the user can mend it.
+
+    Args:
+        program: its signature and docstring are the options and the help.
+        arguments: those of the command line when left out.
+        old_names: new names of options by the old ones that are still understood.
+    """
     from jsonargparse import auto_cli
 
     try:
+        given = sys.argv[1:] if arguments is None else arguments
         auto_cli(
             program,
-            args=None if arguments is None else list(arguments),
+            args=arguments_with_new_names(given, old_names),
             prog=f"python -m training.{program.__name__}",
         )
     except DataError as error:
         print(f"{program.__name__}: {error}", file=sys.stderr)
         return 1
     return 0
+
+
+def use_threads(threads: int | None) -> None:
+    """Let torch use so many processor threads; None leaves the number to torch."""
+    import torch
+
+    if threads is not None:
+        torch.set_num_threads(threads)
+
+
+def split_file(coco: Path, split: str) -> Path:
+    """The COCO file of a split in a folder that `rpl export` wrote.
+
+    Raises:
+        DataError: the folder has no such split.
+    """
+    path = coco / f"{split}.json"
+    if not path.is_file():
+        there = ", ".join(sorted(each.stem for each in coco.glob("*.json"))) or "none"
+        raise DataError(
+            f"there is no {path}; expected the folder of an export and one of its splits ({there})"
+        )
+    return path
+
+
+def say_left_out(unreadable: Mapping[str, int]) -> None:
+    """One line per reason why images were left out."""
+    for message, count in sorted(unreadable.items()):
+        print(f"left out {count} {'time' if count == 1 else 'times'}: {message}")

@@ -1,64 +1,150 @@
-"""What all training programs share: learning options, a Lightning trainer, checkpoints."""
+"""What all training programs share: a Lightning trainer, checkpoints that load, losses that are numbers."""
 
 from __future__ import annotations
 
 import logging
+import sys
+import time
 import warnings
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from pickle import UnpicklingError
 from typing import Any, TypeVar
 
 import torch
-from pytorch_lightning import Callback, LightningModule, Trainer
-from pytorch_lightning.callbacks import ModelCheckpoint
+from pytorch_lightning import Callback, LightningModule, Trainer, seed_everything
 from pytorch_lightning.loggers import CSVLogger, TensorBoardLogger
+from pytorch_lightning.utilities import rank_zero_only
+from torch import Tensor
+from torch.utils.data import DataLoader, Dataset
 
+from rpl_data.torch.epochs import Collate, training_batches, validation_batches
 from rpl_data.types import DataError
-from training.runs.options import Learning, Machine
+from training.runs.callbacks import Checkpoints, EpochLines, Steps
+from training.runs.folder import LAST, changes, checkpoint_to_resume, delete_run, new_logs, trained_epochs
+from training.runs.options import Run
+from training.runs.program import say_left_out, use_threads
 
 Module = TypeVar("Module", bound=LightningModule)
 
-
-class EpochLines(Callback):
-    """One line an epoch on the terminal."""
-
-    def on_train_epoch_end(self, trainer: Trainer, module: LightningModule) -> None:
-        """Loss, and what was validated."""
-        validated = (trainer.current_epoch + 1) % (trainer.check_val_every_n_epoch or 1) == 0
-        names = ["train_loss", *(("val_pck", "val_error", "val_found") if validated else ())]
-        names = [name for name in names if name in trainer.callback_metrics]
-        figures = ", ".join(f"{name} {float(trainer.callback_metrics[name]):.4f}" for name in names)
-        print(f"epoch {trainer.current_epoch + 1}/{trainer.max_epochs}: {figures}", flush=True)
+say = rank_zero_only(print)
+"""Print once, also where several processes train together."""
 
 
-def trainer_of(
-    out: Path, *, epochs: int, machine: Machine, validate_every: int = 1, monitor: str | None = None
-) -> Trainer:
-    """A trainer that writes last.ckpt (and best.ckpt by `monitor`), CSV and TensorBoard logs into `out`.
+@dataclass(frozen=True)
+class Lesson:
+    """What is trained, on what.
+
+    Attributes:
+        module: the network and its losses.
+        unreadable: how often images could not be read, by message; the module counts.
+        train: samples to train on, drawn from torch's random state.
+        val: samples to validate on; None where there are none.
+        collate: makes a batch of samples, some of which may be `Unreadable`.
+        monitor: a figure that the validation logs, of which more is better; best.ckpt has the highest.
+        settings: what else a checkpoint remembers of its run, such as the augmentation.
+        drop_last: leave out the last training batch of an epoch when it is smaller than the others.
+        val_batch: samples per step of the validation; those of the training when None.
+    """
+
+    module: LightningModule
+    unreadable: Counter[str]
+    train: Dataset[Any]
+    val: Dataset[Any] | None
+    collate: Collate
+    monitor: str
+    settings: Mapping[str, Any]
+    drop_last: bool = False
+    val_batch: int | None = None
+
+
+def start(run: Run) -> Path | None:
+    """Set threads and seed; the checkpoint to go on with comes back, None for a run from the beginning.
+
+    Raises:
+        DataError: the folder holds a run, and the options do not say what to do with it.
+    """
+    import cv2
+
+    resumed = checkpoint_to_resume(run)
+    use_threads(run.machine.threads)
+    cv2.setNumThreads(1)  # its threads would compete with torch's
+    seed_everything(run.seed, workers=True, verbose=False)
+    return resumed
+
+
+def fit(lesson: Lesson, run: Run, *, resumed: Path | None) -> Path:
+    """Train; the path of the last checkpoint comes back.
 
     Args:
-        monitor: a logged figure of which more is better.
+        lesson: what is trained, on what.
+        run: where and how.
+        resumed: the checkpoint to go on with, as `start` found it.
+
+    Raises:
+        DataError: the checkpoint cannot be continued with these options, or a loss is not finite.
     """
-    logging.getLogger("pytorch_lightning").setLevel(logging.WARNING)  # what it is not using is no news
-    # Lightning advises more worker processes; cached crops want none.
-    warnings.filterwarnings("ignore", message=".*does not have many workers.*")
-    warnings.filterwarnings("ignore", message=".*number of training batches.*")
-    warnings.filterwarnings("ignore", message=".*exists and is not empty.*")
-    logs = _new_logs(out)
-    loggers = [CSVLogger(out, name="", version=logs), TensorBoardLogger(out, name="", version=logs)]
-    last = ModelCheckpoint(
-        out, filename="last", enable_version_counter=False, every_n_epochs=1, save_on_train_epoch_end=True
+    settings = {"seed": run.seed, "learning": asdict(run.learning), **lesson.settings}
+    last = run.out / LAST
+    done = 0 if resumed is None else trained_epochs(resumed)
+    if resumed is not None:
+        say("; ".join([f"goes on after epoch {done}", *changes(resumed, settings)]))
+    if done >= (run.until or run.learning.epochs):
+        say(f"{last} was trained for {done} epochs already; ask for more with --learning.epochs")
+        return last
+    if resumed is None:
+        rank_zero_only(delete_run)(run.out)
+    steps = Steps(run.learning, run.seed)
+    train, val = _batches(lesson, run)
+    kept = Checkpoints(run.out, monitor=lesson.monitor, settings=settings)
+    trainer = _trainer(run, [steps, EpochLines(), kept])
+    started = time.process_time(), time.perf_counter()
+    _fit(trainer, lesson.module, train, val, resumed, last)
+    cpu_s, wall_s = time.process_time() - started[0], time.perf_counter() - started[1]
+    waiting = f"{steps.waiting_s / wall_s:.0%} of {wall_s:.0f} s spent waiting for images"
+    say(f"{last}: {cpu_s:.0f} s of CPU time, {waiting}")
+    say_left_out(lesson.unreadable)  # each process says its own, where several train
+    return last
+
+
+def _batches(lesson: Lesson, run: Run) -> tuple[DataLoader[Any], DataLoader[Any] | None]:
+    """Batches to train on, and those to validate on where there is something to validate."""
+    batch, workers = run.learning.batch, run.machine.workers
+    train = training_batches(
+        lesson.train,
+        batch=batch,
+        workers=workers,
+        seed=run.seed,
+        collate=lesson.collate,
+        drop_last=lesson.drop_last,
     )
-    best = ModelCheckpoint(out, filename="best", monitor=monitor, mode="max", enable_version_counter=False)
+    if lesson.val is None or run.validate_every == 0:
+        return train, None
+    return train, validation_batches(
+        lesson.val, batch=lesson.val_batch or batch, workers=workers, collate=lesson.collate
+    )
+
+
+def _trainer(run: Run, callbacks: list[Callback]) -> Trainer:
+    """A trainer that logs to CSV and TensorBoard files in the run's folder."""
+    _quieten()
+    machine = run.machine
+    logs = new_logs(run.out)
     return Trainer(
-        max_epochs=epochs,
+        max_epochs=min(run.until or run.learning.epochs, run.learning.epochs),
         accelerator=machine.accelerator,
         devices=machine.devices,
+        # Frozen layers and heads without an object get no gradient, which DDP has to be told.
+        strategy="auto" if machine.devices == 1 else "ddp_find_unused_parameters_true",
+        use_distributed_sampler=False,  # `EpochOrder` shares the rows out itself
         precision=machine.precision,
-        logger=loggers,
-        callbacks=[EpochLines(), last, *([best] if monitor else [])],
-        check_val_every_n_epoch=validate_every,
+        gradient_clip_val=run.learning.clip or None,
+        logger=[CSVLogger(run.out, name="", version=logs), TensorBoardLogger(run.out, name="", version=logs)],
+        callbacks=callbacks,
+        enable_checkpointing=False,  # `Checkpoints` writes them
+        check_val_every_n_epoch=max(run.validate_every, 1),
         num_sanity_val_steps=0,
         enable_progress_bar=False,
         enable_model_summary=False,
@@ -66,40 +152,81 @@ def trainer_of(
     )
 
 
-def _new_logs(out: Path) -> str:
-    """A folder for logs that is not there yet: a run that goes on leaves what it logged before."""
-    number = len(list(out.glob("logs*")))
-    return f"logs{number}" if number else "logs"
+def _quieten() -> None:
+    """Silence what Lightning says at every start; its other warnings stay."""
+    logging.getLogger("pytorch_lightning").setLevel(logging.WARNING)
+    for message in (
+        ".*does not have many workers.*",  # cached crops want none
+        ".*number of training batches.*",
+        ".*exists and is not empty.*",
+        ".*LeafSpec.*is deprecated.*",
+        ".*callbacks used to create the checkpoint.*",  # of version 0.1
+        ".*sync_dist=True.*",  # every process validates everything, and the first one's loss is shown
+        ".*find_unused_parameters=True was specified.*",
+        ".*validation_step. but have no .val_dataloader.*",
+    ):
+        warnings.filterwarnings("ignore", message=message)
 
 
-def optimizer_of(module: LightningModule, learning: Learning) -> Any:
-    """What `configure_optimizers` returns."""
-    if learning.optimizer == "adam":
-        optimizer: torch.optim.Optimizer = torch.optim.Adam(module.parameters(), lr=learning.rate)
-    else:
-        optimizer = torch.optim.RMSprop(module.parameters(), lr=learning.rate)
-    if learning.schedule == "constant":
-        return optimizer
-    steps = int(module.trainer.estimated_stepping_batches)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, learning.rate, total_steps=steps)
-    return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
+def _fit(
+    trainer: Trainer,
+    module: LightningModule,
+    train: DataLoader[Any],
+    val: DataLoader[Any] | None,
+    resumed: Path | None,
+    last: Path,
+) -> None:
+    """Lightning's fit, with a word about how to go on after Ctrl-C."""
+    try:
+        trainer.fit(module, train, val, ckpt_path=resumed, weights_only=True)
+    except SystemExit:  # Lightning's answer to KeyboardInterrupt
+        if trainer.is_global_zero:
+            print(
+                f"interrupted in epoch {trainer.current_epoch + 1}; {last} holds the "
+                f"{trained_epochs(last)} epochs before it: go on with --resume true",
+                file=sys.stderr,
+            )
+        raise
 
 
-def stop_if_not_finite(loss: torch.Tensor, epoch: int, batch: int, image_ids: Sequence[int]) -> None:
-    """DataError that names the batch when its loss is no number."""
-    if not torch.isfinite(loss):
+def nothing_read(module: LightningModule) -> Tensor | None:
+    """What a training step returns when no image of its batch could be read.
+
+    One process alone skips the step. Among several, which all have to take it, the step teaches nothing.
+    """
+    if module.trainer.world_size == 1:
+        return None
+    return torch.stack([parameter.sum() for parameter in module.parameters()]).sum() * 0.0
+
+
+def stop_if_not_finite(
+    losses: Mapping[str, Tensor], epoch: int, batch: int, image_ids: Sequence[int]
+) -> None:
+    """Stop a training whose loss is not a finite number.
+
+    Args:
+        losses: the parts of the loss, by name.
+        epoch: the epoch, from 0.
+        batch: number of the batch in the epoch, from 0.
+        image_ids: the images of the batch, by their ids in the COCO file.
+
+    Raises:
+        DataError: a loss is not finite.
+    """
+    bad = [f"{name} is {loss.item()}" for name, loss in losses.items() if not torch.isfinite(loss)]
+    if bad:
         raise DataError(
-            f"the loss is {loss.item()} in epoch {epoch}, batch {batch}, images "
-            f"{', '.join(str(image_id) for image_id in image_ids)} (ids of the COCO file); look at their "
-            "labels, or lower the learning rate, and resume from the last checkpoint"
+            f"epoch {epoch + 1}, batch {batch + 1}, images {', '.join(map(str, image_ids))} "
+            f"(ids of the COCO file): {', '.join(bad)}; look at the labels of these images, or lower "
+            "--learning.rate and go on with --resume true"
         )
 
 
 def load_module(kind: type[Module], checkpoint: Path, program: str) -> Module:
-    """The trained module of a checkpoint, ready to predict.
+    """The trained network of a checkpoint, ready to predict.
 
     Raises:
-        DataError: it is missing, or no checkpoint of the program.
+        DataError: the checkpoint is missing, or another program wrote it.
     """
     if not checkpoint.exists():
         raise DataError(f"there is no checkpoint {checkpoint}; train one with {program}")
@@ -108,11 +235,3 @@ def load_module(kind: type[Module], checkpoint: Path, program: str) -> Module:
     except (KeyError, TypeError, RuntimeError, OSError, UnpicklingError) as error:
         raise DataError(f"{checkpoint} is no checkpoint of {program}: {error}") from error
     return loaded.eval()
-
-
-def trained_epochs(checkpoint: Path) -> int:
-    """Epochs behind a checkpoint; 0 where there is none."""
-    if not checkpoint.exists():
-        return 0
-    epochs: int = torch.load(checkpoint, map_location="cpu", weights_only=True)["epoch"] + 1
-    return epochs

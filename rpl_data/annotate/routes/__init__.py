@@ -1,1 +1,1 @@
-"""The routes of the annotation server, one module per subject. What they do is in the modules above."""
+"""Routes of the annotation server, one module per subject; the work is done in the modules above."""

@@ -1,4 +1,4 @@
-"""Routes of the clicks as a file."""
+"""Routes to export and import clicks as a file."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from rpl_data.json_arrays import Json
 
 
 class ClicksFile(BaseModel):
-    """A CSV file a person chose."""
+    """A CSV file that the user chose."""
 
     name: str
     text: str
 
 
 def clicks_routes(session: Session) -> APIRouter:
-    """Clicks out, and the actions that would bring a file's clicks in."""
+    """Routes: export the clicks, and read a file into the actions that would add its clicks."""
     routes = APIRouter()
 
     @routes.get("/api/objects/{name}/clicks.csv")

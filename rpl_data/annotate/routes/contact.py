@@ -15,14 +15,14 @@ from rpl_data.types import DataError
 
 
 class LeftOut(BaseModel):
-    """Whether a frame stays out of the exported dataset."""
+    """Whether a frame is excluded from the exported dataset."""
 
     frame: int
     left_out: bool
 
 
 def contact_routes(session: Session) -> APIRouter:
-    """What is labelled, the labels as pictures, and which frames stay out of the export."""
+    """Routes: labelled frames, labels as pictures, and the frames excluded from the export."""
     routes = APIRouter()
     sheet = ContactSheet(session)
 

@@ -1,4 +1,4 @@
-"""Routes of the builds."""
+"""Routes to start, stop and watch builds."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from rpl_data.json_arrays import Json
 
 
 class Wanted(BaseModel):
-    """A job that a person asked for."""
+    """A job that the user requested."""
 
     stage: str
 
 
 def job_routes(session: Session) -> APIRouter:
-    """Start, stop and watch a build."""
+    """Routes: start, stop and watch a build."""
     routes = APIRouter()
 
     def run(stage: str, tell: Tell) -> list[str]:

@@ -1,4 +1,4 @@
-"""Routes of models that are there already, and of the sparse model as a file."""
+"""Routes to load a known model, and to export the sparse model as a file."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 
 from fastapi import APIRouter, Request
 from fastapi.responses import PlainTextResponse, Response
+from pydantic import FiniteFloat
 from starlette.concurrency import run_in_threadpool
 
 from rpl_data.annotate.model import MESHES, given_mesh_payload, keep_mesh, read_known_points
@@ -18,18 +19,18 @@ from rpl_data.types import DataError
 
 
 def model_routes(session: Session) -> APIRouter:
-    """Load a known model or a mesh; hand out the sparse model."""
+    """Routes: load a known model or a mesh, and export the sparse model."""
     routes = APIRouter()
 
     @routes.post("/api/objects/{name}/model")
-    async def load(request: Request, name: str, file: str, metres_per_unit: float = 1.0) -> Json:
+    async def load(request: Request, name: str, file: str, metres_per_unit: FiniteFloat = 1.0) -> Json:
         content = await request.body()
         return await run_in_threadpool(read, name, file, content, metres_per_unit)
 
     def read(name: str, file: str, content: bytes, metres_per_unit: float) -> Json:
         annotation = session.log(name).now().annotation
         if not 1e-6 <= metres_per_unit <= 1e3:
-            raise DataError(f"{metres_per_unit} is no unit; expected metres a unit: 1, or 0.001 for mm")
+            raise DataError(f"{metres_per_unit} is not a unit; expected metres per unit: 1, or 0.001 for mm")
         if Path(file).suffix.lower() in MESHES:
             keep_mesh(session.workspace, name, file, content, metres_per_unit=metres_per_unit)
             session.news.tell("mesh", name)

@@ -1,4 +1,4 @@
-"""Objects: their clicks, results and suggestions."""
+"""Routes of objects: their clicks, results and suggestions."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rpl_data.json_arrays import Json
 
 
 class Actions(BaseModel):
-    """What a page did, having seen a revision of the object's log."""
+    """Actions of a page, and the revision of the object's log that it last saw."""
 
     seen: int
     actions: list[dict[str, Any]]

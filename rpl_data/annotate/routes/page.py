@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from fastapi import FastAPI
+from fastapi import FastAPI, HTTPException
 from fastapi.responses import FileResponse, StreamingResponse
 from fastapi.staticfiles import StaticFiles
 
@@ -13,7 +13,7 @@ from rpl_data.annotate.session import Session
 STATIC = Path(__file__).parents[1] / "static"
 
 KEEP = {"Cache-Control": "private, max-age=3600"}
-"""Pictures of a recording do not change while one looks at it; afterwards their stamp is compared."""
+"""A recording's pictures do not change during a session; later, their stamp is compared."""
 
 
 def add_page(app: FastAPI, session: Session) -> None:
@@ -31,6 +31,8 @@ def add_page(app: FastAPI, session: Session) -> None:
 
     @app.get("/api/news")
     async def news() -> StreamingResponse:
+        if session.news.is_full:
+            raise HTTPException(503, "too many pages are open; close some of them")
         headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
         return StreamingResponse(session.news.stream(), media_type="text/event-stream", headers=headers)
 

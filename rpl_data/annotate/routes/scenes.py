@@ -1,9 +1,10 @@
-"""Scenes of the workspace: their frames, depth, poses and masks."""
+"""Routes of scenes: their frames, depth, poses and masks."""
 
 from __future__ import annotations
 
 from fastapi import FastAPI, Request
 from fastapi.responses import Response
+from pydantic import FiniteFloat
 
 from rpl_data.annotate.payload import scene_payload
 from rpl_data.annotate.routes.page import KEEP
@@ -14,7 +15,7 @@ from rpl_data.json_arrays import Json
 
 
 def add_scenes(app: FastAPI, session: Session) -> None:
-    """Routes of the scenes: what there is, poses, pictures, depth and masks."""
+    """Routes of the scenes: their list, poses, pictures, depth and masks."""
 
     @app.get("/api/workspace")
     def workspace() -> Json:
@@ -49,7 +50,7 @@ def add_scenes(app: FastAPI, session: Session) -> None:
         return Response(content, media_type="application/octet-stream", headers=KEEP)
 
     @app.get("/api/scenes/{scene}/frames/{frame}.look.jpg")
-    def look(scene: str, frame: int, u_px: float, v_px: float) -> Response:
+    def look(scene: str, frame: int, u_px: FiniteFloat, v_px: FiniteFloat) -> Response:
         content = session.pictures.look(scene, frame, u_px, v_px)
         return Response(content, media_type="image/jpeg", headers=KEEP)
 

@@ -15,7 +15,7 @@ from rpl_data.json_arrays import Json
 
 
 def solid_routes(session: Session) -> APIRouter:
-    """Scene surfaces near an object and its dense model."""
+    """Routes: scene surfaces near an object, and its dense model."""
     routes = APIRouter()
     store = SurfaceStore(session.scenes)
 

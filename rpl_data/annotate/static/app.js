@@ -1,4 +1,4 @@
-// The page: loads the workspace, joins the parts, and keeps the address bar at the place one is at.
+// The page: loads the workspace, connects the parts, and keeps object, scene and frame in the address bar.
 
 import { get } from "./state/api.js";
 import * as canvas from "./image/canvas.js";
@@ -40,25 +40,25 @@ async function start() {
   listen();
 }
 
-// The workspace, at the place the address names.
+// Open the workspace at the object, scene and frame that the address names.
 async function open() {
   const workspace = await get("/api/workspace");
-  const place = new URLSearchParams(location.hash.slice(1));
+  const address = new URLSearchParams(location.hash.slice(1));
   change({ workspace });
-  const object = workspace.objects.includes(place.get("object")) ? place.get("object") : workspace.objects[0];
-  const scene = workspace.scenes.includes(place.get("scene")) ? place.get("scene") : workspace.scenes[0];
-  const index = place.has("frame") ? Number(place.get("frame")) : null;
+  const object = workspace.objects.includes(address.get("object")) ? address.get("object") : workspace.objects[0];
+  const scene = workspace.scenes.includes(address.get("scene")) ? address.get("scene") : workspace.scenes[0];
+  const index = address.has("frame") ? Number(address.get("frame")) : null;
   if (object === undefined || scene === undefined) throw new Error("this workspace has no object or no scene");
-  change({ keypoint: Number(place.get("keypoint") || 0) });
+  change({ keypoint: Number(address.get("keypoint") || 0) });
   await log.load(object);
   await openScene(scene, index);
-  if (!place.has("keypoint")) keypoints.selectOpen();
+  if (!address.has("keypoint")) keypoints.selectOpen();
 }
 
 function rememberPlace() {
   if (!app.state || frame() === null) return;
-  const place = new URLSearchParams({ object: app.state.object, scene: app.scene, frame: frame(), keypoint: app.keypoint });
-  if (location.hash !== `#${place}`) history.replaceState(null, "", `#${place}`);
+  const address = new URLSearchParams({ object: app.state.object, scene: app.scene, frame: frame(), keypoint: app.keypoint });
+  if (location.hash !== `#${address}`) history.replaceState(null, "", `#${address}`);
 }
 
 function drawHead() {

@@ -1,1 +1,1 @@
-"""What the annotation server keeps in memory: scenes, pictures and masks."""
+"""Caches of the annotation server: scenes, pictures and masks."""

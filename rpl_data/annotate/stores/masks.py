@@ -1,4 +1,4 @@
-"""Masks of the labels made last, to be laid over the picture; a label is read when it is asked for."""
+"""Masks of the latest labels as overlays for the picture; each label is read when it is needed."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ SCENES_KEPT = 24
 
 
 class MaskStore:
-    """Finds labels by their place in the file, so that a scene of 9,000 frames is never held."""
+    """Finds labels by their offset in the file, so that a scene of 9,000 frames is never held in memory."""
 
     def __init__(self, workspace: Workspace) -> None:
         self.workspace = workspace
-        self._places = lru_cache(SCENES_KEPT)(self._read_places)
+        self._offsets = lru_cache(SCENES_KEPT)(self._read_offsets)
 
     def png(self, scene: str, frame: int, object_name: str) -> bytes | None:
-        """The visible mask as a picture, transparent elsewhere; None when there is no such label."""
+        """Draw the visible mask as a PNG, transparent elsewhere; None when there is no such label."""
         label = self.label(scene, frame)
         instances = [i for i in label.instances if i.object == object_name] if label else []
         if not instances:
@@ -39,26 +39,26 @@ class MaskStore:
         return cv2.imencode(".png", picture)[1].tobytes()
 
     def label(self, scene: str, frame: int) -> FrameLabel | None:
-        """The label of a frame; None where none was made."""
+        """Read the label of a frame; None when there is none."""
         video = self.workspace.parts().video_of(scene)  # a recording that was cut has one file of labels
         path = self.workspace.labels_file(video)
         if scene not in self.workspace.scene_names() or not path.exists():
             return None
         status = path.stat()
-        place = self._places(video, status.st_mtime_ns, status.st_size).get(frame)
-        if place is None:
+        offset = self._offsets(video, status.st_mtime_ns, status.st_size).get(frame)
+        if offset is None:
             return None
         with path.open("rb") as file:
-            file.seek(place)
+            file.seek(offset)
             return frame_label_from_json(json.loads(file.readline()))
 
-    def _read_places(self, video: str, *stamp: int) -> dict[int, int]:
-        """Where the line of each frame begins."""
-        places, at = {}, 0
+    def _read_offsets(self, video: str, *stamp: int) -> dict[int, int]:
+        """Byte offset of each frame's line in the file."""
+        offsets, at = {}, 0
         with self.workspace.labels_file(video).open("rb") as file:
             for line in file:
                 found = FRAME.search(line[:200])
                 if found:
-                    places[int(found[1])] = at
+                    offsets[int(found[1])] = at
                 at += len(line)
-        return places
+        return offsets

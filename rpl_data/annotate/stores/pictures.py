@@ -1,4 +1,4 @@
-"""Pictures for the page, no larger than it needs them."""
+"""Pictures for the page, no larger than it needs."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from rpl_data.images import read_color
 from rpl_data.types import ColorImage, DataError, DepthImage, Frame
 
 WIDTHS = (96, 160, 320, 640, 960, 1280, 1920)
-"""Widths that are made; a request is served the next larger one, so that they can be cached."""
+"""Available widths; a request is served the next larger one, so that pictures can be cached."""
 LOOK_PX = 51
-"""Side of what is shown around a click elsewhere."""
+"""Side of the cut-out around a click that is shown in the panels."""
 TILE_PX, MARGIN_PX = 128, 16
-"""A tile of depth; its margin is more than what is looked at around a position."""
+"""Side and margin of a tile of depth; the margin exceeds what is read around a position."""
 KEPT_BYTES = 48 * 2**20
 QUALITY = 90
 JPEG_SUFFIXES = (".jpg", ".jpeg")
@@ -27,7 +27,7 @@ REDUCTIONS = {8: cv2.IMREAD_REDUCED_COLOR_8, 4: cv2.IMREAD_REDUCED_COLOR_4, 2: c
 
 
 class PictureStore:
-    """JPEG files of frames; the last used ones are kept."""
+    """JPEG files of frames; the most recently used are cached."""
 
     def __init__(self, scenes: SceneStore) -> None:
         self._scenes = scenes
@@ -36,7 +36,7 @@ class PictureStore:
         self._lock = threading.Lock()
 
     def jpeg(self, scene: str, frame: int, width_px: int) -> bytes:
-        """The frame at least that wide (the whole image for 0), as JPEG; edges stay edges."""
+        """The frame as JPEG, at least that wide (full size for 0); edges stay edges."""
         return self._keep((scene, frame, width_px), lambda: self._make(scene, frame, width_px))
 
     def _keep(self, key: tuple[str | int | float, ...], make: Callable[[], bytes]) -> bytes:
@@ -54,7 +54,7 @@ class PictureStore:
         return content
 
     def look(self, scene: str, frame: int, u_px: float, v_px: float) -> bytes:
-        """What is around a position, as a small JPEG with the position in its middle."""
+        """Cut out a small JPEG with a position in its centre."""
         key = (scene, frame, u_px, v_px)
         return self._keep(key, lambda: self._cut_out(scene, frame, u_px, v_px))
 
@@ -67,12 +67,12 @@ class PictureStore:
         posed = self._scenes.get(scene)
         source, full_px = posed.frame(frame), posed.scene.intrinsics.width
         width = next((w for w in WIDTHS if w >= width_px), full_px) if width_px else full_px
-        if width >= full_px and source.color.suffix.lower() in JPEG_SUFFIXES and source.color.exists():
+        if width >= full_px and source.color.suffix.lower() in JPEG_SUFFIXES and source.color.is_file():
             return source.color.read_bytes()
         return encoded(resized(_read(source, full_px, width), width))
 
     def stamp(self, scene: str, frame: int) -> str:
-        """Changes when the image file does."""
+        """A stamp that changes when the image file does."""
         path = self._scenes.get(scene).frame(frame).color
         try:
             status = path.stat()
@@ -82,7 +82,7 @@ class PictureStore:
 
 
 def _read(source: Frame, full_px: int, width_px: int) -> ColorImage:
-    """The image; a JPEG decoded at a half, a quarter or an eighth when that is still wide enough."""
+    """Read the image; a JPEG is decoded at 1/2, 1/4 or 1/8 of its size if that is still wide enough."""
     if source.color.suffix.lower() in JPEG_SUFFIXES:
         for reduction, flag in REDUCTIONS.items():
             if full_px // reduction >= width_px:
@@ -93,7 +93,7 @@ def _read(source: Frame, full_px: int, width_px: int) -> ColorImage:
 
 
 def resized(image: ColorImage, width_px: int) -> UInt8[np.ndarray, "h w 3"]:
-    """The image that wide, never enlarged."""
+    """Shrink the image to that width; it is never enlarged."""
     if width_px >= image.shape[1]:
         return image
     height_px = max(1, round(image.shape[0] * width_px / image.shape[1]))
@@ -101,16 +101,16 @@ def resized(image: ColorImage, width_px: int) -> UInt8[np.ndarray, "h w 3"]:
 
 
 def encoded(image: ColorImage, suffix: str = ".jpg") -> bytes:
-    """The image as a file."""
+    """Encode the image as a file."""
     options = [cv2.IMWRITE_JPEG_QUALITY, QUALITY] if suffix == ".jpg" else []
     _, content = cv2.imencode(suffix, image[:, :, ::-1], options)
     return content.tobytes()
 
 
 def depth_tile(depth_m: DepthImage, metres_per_unit: float, column: int, row: int) -> bytes:
-    """A square of depth as it was stored, with a margin on every side: 16-bit little-endian rows, 0 = none.
+    """Cut out a tile of stored depth with a margin on every side: 16-bit little-endian rows, 0 = none.
 
-    A page asks for what is around its cursor; a whole image is too much for a slow link.
+    A page asks for the surroundings of its cursor; a full image is too large for a slow link.
     """
     side = TILE_PX + 2 * MARGIN_PX
     tile = np.zeros((side, side), dtype="<u2")

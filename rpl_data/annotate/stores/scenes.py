@@ -1,4 +1,4 @@
-"""Scenes as the page needs them: a few parsed at a time, depth of the last frames kept."""
+"""Scenes for the page: a few are kept in memory, with the depth of the most recent frames."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rpl_data.types import Click, DataError, DepthImage, Frame, Scene, Trajector
 from rpl_data.workspace.workspace import Workspace
 
 SCENES_KEPT = 6
-"""A scene of 9,000 frames takes some 20 MB."""
+"""Number of scenes kept in memory; one of 9,000 frames takes some 20 MB."""
 DEPTHS_KEPT = 8
 
 
@@ -27,14 +27,14 @@ class PosedScene:
     frames: dict[int, Frame]
 
     def frame(self, index: int) -> Frame:
-        """The frame with that index; DataError when it is not there or has no pose."""
+        """The frame with this index; DataError when it does not exist or has no pose."""
         if index not in self.frames:
             raise DataError(f"scene {self.scene.name} has no frame {index} with a camera pose")
         return self.frames[index]
 
 
 class SceneStore:
-    """Reads scenes and depth of a workspace and keeps what was used last."""
+    """Reads scenes and depth of a workspace, and caches the most recently used."""
 
     def __init__(self, workspace: Workspace) -> None:
         self.workspace = workspace
@@ -43,21 +43,21 @@ class SceneStore:
         self._depth = lru_cache(DEPTHS_KEPT)(self._read_depth)
 
     def names(self) -> list[str]:
-        """Scenes of the workspace."""
+        """Names of the scenes in the workspace."""
         return self.workspace.scene_names()
 
     def forget(self) -> None:
-        """Read everything again when it is next asked for: a build may have cut scenes."""
+        """Clear the cache, since a build may have cut scenes."""
         self._scene.cache_clear()
         self._depth.cache_clear()
 
     def depth_m(self, scene: str, frame: int) -> DepthImage:
-        """Depth of a frame, metres; not to be changed."""
+        """Depth of a frame in metres; callers must not change it."""
         return self._depth(scene, frame)
 
     def get(self, name: str) -> PosedScene:
-        """A scene of the workspace; DataError when there is no such one."""
-        with self._reading:  # a page asks for several things of a scene at once: it is read for the first
+        """Return a scene of the workspace; DataError when it does not exist."""
+        with self._reading:  # a page requests several things at once; only the first request reads the scene
             return self._scene(name)
 
     def _read_scene(self, name: str) -> PosedScene:
@@ -73,7 +73,7 @@ class SceneStore:
         return self.workspace.depth_reader(posed.scene)(posed.frame(frame))
 
     def refuse_outside(self, click: Click) -> None:
-        """DataError when a click is in no frame of ours or outside its image."""
+        """Raise a DataError when a click's frame does not exist or the click is outside its image."""
         posed = self.get(click.scene)
         posed.frame(click.frame)
         size = posed.scene.intrinsics
@@ -85,7 +85,7 @@ class SceneStore:
 
 
 def poses_table(posed: PosedScene) -> Float32[np.ndarray, "n 8"]:
-    """A row a posed frame: index, translation (m) and quaternion x y z w of `scene_from_camera`."""
+    """One row per posed frame: index, translation (m) and quaternion x y z w of `scene_from_camera`."""
     index, poses = posed.trajectory.frames, posed.trajectory.scene_from_camera
     if not len(index):
         return np.zeros((0, 8), dtype=np.float32)

@@ -1,1 +1,1 @@
-"""Files that hold a whole recording: their bytes, not yet scenes."""
+"""Containers: single files that hold a whole recording. These modules read bytes, not yet scenes."""

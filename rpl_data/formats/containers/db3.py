@@ -1,7 +1,7 @@
-"""Repair of a RealSense recording in SQLite (.db3) that was cut off, as by a full disk or a copy that broke.
+"""Repair a RealSense recording in SQLite (.db3) that was cut off by a full disk or a broken copy.
 
-Two tables: topics, written first, and messages, in the order they came. SQLite refuses a file that is shorter
-than its header says; its rows can still be read one at a time, up to the pages that are gone.
+It has two tables: topics, written first, and messages, in order of arrival. SQLite refuses a file that is
+shorter than its header says; its rows can still be read one at a time, up to the pages that are gone.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
+from rpl_data.files import decoding, refuse_special
 from rpl_data.types import DataError
 
 _SCHEMA = """
@@ -22,19 +23,19 @@ CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL, timesta
 CREATE INDEX timestamp_idx ON messages (timestamp ASC);
 """
 
-_PATIENCE = 1000
-"""So many rows in a row that cannot be read are the end."""
+_MOST_UNREADABLE_ROWS = 1000
+"""After this many consecutive rows that cannot be read, the file has ended."""
 
 Row = tuple[int, int, int, bytes]
 
 
 @dataclass(frozen=True)
 class Db3Repair:
-    """What a repair found.
+    """Result of a repair.
 
     Attributes:
-        messages: that are whole.
-        seconds: from the first of them to the last.
+        messages: number of complete messages.
+        seconds: time from the first of them to the last.
     """
 
     messages: int
@@ -42,27 +43,34 @@ class Db3Repair:
 
 
 def repair_db3(path: Path, repaired: Path) -> Db3Repair:
-    """Write `repaired`: the topics and the messages that are whole.
+    """Write `repaired` with the topics and the complete messages of a broken file.
 
     Raises:
         DataError: no topic or no message can be read.
     """
+    refuse_special(path)
+    with decoding(path, "record it again"):
+        return _repaired(path, repaired)
+
+
+def _repaired(path: Path, repaired: Path) -> Db3Repair:
     times_ns: list[int] = []
     repaired.unlink(missing_ok=True)
     with closing(sqlite3.connect(_uri(path), uri=True)) as old, closing(sqlite3.connect(repaired)) as new:
         new.executescript(_SCHEMA)
         try:
-            old.execute("PRAGMA writable_schema = ON")  # a file shorter than it should be is refused else
+            old.execute("PRAGMA writable_schema = ON")  # otherwise a file that is too short is refused
             topics = old.execute("SELECT * FROM topics").fetchall()
         except sqlite3.DatabaseError as error:
-            raise DataError(f"{path} is no recording of a RealSense camera, or all of it is lost") from error
+            why = "is not a recording of a RealSense camera, or all of it is lost"
+            raise DataError(f"{path} {why}") from error
         new.executemany("INSERT INTO topics VALUES (?, ?, ?, ?, ?)", topics)
         for row in _whole_messages(old):
             new.execute("INSERT INTO messages VALUES (?, ?, ?, ?)", row)
             times_ns.append(row[2])
         new.commit()
     if not times_ns:
-        raise DataError(f"{path} was cut off before its first message was whole; nothing can be kept of it")
+        raise DataError(f"{path} was cut off within its first message; nothing of it can be kept")
     return Db3Repair(len(times_ns), (max(times_ns) - min(times_ns)) * 1e-9)
 
 
@@ -72,7 +80,7 @@ def _uri(path: Path) -> str:
 
 def _whole_messages(connection: sqlite3.Connection) -> Iterator[Row]:
     number = missing = 0
-    while missing < _PATIENCE:
+    while missing < _MOST_UNREADABLE_ROWS:
         number += 1
         try:
             row = connection.execute(

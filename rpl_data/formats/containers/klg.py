@@ -1,16 +1,16 @@
-"""ElasticFusion's log: a file with all frames of a recording.
+"""ElasticFusion's log (.klg): one file with all frames of a recording.
 
 ::
 
     int32 number of frames
-    a frame: int64 time in microseconds, int32 size of depth, int32 size of colour, depth, colour
+    per frame: int64 time in microseconds, int32 size of depth, int32 size of colour, depth, colour
 
-Little-endian. Depth is zlib-packed, or raw when it has 2 bytes a pixel; uint16 millimetres. Colour is a JPEG,
-raw when it has 3 bytes a pixel, black when it has none. The image size is not stored: a JPEG says it,
-else the number of depth pixels has to be that of a usual camera.
+Little-endian. Depth is zlib-packed, or raw when it has 2 bytes per pixel; uint16 millimetres. Colour is a
+JPEG, raw when it has 3 bytes per pixel, black when it has none. The image size is not stored: a JPEG holds
+it, otherwise the number of depth pixels must be that of a common camera.
 
-The count is written when a logger ends well: it is 0 or too large in a log that was cut off, so frames are
-read as long as they are whole, whatever it says.
+The count is written when a logger ends normally: it is 0 or too large in a log that was cut off, so frames
+are read as long as they are complete, whatever the count says.
 """
 
 from __future__ import annotations
@@ -26,25 +26,25 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8, UInt16
 
-from rpl_data.files import writing
+from rpl_data.files import refuse_special, writing
 from rpl_data.types import DataError
 
 METRES_PER_UNIT = 0.001
 _COUNT = struct.Struct("<i")
 _HEADER = struct.Struct("<qii")
 _LARGEST_BYTES = 100_000_000
-"""No image is larger; a greater size in a header is not one."""
+"""No image is larger, packed or unpacked; a greater size in a header is not one."""
 
 SIZES = ((640, 480), (320, 240), (160, 120), (848, 480), (1280, 720), (1920, 1080), (1280, 800), (512, 424))
-"""Width and height of usual cameras, no two with the same number of pixels."""
+"""Width and height of common cameras, no two with the same number of pixels."""
 
 
 @dataclass(frozen=True)
 class KlgEntry:
-    """Where a frame lies in the log.
+    """Position of a frame in the log.
 
     Attributes:
-        time: as stored, microseconds by the format; png_to_klg stores the digits of any number.
+        time: the stored number, microseconds by the format; png_to_klg stores the digits of any number.
         depth_at: offset of the depth in the file; colour follows it.
     """
 
@@ -56,11 +56,11 @@ class KlgEntry:
 
 @dataclass(frozen=True)
 class KlgIndex:
-    """All whole frames of a log.
+    """All complete frames of a log.
 
     Attributes:
         promised: the count in the header.
-        lost_bytes: behind the last whole frame.
+        lost_bytes: bytes after the last complete frame.
     """
 
     entries: tuple[KlgEntry, ...]
@@ -69,11 +69,12 @@ class KlgIndex:
 
 
 def index_klg(path: Path) -> KlgIndex:
-    """Find the frames without decoding them; constant time a frame, memory of the index only.
+    """Find the frames without decoding them: constant time per frame, memory for the index only.
 
     Raises:
-        DataError: the file is missing, or does not begin with a frame.
+        DataError: the file is missing, or does not start with a frame.
     """
+    refuse_special(path)
     try:
         with path.open("rb") as file:
             return _index(file, path)
@@ -96,7 +97,7 @@ def _index(file: BinaryIO, path: Path) -> KlgIndex:
         at = end
         file.seek(at)
     if not entries:
-        raise DataError(f"{path} is no ElasticFusion log (.klg) with a whole frame; record it again")
+        raise DataError(f"{path} is not an ElasticFusion log (.klg) with a complete frame; record it again")
     return KlgIndex(tuple(entries), _COUNT.unpack(head)[0], size - at)
 
 
@@ -106,7 +107,7 @@ def _index(file: BinaryIO, path: Path) -> KlgIndex:
 def klg_depth_mm(
     file: BinaryIO, entry: KlgEntry, size: tuple[int, int]
 ) -> UInt16[np.ndarray, "height width"] | None:
-    """The depth of a frame of an open log; None where it is broken."""
+    """Read the depth of a frame from an open log; None when it is damaged."""
     width, height = size
     depth = _depth_bytes(file, entry, width * height)
     if depth is None or len(depth) != 2 * width * height:
@@ -117,13 +118,13 @@ def klg_depth_mm(
 def klg_color(
     file: BinaryIO, entry: KlgEntry, size: tuple[int, int], *, bgr: bool = False
 ) -> UInt8[np.ndarray, "height width 3"] | bytes | None:
-    """The colour of a frame of an open log: RGB, or the JPEG it was stored as; None where it is broken.
+    """Read the colour of a frame: RGB, or the JPEG it was stored as; None when it is damaged.
 
     Args:
-        file: the log.
-        entry: of its index.
+        file: the log, open.
+        entry: the frame's entry in the index.
         size: width and height.
-        bgr: colours were stored in the order blue, green, red (what ElasticFusion's -f is for).
+        bgr: colours were stored in the order blue, green, red (as for ElasticFusion's option -f).
     """
     width, height = size
     file.seek(entry.depth_at + entry.depth_bytes)
@@ -144,8 +145,9 @@ def _depth_bytes(file: BinaryIO, entry: KlgEntry, pixels: int | None) -> bytes |
     stored = file.read(entry.depth_bytes)
     if pixels is not None and len(stored) == 2 * pixels:
         return stored
+    most = _LARGEST_BYTES if pixels is None else 2 * pixels + 1  # one more tells that it is too long
     try:
-        return zlib.decompress(stored)
+        return zlib.decompressobj().decompress(stored, most)  # a megabyte may unpack to gigabytes
     except zlib.error:
         return None
 
@@ -156,10 +158,10 @@ def _jpeg(stored: bytes) -> np.ndarray | None:
 
 
 def klg_image_size(path: Path, index: KlgIndex) -> tuple[int, int]:
-    """Width and height of the images, from the first frame that tells.
+    """Find width and height of the images, from the first frame that shows them.
 
     Raises:
-        DataError: no frame tells.
+        DataError: no frame shows them.
     """
     found = []
     with path.open("rb") as file:
@@ -174,13 +176,13 @@ def klg_image_size(path: Path, index: KlgIndex) -> tuple[int, int]:
         if width * height in found:
             return width, height
     raise DataError(
-        f"{path}: cannot tell the size of its images: colour is no JPEG, and {found[0] or 'no'} depth pixels "
+        f"{path}: the size of its images is unknown: colour is not JPEG, and {found[0] or 'no'} depth pixels "
         f"are none of {', '.join(f'{w}x{h}' for w, h in SIZES)}; write it again with JPEG colour"
     )
 
 
 def _pixels(file: BinaryIO, entry: KlgEntry) -> int | None:
-    """How many pixels the depth image has; None where it is broken."""
+    """Number of pixels of the depth image; None when it is damaged."""
     if entry.color_bytes == 3 * entry.depth_bytes // 2:
         return entry.depth_bytes // 2
     unpacked = _depth_bytes(file, entry, None)
@@ -196,12 +198,12 @@ def write_klg(
     *,
     packed: bool = True,
 ) -> int:
-    """Write a log; returns how many frames.
+    """Write a log and return its number of frames.
 
     Args:
-        path: where to.
-        frames: time in microseconds, depth in millimetres, RGB or None for black.
-        packed: zlib depth and JPEG colour; else raw.
+        path: the file to write.
+        frames: time in microseconds, depth in millimetres, RGB or None for black, per frame.
+        packed: zlib depth and JPEG colour; otherwise raw.
     """
     count = 0
     with writing(path, "wb") as file:

@@ -1,6 +1,6 @@
-"""LZ4 frames, unpacked in Python: what a rosbag packs its chunks with.
+"""Unpack LZ4 frames, which rosbags compress their chunks with, in pure Python.
 
-Slow (some 5 MB/s), so nothing but the repair of a bag uses it, for the few chunks that name the topics.
+Slow (some 5 MB/s), so only the repair of a bag uses it, for the few chunks that name the topics.
 Format: LZ4 Frame Format Description 1.6 and LZ4 Block Format Description, github.com/lz4/lz4/tree/dev/doc.
 """
 
@@ -10,14 +10,14 @@ import struct
 
 _MAGIC = 0x184D2204
 _STORED = 0x80000000
-"""Bit of a block's size: the block is not packed."""
+"""Bit of a block's size that means the block is not compressed."""
 
 
 def unpack_lz4(data: bytes) -> bytes:
-    """The content of one LZ4 frame; checksums are not looked at.
+    """Unpack the content of one LZ4 frame; checksums are not verified.
 
     Raises:
-        ValueError: the data is no LZ4 frame, or ends too early.
+        ValueError: the data is not an LZ4 frame, or ends too early.
     """
     try:
         return bytes(_frame(data))
@@ -28,7 +28,7 @@ def unpack_lz4(data: bytes) -> bytes:
 def _frame(data: bytes) -> bytearray:
     magic, flags = struct.unpack_from("<IB", data)
     if magic != _MAGIC:
-        raise ValueError("no LZ4 data")
+        raise ValueError("not LZ4 data")
     has_block_checksum, has_size, has_dictionary = flags & 16, flags & 8, flags & 1
     at = 7 + (8 if has_size else 0) + (4 if has_dictionary else 0)
     out = bytearray()
@@ -48,7 +48,7 @@ def _frame(data: bytes) -> bytearray:
 
 
 def _append_block(out: bytearray, block: bytes) -> None:
-    """Sequences of literals, then a match: so many bytes again from so far back, possibly overlapping."""
+    """Append sequences of literals, each followed by a match (bytes repeated from earlier output)."""
     at = 0
     while at < len(block):
         token = block[at]
@@ -61,13 +61,13 @@ def _append_block(out: bytearray, block: bytes) -> None:
         length, at = _length(block, at + 2, token & 15)
         length += 4
         if not 0 < offset <= len(out):
-            raise ValueError("the LZ4 data is broken")
+            raise ValueError("the LZ4 data is damaged")
         pattern = out[-offset:][:length]
         out += (pattern * (length // len(pattern) + 1))[:length]
 
 
 def _length(block: bytes, at: int, nibble: int) -> tuple[int, int]:
-    """A length of which `nibble` is the start, and the position behind it."""
+    """Read a length that starts with `nibble`; returns it and the position after it."""
     if nibble < 15:
         return nibble, at
     while block[at] == 255:

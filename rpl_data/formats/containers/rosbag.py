@@ -1,8 +1,8 @@
-"""Repair of a ROS bag (version 2.0) whose recorder never closed it, or that was cut off.
+"""Repair a ROS bag (version 2.0) that its recorder never closed, or that was cut off.
 
-A bag is a list of records: its header, then chunks of messages, each followed by its index. Which topics
-there are and where the chunks lie is written at the end, on closing; without that no player opens the file.
-All of it can be found again from the chunks that are whole, as `rosbag reindex` does.
+A bag is a list of records: its header, then chunks of messages, each followed by its index. The topics and
+the positions of the chunks are written at the end, on closing; without them no player opens the file.
+All of this can be recovered from the chunks that are complete, as `rosbag reindex` does.
 Format: wiki.ros.org/Bags/Format/2.0.
 """
 
@@ -15,13 +15,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, BinaryIO
 
-from rpl_data.files import writing
+from rpl_data.files import decoding, refuse_special, writing
 from rpl_data.formats.containers.lz4 import unpack_lz4
 from rpl_data.types import DataError
 
 _START = b"#ROSBAG V2.0\n"
 _HEADER_BYTES = 4104
-"""Of the record of the bag's header, padded so that it can be rewritten in place."""
+"""Size of the record of the bag's header, padded so that it can be rewritten in place."""
 _BAG, _INDEX, _CHUNK, _CHUNK_INFO, _CONNECTION = 3, 4, 5, 6, 7
 
 Fields = Mapping[str, bytes]
@@ -29,12 +29,12 @@ Fields = Mapping[str, bytes]
 
 @dataclass(frozen=True)
 class BagRepair:
-    """What a repair found.
+    """Result of a repair.
 
     Attributes:
-        messages: in the chunks that are whole.
-        seconds: from the first of them to the last.
-        lost_bytes: behind the last whole chunk.
+        messages: number of messages in the complete chunks.
+        seconds: time from the first of them to the last.
+        lost_bytes: bytes after the last complete chunk.
     """
 
     messages: int
@@ -47,11 +47,13 @@ class _Chunk:
     """A chunk with its index.
 
     Attributes:
-        at: offset of its record in the file; end: behind its index.
-        data_at: offset of its packed records; data_bytes: their size.
+        at: offset of its record in the file.
+        end: offset after its index.
+        data_at: offset of its packed records.
+        data_bytes: their size.
         compression: none, lz4 or bz2.
-        counts: messages by connection.
-        times: of the first and the last message; seconds and nanoseconds.
+        counts: number of messages per connection.
+        times: time of the first and the last message, in seconds and nanoseconds.
     """
 
     at: int
@@ -64,11 +66,17 @@ class _Chunk:
 
 
 def repair_bag(path: Path, repaired: Path) -> BagRepair:
-    """Write `repaired`: the whole chunks of a bag, with everything a closed bag has.
+    """Write `repaired`: the complete chunks of a bag, with everything that a closed bag has.
 
     Raises:
-        DataError: the file is no bag, or has no whole chunk.
+        DataError: the file is not a bag, or has no complete chunk.
     """
+    refuse_special(path)
+    with decoding(path, "record it again"):
+        return _repaired(path, repaired)
+
+
+def _repaired(path: Path, repaired: Path) -> BagRepair:
     with path.open("rb") as file:
         size = file.seek(0, 2)
         chunks, connections = _scan(file, path)
@@ -81,10 +89,10 @@ def repair_bag(path: Path, repaired: Path) -> BagRepair:
 
 
 def _scan(file: BinaryIO, path: Path) -> tuple[list[_Chunk], dict[int, bytes]]:
-    """Whole chunks in order, and the records of the connections they use."""
+    """Find the complete chunks in order, and the records of the connections they use."""
     file.seek(0)
     if file.read(len(_START)) != _START:
-        raise DataError(f"{path} is no ROS bag of version 2.0; expected a recording of a RealSense camera")
+        raise DataError(f"{path} is not a ROS bag of version 2.0; expected a recording of a RealSense camera")
     file.seek(len(_START) + _HEADER_BYTES)
     chunks: list[_Chunk] = []
     connections: dict[int, bytes] = {}
@@ -94,12 +102,12 @@ def _scan(file: BinaryIO, path: Path) -> tuple[list[_Chunk], dict[int, bytes]]:
             file.seek(chunk.end)
         chunks.append(chunk)
     if not any(chunk.times for chunk in chunks):
-        raise DataError(f"{path} was cut off before its first chunk was whole; nothing can be kept of it")
+        raise DataError(f"{path} was cut off within its first chunk; nothing of it can be kept")
     return chunks, connections
 
 
 def _next_chunk(file: BinaryIO) -> _Chunk | None:
-    """The chunk that begins here with its whole index; None when there is none."""
+    """Read the chunk that starts here with its complete index; None when there is none."""
     at = file.tell()
     record = _record(file)
     if record is None or record[0].get("op") != bytes([_CHUNK]):
@@ -124,7 +132,7 @@ def _reaches(file: BinaryIO, offset: int) -> bool:
 
 
 def _add_index(chunk: _Chunk, fields: Fields, data: bytes) -> None:
-    """Count the messages of an index record (version 1): seconds, nanoseconds and offset of each."""
+    """Count the messages of an index record (version 1), which has the time and offset of each."""
     entries = list(struct.iter_unpack("<III", data[: len(data) // 12 * 12]))
     connection = int.from_bytes(fields["conn"], "little")
     chunk.counts[connection] = chunk.counts.get(connection, 0) + len(entries)
@@ -132,7 +140,7 @@ def _add_index(chunk: _Chunk, fields: Fields, data: bytes) -> None:
 
 
 def _record(file: BinaryIO) -> tuple[Fields, int] | None:
-    """The header of the record that begins here, and the size of its data; None when it is cut off."""
+    """Read the header of the record that starts here, and the size of its data; None when cut off."""
     length = file.read(4)
     header = file.read(int.from_bytes(length, "little"))
     size = file.read(4)
@@ -152,7 +160,7 @@ def _fields(header: bytes) -> Fields:
 
 
 def _content(file: BinaryIO, path: Path, chunk: _Chunk) -> bytes:
-    """The records inside a chunk, unpacked."""
+    """Read the records inside a chunk, unpacked."""
     file.seek(chunk.data_at)
     packed = file.read(chunk.data_bytes)
     try:
@@ -160,11 +168,11 @@ def _content(file: BinaryIO, path: Path, chunk: _Chunk) -> bytes:
             return unpack_lz4(packed)
         return bz2.decompress(packed) if chunk.compression == "bz2" else packed
     except (ValueError, OSError) as error:
-        raise DataError(f"{path}: the chunk at byte {chunk.at} is broken: {error}; record again") from error
+        raise DataError(f"{path}: the chunk at byte {chunk.at} is damaged: {error}; record again") from error
 
 
 def _connections(content: bytes) -> dict[int, bytes]:
-    """The connection records of a chunk, whole, by their number."""
+    """Connection records of a chunk, by their number."""
     found: dict[int, bytes] = {}
     at = 0
     while at + 8 <= len(content):
@@ -182,7 +190,7 @@ def _connections(content: bytes) -> dict[int, bytes]:
 
 
 def _write(out: IO[bytes], file: BinaryIO, chunks: list[_Chunk], connections: Mapping[int, bytes]) -> None:
-    """The chunks as they are, then what a recorder writes on closing, then the header that points there."""
+    """Write the chunks unchanged, then what a recorder writes on closing, then the header."""
     end = chunks[-1].end
     file.seek(len(_START) + _HEADER_BYTES)
     out.write(bytes(len(_START) + _HEADER_BYTES))
@@ -219,6 +227,6 @@ def _chunk_info(chunk: _Chunk) -> bytes:
 
 
 def _packed(**fields: bytes) -> bytes:
-    """The fields of a record's header."""
+    """Pack the fields of a record's header."""
     parts = [name.encode() + b"=" + value for name, value in fields.items()]
     return b"".join(struct.pack("<I", len(part)) + part for part in parts)

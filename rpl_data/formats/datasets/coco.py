@@ -1,8 +1,8 @@
 """COCO instances and keypoints, with extra keys for pose, camera and quality that COCO readers ignore.
 
-One file a split. A category is an object, ids from 1; boxes are ``x y width height``; masks are compressed
-RLE; the pixel convention is ours (the centre of the top-left pixel is (0, 0)) for keypoints and square
-boxes. File names are relative to the folder of the JSON file.
+There is one file per split. A category is an object, ids from 1; boxes are ``x y width height``; masks are
+compressed RLE; keypoints and square boxes use our pixel convention (the centre of the top-left pixel is
+(0, 0)). File names are relative to the folder of the JSON file.
 
 The extra keys are listed in `coco_check`; matrices are row-major, `sigma_px` is null where v = 0.
 """
@@ -43,12 +43,12 @@ Json = dict[str, Any]
 
 @dataclass(frozen=True)
 class CocoObject:
-    """An object as the file describes it.
+    """An object as described in the file.
 
     Attributes:
         mesh: path of its mesh, relative to the JSON file's folder; None when there is none.
         symmetries: rigid transforms (16 numbers, row-major) that leave the object looking the same.
-        grasp: `object_from_grasp` where a person marked one: z out of the surface, x along it.
+        grasp: `object_from_grasp` where the user marked one: z out of the surface, x along it.
     """
 
     model: KeypointModel
@@ -61,7 +61,7 @@ class CocoObject:
 
 
 def header(objects: Sequence[CocoObject]) -> Json:
-    """Everything but images and annotations; categories are numbered from 1 in the order given."""
+    """Make everything but images and annotations; categories are numbered from 1 in the given order."""
     return {
         "info": {"description": "made by rpl-data", "version": "1.0"},
         "licenses": [],
@@ -111,7 +111,7 @@ def image_to_coco(
     file_name: str,
     depth_file_name: str | None,
 ) -> Json:
-    """The entry of an image."""
+    """Make the entry of an image."""
     return {
         "id": image_id,
         "file_name": file_name,
@@ -130,7 +130,7 @@ def image_to_coco(
 def instance_to_coco(
     annotation_id: int, image_id: int, category_id: int, instance: InstanceLabel
 ) -> Json | None:
-    """The entry of an instance; None when no pixel of it is visible (COCO has no word for that)."""
+    """Make the entry of an instance; None when no pixel of it is visible, which COCO cannot express."""
     from pycocotools import mask as masks
 
     area = int(masks.area(instance.mask))
@@ -161,7 +161,7 @@ def instance_to_coco(
 
 
 def _keypoints_to_coco(instance: InstanceLabel) -> list[float | int]:
-    """x, y, v a keypoint; 0, 0, 0 where it is not labelled."""
+    """x, y, v per keypoint; 0, 0, 0 where it is not labelled."""
     flat: list[float | int] = []
     for (u, v), seen in zip(instance.keypoints_px, instance.visibility, strict=True):
         flat += [round(float(u), 4), round(float(v), 4), int(seen)] if seen > 0 else [0.0, 0.0, 0]
@@ -169,7 +169,7 @@ def _keypoints_to_coco(instance: InstanceLabel) -> list[float | int]:
 
 
 def _box_of(mask: Rle) -> list[float]:
-    """x, y, width, height of a mask; taken from the pixels, so that box and mask always agree."""
+    """x, y, width, height of a mask, taken from its pixels so that box and mask always agree."""
     from pycocotools import mask as masks
 
     return [float(side) for side in masks.toBbox(mask)]
@@ -179,7 +179,7 @@ def _box_of(mask: Rle) -> list[float]:
 
 
 def objects_from_coco(data: Mapping[str, Any]) -> list[CocoObject]:
-    """The objects of a file, in the order of their category ids."""
+    """Read the objects of a file, in the order of their category ids."""
     described = {item["category_id"]: item for item in data["rpl"]["objects"]}
     return [
         CocoObject(
@@ -203,13 +203,13 @@ def _grasp(described: Mapping[str, Any]) -> Transform | None:
 
 
 def intrinsics_from_coco(image: Mapping[str, Any]) -> Intrinsics:
-    """The camera of an image."""
+    """Read the camera of an image."""
     fx, _, cx, _, fy, cy, *_ = image["cam_K"]
     return Intrinsics(fx, fy, cx, cy, image["width"], image["height"], tuple(image["distortion"]))
 
 
 def labels_from_coco(data: Mapping[str, Any]) -> list[FrameLabel]:
-    """The labels of a file, a frame an image, in the file's order; positions of v = 0 become NaN."""
+    """Read the labels of a file, one frame per image, in its order; keypoints with v = 0 become NaN."""
     names = {category["id"]: category["name"] for category in data["categories"]}
     instances: dict[int, list[InstanceLabel]] = {image["id"]: [] for image in data["images"]}
     for annotation in data["annotations"]:
@@ -223,7 +223,7 @@ def labels_from_coco(data: Mapping[str, Any]) -> list[FrameLabel]:
 
 
 def instance_from_coco(annotation: Mapping[str, Any], object_name: str) -> InstanceLabel:
-    """The instance of `instance_to_coco`."""
+    """Convert what `instance_to_coco` returned back to an instance."""
     flat = np.array(annotation["keypoints"], dtype=float).reshape(-1, 3)
     visibility = flat[:, 2].astype(np.int64)
     return InstanceLabel(
@@ -257,7 +257,7 @@ def _rle(segmentation: Mapping[str, Any]) -> Rle:
 
 @dataclass(frozen=True)
 class CocoWriter:
-    """Where `writing_coco` collects entries; both are open temporary files."""
+    """Collects the entries of `writing_coco` in two open temporary files."""
 
     images: IO[str]
     annotations: IO[str]
@@ -271,7 +271,7 @@ class CocoWriter:
 
 @contextmanager
 def writing_coco(path: Path, objects: Sequence[CocoObject]) -> Iterator[CocoWriter]:
-    """A writer whose file appears, whole, when the block ends well; memory does not grow with the entries."""
+    """Yield a writer whose file appears, complete, when the block ends well; memory stays constant."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with (
         tempfile.TemporaryFile("w+", encoding="utf-8", dir=path.parent) as images,
@@ -290,19 +290,19 @@ def writing_coco(path: Path, objects: Sequence[CocoObject]) -> Iterator[CocoWrit
 
 
 def _append(file: IO[str], entry: Json) -> None:
-    """An element of a JSON array, a line each."""
+    """Append an element of a JSON array, one per line."""
     file.write((",\n" if file.tell() else "") + json.dumps(entry, allow_nan=False))
 
 
 def write_coco(path: Path, data: Json) -> None:
-    """Write a file from its parts held in memory; `data` is what `read_coco` returns."""
+    """Write a file from its parts in memory; `data` is what `read_coco` returns."""
     validate_coco(data, source=str(path))
     with writing(path) as file:
         json.dump(data, file, allow_nan=False)
 
 
 def read_coco(path: Path) -> Json:
-    """The content of a file, validated; DataError when it is missing, broken or not our dialect."""
+    """Read and validate a file; DataError when it is missing, damaged or not our dialect."""
     data = read_json(path)
     validate_coco(data, source=str(path))
     content: Json = data

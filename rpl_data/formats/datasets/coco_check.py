@@ -1,4 +1,4 @@
-"""The checks behind `coco.read_coco`: what our dialect of COCO promises, and the message when it breaks."""
+"""Checks of `coco.read_coco`: what our dialect of COCO guarantees, and the message when a file breaks it."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ ANNOTATION_KEYS = (
 
 
 def validate_coco(data: Any, *, source: str) -> None:
-    """Check everything this module promises about a file.
+    """Check everything that this module guarantees about a file.
 
     Raises:
-        DataError: the first thing that is wrong, with the entry's id, what was expected and found.
+        DataError: the first fault, with the entry's id, what was expected and what was found.
     """
     _check_keys(data, TOP_KEYS, source)
     _check_keys(data["rpl"], ("version", "objects"), f"{source}: rpl")
@@ -45,14 +45,14 @@ def validate_coco(data: Any, *, source: str) -> None:
     for annotation in _unique(data["annotations"], ANNOTATION_KEYS, f"{source}: annotation"):
         where = f"{source}: annotation {annotation['id']}"
         if annotation["image_id"] not in images or annotation["category_id"] not in categories:
-            raise _wrong(where, "image_id and category_id of entries of this file", _ids(annotation))
+            raise _wrong(where, "an image_id and category_id that exist in this file", _ids(annotation))
         _check_instance(
             annotation, images[annotation["image_id"]], categories[annotation["category_id"]], where
         )
 
 
 def _ids(annotation: Mapping[str, Any]) -> str:
-    """What an annotation refers to, for a message."""
+    """The ids that an annotation refers to, for a message."""
     return f"image {annotation['image_id']}, category {annotation['category_id']}"
 
 
@@ -72,30 +72,30 @@ def _wrong(where: str, expected: str, found: Any) -> DataError:
 
 
 def _unique(entries: Any, keys: tuple[str, ...], what: str) -> list[Json]:
-    """The entries, checked for their keys and for an id of their own."""
+    """Check that each entry has its keys and an id of its own, and return them by id."""
     if not isinstance(entries, list):
         raise _wrong(what, "a list", type(entries).__name__)
     seen: set[int] = set()
     for number, entry in enumerate(entries):
         _check_keys(entry, keys, f"{what} number {number}")
         if not isinstance(entry["id"], int) or entry["id"] in seen:
-            raise _wrong(f"{what} number {number}", "a whole number of its own as id", entry["id"])
+            raise _wrong(f"{what} number {number}", "a unique whole number as id", entry["id"])
         seen.add(entry["id"])
     return entries
 
 
 def _check_categories(categories: Mapping[int, Json], objects: Any, source: str) -> None:
     if sorted(categories) != list(range(1, len(categories) + 1)):
-        raise _wrong(f"{source}: categories", "ids from 1 without a gap", sorted(categories))
+        raise _wrong(f"{source}: categories", "ids from 1 without gaps", sorted(categories))
     for item in objects:
         _check_keys(item, OBJECT_KEYS, f"{source}: rpl.objects")
     if {o["category_id"]: o["name"] for o in objects} != {n: c["name"] for n, c in categories.items()}:
-        raise _wrong(f"{source}: rpl.objects", "one a category", [o["name"] for o in objects])
+        raise _wrong(f"{source}: rpl.objects", "one per category", [o["name"] for o in objects])
     for item in objects:
         category = categories[item["category_id"]]
         where, count = f"{source}: object {item['name']}", len(category["keypoints"])
         if len(item["points_object"]) != count:
-            raise _wrong(where, f"{count} points_object, one a keypoint", len(item["points_object"]))
+            raise _wrong(where, f"{count} points_object, one per keypoint", len(item["points_object"]))
         for point in item["points_object"]:
             if point is not None:
                 _check_numbers(point, 3, f"{where}: points_object")

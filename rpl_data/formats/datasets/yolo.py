@@ -1,15 +1,15 @@
-"""The text of Ultralytics' YOLO labels: a line an instance, classes from 0, lengths as shares of the image.
+"""Ultralytics' YOLO labels as text: one line per instance, classes from 0, lengths as shares of the image.
 
 ::
 
     detect    class xc yc w h
-    segment   class x1 y1 x2 y2 ...            one polygon; the parts of an object that is hidden in between
-                                               are joined by lines without width
-    pose      class xc yc w h (x y v) ...      as many keypoints as the object with the most has
+    segment   class x1 y1 x2 y2 ...            one polygon; if the object is hidden in between, its parts
+                                               are joined by lines of zero width
+    pose      class xc yc w h (x y v) ...      as many keypoints as the object with most keypoints has
 
-Lengths count from the image's edge, where our pixels have their centres at whole numbers: half a pixel more.
+Lengths are measured from the image's edge, but our pixels have their centres at whole numbers: add 0.5 px.
 A keypoint that is not labelled or lies outside the image is 0 0 0, since the trainer refuses others.
-Mirroring turns an object into another, so `flip_idx` is left out and `fliplr` must be 0.
+A mirrored object is another object, so `flip_idx` is left out and `fliplr` must be 0.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Json = Mapping[str, Any]
 
 
 def detect_line(image: Json, annotation: Json, categories: Sequence[Json]) -> str:
-    """The class and the box of the visible part."""
+    """Write the class and the box of the visible part."""
     x, y, w, h = annotation["bbox"]
     width, height = image["width"], image["height"]
     sides = [(x + w / 2) / width, (y + h / 2) / height, w / width, h / height]
@@ -34,7 +34,7 @@ def detect_line(image: Json, annotation: Json, categories: Sequence[Json]) -> st
 
 
 def segment_line(image: Json, annotation: Json, categories: Sequence[Json]) -> str:
-    """The class and the outline of the visible mask; empty for a mask too small to have one."""
+    """Write the class and the outline of the visible mask; empty for a mask too small to have one."""
     from pycocotools import mask as masks
 
     mask = masks.decode(annotation["segmentation"])
@@ -47,7 +47,7 @@ def segment_line(image: Json, annotation: Json, categories: Sequence[Json]) -> s
 
 
 def pose_line(image: Json, annotation: Json, categories: Sequence[Json]) -> str:
-    """The line of `detect_line` and the keypoints."""
+    """Write the line of `detect_line` followed by the keypoints."""
     most = max(len(category["keypoints"]) for category in categories)
     words = [detect_line(image, annotation, categories)]
     flat = annotation["keypoints"]
@@ -63,11 +63,11 @@ LINES: dict[str, Callable[[Json, Json, Sequence[Json]], str]] = {
     "segment": segment_line,
     "pose": pose_line,
 }
-"""By task: the line of an annotation of our COCO dialect, given its image and all categories."""
+"""Writers of an annotation's line, by task, given its image and all categories of our COCO dialect."""
 
 
 def data_yaml(task: str, categories: Sequence[Json], splits: Sequence[str]) -> str:
-    """The file the trainer is given; validation falls back to training where there is no such split."""
+    """Write the YAML file for the trainer; validation uses the training split where there is no other."""
     content: dict[str, Any] = {split: f"images/{split}" for split in splits}
     content.setdefault("val", content.get("train", f"images/{splits[0]}"))
     content.setdefault("train", content["val"])
@@ -82,7 +82,7 @@ def _shares(values: Sequence[float]) -> str:
 
 
 def _joined(parts: Sequence[Float64[np.ndarray, "_ 2"]]) -> Float64[np.ndarray, "n 2"]:
-    """One outline of several: every further part is walked round from the point nearest to what is there."""
+    """Join several outlines into one; each further part is traversed from its point nearest to the rest."""
     first, *others = sorted(parts, key=len, reverse=True)
     outline = first
     for part in others:

@@ -8,8 +8,8 @@
      <point x="0.1" y="0" z="1e-05" active="1" name="0"/>
     </PickedPoints>
 
-The order of the attributes differs between writers, names may be text, and `active="0"` is a point of a
-template that nobody picked: its coordinates mean nothing.
+The order of the attributes differs between writers, names may be text, and `active="0"` marks a point of a
+template that nobody picked; its coordinates mean nothing.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 from jaxtyping import Float64
 
-from rpl_data.files import read_text, write_text
+from rpl_data.files import decoding, read_text, write_text
 from rpl_data.types import DataError
 
 
 @dataclass(frozen=True)
 class PickedPoints:
-    """Keypoints of a mesh.
+    """Keypoints picked on a mesh.
 
     Attributes:
-        names: in order.
-        points_mesh: a row a name, metres, frame of the mesh; NaN where not picked.
+        names: their names, in order.
+        points_mesh: one row per name, metres, in the mesh's frame; NaN where not picked.
     """
 
     names: tuple[str, ...]
@@ -41,20 +41,27 @@ class PickedPoints:
 
 
 def read_picked_points(path: Path, *, metres_per_unit: float = 1.0) -> PickedPoints:
-    """The points of a .pp file.
+    """Read the points of a .pp file.
 
-    Where all names are whole numbers, as MeshLab gives them, they are the numbers of the keypoints: the
-    rows are in their order, and a number that is left out is a row of NaN. Other names keep the file's order.
+    Where all names are whole numbers, as MeshLab assigns them, they are the numbers of the keypoints: rows
+        follow
+    them, and a missing number becomes a row of NaN. Other names keep the file's order.
 
     Args:
         path: the file.
-        metres_per_unit: of the mesh; the file does not say it. 0.001 for a mesh in millimetres.
+        metres_per_unit: unit of the mesh, which the file does not hold. 0.001 for a mesh in millimetres.
 
     Raises:
-        DataError: no XML, no PickedPoints, no point, a coordinate that is no finite number, or a name
+        DataError: not XML, no PickedPoints, no points, a coordinate that is not a finite number, or a name
             used twice.
     """
-    points = _points(path)
+    with decoding(path, "pick the keypoints in MeshLab and save again"):
+        points = _points(path)
+        return _numbered(path, points, metres_per_unit)
+
+
+def _numbered(path: Path, points: dict[str, np.ndarray], metres_per_unit: float) -> PickedPoints:
+    """The points in the order of their numbers, where all names are numbers."""
     names = list(points)
     if all(name.isascii() and name.isdigit() for name in names):
         numbered = {int(name): point for name, point in points.items()}
@@ -66,7 +73,7 @@ def read_picked_points(path: Path, *, metres_per_unit: float = 1.0) -> PickedPoi
 
 
 def _points(path: Path) -> dict[str, np.ndarray]:
-    """Points by name, as the file lists them."""
+    """Read the points by name, in the order of the file."""
     try:
         root = ElementTree.fromstring(read_text(path))
     except ElementTree.ParseError as error:
@@ -80,7 +87,7 @@ def _points(path: Path) -> dict[str, np.ndarray]:
             raise DataError(f"{path}: point {number} has no name of its own (name={name!r}); rename it")
         points[name] = _position(path, name, element)
     if not points:
-        raise DataError(f"{path} has no point; pick the keypoints in MeshLab and save again")
+        raise DataError(f"{path} has no points; pick the keypoints in MeshLab and save again")
     return points
 
 
@@ -102,9 +109,9 @@ def write_picked_points(
     """Write points given in metres for a mesh in metres; a row of NaN is written as not picked.
 
     Args:
-        path: where to.
-        names: one a row.
-        points_mesh: frame of the mesh.
+        path: the file to write.
+        names: one per row.
+        points_mesh: points in the mesh's frame.
         mesh_file: name of the mesh, which MeshLab shows.
     """
     lines = [_point_line(name, point) for name, point in zip(names, points_mesh, strict=True)]

@@ -5,14 +5,16 @@ With N scenes (in the order of their sorted names), K keypoints and M clicks:
 - ``model`` (K, 3): keypoints in the frame of the first scene, the paper's F_w, here `world`
 - ``scenes`` (7 N): N translations, then N quaternions w x y z, of scene_from_world
 - ``ref`` (N, 3, K): clicked points in the frame of their scene; meaningless where not clicked
-- ``sm`` (3 M, 3 N K): selection matrix, an identity block a click, scene by scene
+- ``sm`` (3 M, 3 N K): selection matrix, one identity block per click, scene by scene
 
-Two older generations: one whose ``scenes`` leaves out the first scene, and one with ``res`` instead of
-``model`` and ``scenes``, the vector that was optimised: such scenes, then the keypoints row by row.
+There are two older generations: in one, ``scenes`` leaves out the first scene; the other has ``res`` instead
+of ``model`` and ``scenes``: the optimised vector, with such scenes, then the keypoints row by row.
 """
 
 from __future__ import annotations
 
+import io
+import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,19 +22,22 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 
-from rpl_data.files import writing
+from rpl_data.files import decoding, refuse_special, writing
 from rpl_data.formats.models.sparse_model import points_in_first_scene
 from rpl_data.geometry import Points, from_quaternion_xyzw, invert, to_quaternion_xyzw, transform
 from rpl_data.types import DataError, Observation, Solution
 
+LARGEST_BYTES = 256 * 2**20
+WRITE_AGAIN = "run RapidPoseLabels' process.py again"
+
 
 @dataclass(frozen=True)
 class MetaData:
-    """What the file holds.
+    """Content of the file.
 
     Attributes:
-        points_world: a row a keypoint, metres, frame of the first scene; NaN where unknown.
-        scene_from_world: a rigid transform a scene; the first is the identity.
+        points_world: one row per keypoint, metres, in the frame of the first scene; NaN where unknown.
+        scene_from_world: one rigid transform per scene; the first is the identity.
         clicked_scene: clicked points in the frame of their scene; NaN where not clicked.
     """
 
@@ -42,17 +47,21 @@ class MetaData:
 
 
 def read_meta_data(path: Path) -> MetaData:
-    """The content of a saved_meta_data.npz of any generation.
+    """Read a saved_meta_data.npz of any generation.
 
     Raises:
-        DataError: the file is missing, none of these, or its arrays do not fit each other.
+        DataError: the file is missing, of no known generation, or its arrays do not fit each other.
     """
-    arrays = _as_today(_load(path))
+    with decoding(path, WRITE_AGAIN):
+        return _meta_data(path, _as_today(_load(path)))
+
+
+def _meta_data(path: Path, arrays: Mapping[str, np.ndarray]) -> MetaData:
     missing = [key for key in ("model", "scenes", "ref", "sm") if key not in arrays]
     if missing:
         raise DataError(
             f"{path} lacks {', '.join(missing)} (it has {', '.join(arrays) or 'nothing'}); expected what "
-            "RapidPoseLabels' process.py saves today: run it again"
+            "RapidPoseLabels' process.py saves today; run it again"
         )
     model, ref, selection = arrays["model"], arrays["ref"], arrays["sm"]
     scenes, keypoints = ref.shape[0], len(model)
@@ -66,17 +75,27 @@ def read_meta_data(path: Path) -> MetaData:
 
 
 def _load(path: Path) -> dict[str, np.ndarray]:
+    refuse_special(path)
     if not path.exists():
         raise DataError(f"{path} does not exist")
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            return {key: np.asarray(archive[key], dtype=float) for key in archive.files}
-    except (OSError, ValueError, EOFError) as error:
-        raise DataError(f"{path} is not an npz archive of numbers: {error}") from error
+        with zipfile.ZipFile(path) as archive, decoding(path, WRITE_AGAIN):
+            return {Path(name).stem: _array(archive, path, name) for name in archive.namelist()}
+    except (OSError, zipfile.BadZipFile, NotImplementedError, RuntimeError) as error:
+        raise DataError(f"{path} is not an npz archive of numbers: {error}; {WRITE_AGAIN}") from error
+
+
+def _array(archive: zipfile.ZipFile, path: Path, name: str) -> np.ndarray:
+    """One array of numbers; its size is looked at before it is unpacked."""
+    if archive.getinfo(name).file_size > LARGEST_BYTES:
+        raise DataError(f"{path}: {name} is larger than {LARGEST_BYTES // 2**20} MB; {WRITE_AGAIN}")
+    with archive.open(name) as file:
+        content = file.read(LARGEST_BYTES)
+    return np.asarray(np.lib.format.read_array(io.BytesIO(content), allow_pickle=False), dtype=float)
 
 
 def _as_today(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """The arrays, ``res`` of the oldest generation taken apart."""
+    """Convert the arrays of the oldest generation: split ``res`` into its parts."""
     if "res" not in arrays or "model" in arrays or arrays.get("ref", np.empty(0)).ndim != 3:
         return arrays
     result, model = arrays["res"].ravel(), 3 * arrays["ref"].shape[2]
@@ -102,9 +121,9 @@ def write_meta_data(path: Path, solution: Solution, clicked_scene: Mapping[str, 
     """Write a solution as saved_meta_data.npz, in the frame of the first scene by name.
 
     Args:
-        path: where to.
-        solution: the model and where the object stands in every scene.
-        clicked_scene: by scene, a row a keypoint in the scene's frame, NaN where not clicked; see
+        path: the file to write.
+        solution: the model, and `scene_from_object` of every scene.
+        clicked_scene: per scene, one row per keypoint in the scene's frame, NaN where not clicked; see
             `clicked_points`.
     """
     names = sorted(solution.scene_from_object)
@@ -124,7 +143,7 @@ def write_meta_data(path: Path, solution: Solution, clicked_scene: Mapping[str, 
 
 
 def _selection(clicked: np.ndarray) -> Float64[np.ndarray, "m3 nk3"]:
-    """The selection matrix of clicked, bool (n, k)."""
+    """Selection matrix of `clicked`, bool (n, k)."""
     columns = np.flatnonzero(np.repeat(clicked.ravel(), 3))
     selection = np.zeros((len(columns), 3 * clicked.size))
     selection[np.arange(len(columns)), columns] = 1
@@ -132,9 +151,9 @@ def _selection(clicked: np.ndarray) -> Float64[np.ndarray, "m3 nk3"]:
 
 
 def clicked_points(observations: Sequence[Observation], solution: Solution) -> dict[str, Points]:
-    """Where the clicks lie in space, by scene: a row a keypoint, scene frame, NaN where there is none.
+    """3D positions of the clicks per scene: one row per keypoint, scene frame, NaN where there is none.
 
-    Taken at the depth the solution settled on; several clicks of a keypoint are averaged.
+    The depth is the one that the solution settled on; several clicks on a keypoint are averaged.
     """
     found: dict[tuple[str, int], list[np.ndarray]] = {}
     for observation, residual in zip(observations, solution.residuals, strict=True):

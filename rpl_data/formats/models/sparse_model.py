@@ -7,7 +7,7 @@
     </SparseObjectPoints>
     <GraspPoint> four rows of a matrix, [0.1, 0.2, 0.3, 0.4] each </GraspPoint>
 
-The file looks like XML and is none (two roots); the original's reader loses exponents and signs.
+The file looks like XML but is not (it has two roots); the original's reader loses exponents and signs.
 """
 
 from __future__ import annotations
@@ -17,48 +17,60 @@ from pathlib import Path
 
 import numpy as np
 
-from rpl_data.files import read_text, write_text
+from rpl_data.files import decoding, read_text, write_text
 from rpl_data.geometry import Points, Transform, transform
 from rpl_data.types import DataError, Solution
 
-_BLOCK = re.compile(r"<SparseObjectPoints>(.*?)</SparseObjectPoints>", re.DOTALL)
-_GRASP = re.compile(r"<GraspPoint>(.*?)</GraspPoint>", re.DOTALL)
 _NUMBER = re.compile(r"[-+0-9.eE]+")
-_POINT = re.compile(r"<point\b([^>]*?)/?>")
-_ATTRIBUTE = re.compile(r"(\w+)\s*=\s*[\"']([^\"']*)[\"']")
+_ATTRIBUTE = re.compile(r"\b(\w{1,20})\s{0,9}=\s{0,9}[\"']([^\"']{0,60})[\"']")
+MOST_POINTS = 10_000
+"""A greater number in a file is a fault; every number below it costs a row."""
 
 
 def read_sparse_model(path: Path) -> Points:
-    """A row a keypoint, metres, first scene's frame; NaN for a number the file leaves out.
+    """Read the keypoints: one row each, metres, first scene's frame; NaN for a number the file leaves out.
 
-    Of a file that was appended to, the last model counts; a grasp point is passed over.
+    When a file was appended to, the last model counts; a grasp point is ignored.
 
     Raises:
         DataError: there is no model, or a point without finite x, y, z or with a name used twice.
     """
-    blocks = _BLOCK.findall(read_text(path))
-    if not blocks:
+    block = _last_block(read_text(path), "SparseObjectPoints")
+    if block is None:
         raise DataError(
             f"{path} holds no <SparseObjectPoints> block; expected a sparse model of RapidPoseLabels"
         )
     points: dict[int, list[float]] = {}
-    for match in _POINT.finditer(blocks[-1]):
-        attributes = dict(_ATTRIBUTE.findall(match.group(1)))
+    for words in re.split(r"<point\b", block)[1:]:
+        element = f"<point{words.partition('>')[0][:300]}>"
+        attributes = dict(_ATTRIBUTE.findall(element))
         try:
             number = int(attributes["name"])
             xyz = [float(attributes[axis]) for axis in "xyz"]
         except (KeyError, ValueError) as error:
+            raise DataError(f"{path}: {element} needs numbers x, y, z and a whole number name") from error
+        if not np.isfinite(xyz).all() or not 0 <= number < MOST_POINTS or number in points:
             raise DataError(
-                f"{path}: {match.group(0)} needs numbers x, y, z and a whole number name"
-            ) from error
-        if not np.isfinite(xyz).all() or number < 0 or number in points:
-            raise DataError(f"{path}: {match.group(0)} is not finite, or its name is used twice or negative")
+                f"{path}: {element} is not finite, or its name is used twice or is not from 0 to "
+                f"{MOST_POINTS - 1}"
+            )
         points[number] = xyz
     if not points:
-        raise DataError(f"{path}: the last <SparseObjectPoints> block has no point")
+        raise DataError(f"{path}: the last <SparseObjectPoints> block has no points")
     model = np.full((max(points) + 1, 3), np.nan)
     model[list(points)] = list(points.values())
     return model
+
+
+def _last_block(text: str, name: str) -> str | None:
+    """What stands between the last whole pair of tags of that name; None where there is none.
+
+    Searched from the end, in time proportional to the length of the text; a pattern that tries every
+    beginning takes the square of it.
+    """
+    end = text.rfind(f"</{name}>")
+    start = text.rfind(f"<{name}>", 0, max(end, 0))
+    return text[start + len(name) + 2 : end] if 0 <= start < end else None
 
 
 def write_sparse_model(path: Path, points_world: Points, world_from_grasp: Transform | None = None) -> None:
@@ -84,11 +96,12 @@ def _grasp_block(world_from_grasp: Transform) -> str:
 
 def read_grasp(path: Path) -> Transform | None:
     """`world_from_grasp` of the last grasp point of a file of ours; None without one."""
-    blocks = _GRASP.findall(read_text(path))
-    if not blocks:
+    block = _last_block(read_text(path), "GraspPoint")
+    if block is None:
         return None
-    values = [float(number) for number in _NUMBER.findall(blocks[-1])]
-    if len(values) != 16:
+    with decoding(path, "export the model again"):
+        values = [float(number) for number in _NUMBER.findall(block)]
+    if len(values) != 16 or not np.isfinite(values).all():
         raise DataError(f"{path}: its <GraspPoint> holds {len(values)} numbers; expected 4 rows of 4")
     matrix: Transform = np.array(values).reshape(4, 4)
     return matrix

@@ -1,12 +1,12 @@
-"""The surface ElasticFusion fused, <scene>.ply of a RapidPoseLabels tree: a binary PLY of surfels.
+"""The surface that ElasticFusion fused, <scene>.ply of a RapidPoseLabels tree: a binary PLY of surfels.
 
 ::
 
     element vertex n: float x y z, uchar red green blue, float nx ny nz, float radius
 
-Little-endian; metres, in the frame of the first camera, where the trajectory starts. ElasticFusion turns
-its normals round when it writes them. Whichever way they point in the file, here they point out of the
-surface: most of what was filmed faces the first camera.
+Little-endian; metres, in the frame of the first camera, where the trajectory starts. ElasticFusion flips its
+normals when it writes them. Whatever their direction in the file, here they point out of the surface:
+most of what was filmed faces the first camera.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 
-from rpl_data.files import write_bytes
+from rpl_data.files import decoding, read_bytes, write_bytes
 from rpl_data.types import DataError, PointCloud
 
 _FIELDS = [
@@ -30,12 +30,12 @@ _END = b"end_header\n"
 
 @dataclass(frozen=True)
 class Surfels:
-    """A surface made of discs.
+    """A surface made of small discs (surfels).
 
     Attributes:
-        cloud: centres, normals and colours, scene frame.
-        radii_m: of the discs.
-        lost: how many were promised by the header and are not in the file.
+        cloud: centres, normals and colours, in the scene frame.
+        radii_m: radii of the discs.
+        lost: number of surfels that the header promises and the file lacks.
     """
 
     cloud: PointCloud
@@ -44,22 +44,22 @@ class Surfels:
 
 
 def read_surfels(path: Path) -> Surfels:
-    """The surfels of a file; those behind a cut are lost and counted.
+    """Read the surfels of a file; those after a cut are lost and counted.
 
     Raises:
-        DataError: the file is missing, no such PLY, or holds no surfel.
+        DataError: the file is missing, not such a PLY, or holds no surfels.
     """
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise DataError(f"cannot read {path}: {error.strerror}") from error
-    promised, kind = _header(path, content[: content.find(_END)].decode("ascii", "replace").split("\n"))
+    content = read_bytes(path)
+    with decoding(path, "run ElasticFusion on the recording again"):
+        promised, kind = _header(path, content[: content.find(_END)].decode("ascii", "replace").split("\n"))
     body = content[content.find(_END) + len(_END) :]
     whole = min(promised, len(body) // kind.itemsize)
     if whole == 0:
-        raise DataError(f"{path} holds no whole surfel; run ElasticFusion on the recording again")
+        raise DataError(f"{path} holds no complete surfel; run ElasticFusion on the recording again")
     table = np.frombuffer(body, kind, whole)
     points, normals = (_columns(table, names) for names in ("x y z", "nx ny nz"))
+    if not (np.isfinite(points).all() and np.isfinite(normals).all()):
+        raise DataError(f"{path} has a surfel that is not finite; run ElasticFusion on the recording again")
     facing = np.einsum("ij,ij->i", normals, -points) > 0
     outwards = normals if facing.mean() >= 0.5 else -normals
     colors = np.stack([table[name] for name in ("red", "green", "blue")], axis=1)
@@ -67,7 +67,7 @@ def read_surfels(path: Path) -> Surfels:
 
 
 def _header(path: Path, lines: list[str]) -> tuple[int, np.dtype[np.void]]:
-    """The number of surfels and their layout."""
+    """Read the number of surfels and their layout from the header."""
     words = [line.split() for line in lines]
     counts = [int(w[2]) for w in words if w[:2] == ["element", "vertex"] and w[2:] and w[2].isdigit()]
     fields = [(w[2], _TYPES.get(w[1], "")) for w in words if w[:1] == ["property"] and len(w) == 3]
@@ -75,8 +75,8 @@ def _header(path: Path, lines: list[str]) -> tuple[int, np.dtype[np.void]]:
     missing = [name for name, _ in _FIELDS if name not in dict(fields)]
     if lines[0] != "ply" or not binary or len(counts) != 1 or missing or not all(t for _, t in fields):
         raise DataError(
-            f"{path} is no surface of ElasticFusion; expected a binary little-endian PLY with "
-            f"{', '.join(name for name, _ in _FIELDS)} a vertex"
+            f"{path} is not a surface of ElasticFusion; expected a binary little-endian PLY with "
+            f"{', '.join(name for name, _ in _FIELDS)} per vertex"
             + (f", lacking {', '.join(missing)}" if lines[0] == "ply" and missing else "")
         )
     return counts[0], np.dtype(fields)

@@ -1,1 +1,1 @@
-"""Recordings as other tools and datasets lay them out, one reader per layout."""
+"""Readers of recordings in the layouts of other tools and datasets, one per layout."""

@@ -1,4 +1,4 @@
-"""BOP's scenes (the benchmark for 6D object pose, "scenewise" layout), read as recordings and written.
+"""Scenes of BOP (the benchmark for 6D object pose, "scenewise" layout), read as recordings and written.
 
 ::
 
@@ -7,11 +7,11 @@
       depth/000001.png           16 bit, depth_mm = value * depth_scale
       scene_camera.json          by image id: cam_K (9 numbers, row-major), depth_scale, and, not in all
                                  datasets, cam_R_w2c, cam_t_w2c (mm): camera_from_scene
-      scene_gt.json              by image id, an instance each: obj_id, cam_R_m2c, cam_t_m2c (mm)
+      scene_gt.json              by image id, per instance: obj_id, cam_R_m2c, cam_t_m2c (mm)
 
-Ids are written without leading zeros in the JSON files and with them in file names. OpenCV's cameras,
-rotations row-major. The models of a dataset are centred anew by BOP: poses of YCB-Video's objects here are
-not those of the dataset's own layout.
+Ids are written without leading zeros in the JSON files and with them in file names. Cameras are OpenCV's,
+rotations row-major. BOP moves the origin of each dataset's models to their centre: poses of YCB-Video's
+objects here differ from those of the dataset's own layout.
 """
 
 from __future__ import annotations
@@ -33,16 +33,19 @@ from rpl_data.formats.recordings.frame_files import (
     Pair,
     chosen,
     examine,
+    folders_in,
     grouped,
+    scene_folders,
     with_poses,
     without_poses,
 )
 from rpl_data.formats.recordings.true_poses import with_true_poses
 from rpl_data.geometry import Transform, invert, rigid
 from rpl_data.types import DataError, Intrinsics, Recording
+from rpl_data.wording import counted
 
 RATE_HZ = 30.0
-"""Of the camera; the layout has no timestamps."""
+"""Assumed frame rate of the camera; the layout has no timestamps."""
 
 Json = dict[str, Any]
 
@@ -56,28 +59,27 @@ def read_bop(
     metres_per_unit: float | None = None,
     camera: Camera | None = None,
 ) -> list[Recording]:
-    """One scene, or the scenes of a split, sorted by name.
+    """Read one scene, or the scenes of a split, sorted by name.
 
-    `Frame.index` is the image id. The poses of the objects are `Recording.true_poses`, called obj_000005; an
-    object that stands in an image more than once has none there, since nothing tells the two apart.
+    `Frame.index` is the image id. The poses of the objects are `Recording.true_poses`, named obj_000005; an
+    object that appears more than once in an image has none there, since the two cannot be told apart.
 
     Args:
         path: <dataset>/<split>, or a scene in it.
         names: which scenes to read, by folder name.
-        metres_per_unit: of the depth images, instead of depth_scale.
-        camera: instead of cam_K.
+        metres_per_unit: unit of the depth images, instead of depth_scale.
+        camera: used instead of cam_K.
 
     Raises:
         DataError: there is no scene, its files are broken, the camera changes within it, or no frame is
-            whole.
+            complete.
     """
     path = path.absolute()
-    folders = sorted(p for p in path.iterdir() if p.is_dir()) if path.is_dir() else []
-    found = {folder.name: folder for folder in (path, *folders) if is_bop_scene(folder)}
+    found = scene_folders(path, is_bop_scene)
     if not found:
-        splits = [folder.name for folder in folders if any(map(is_bop_scene, folder.glob("*")))]
+        splits = [folder.name for folder in folders_in(path) if any(map(is_bop_scene, folder.glob("*")))]
         hint = f"; its splits are {', '.join(splits)}: give one of them" if splits else ""
-        raise DataError(f"{path} has no scene_camera.json, nor has a folder in it{hint}")
+        raise DataError(f"{path} has no scene_camera.json, and neither has any folder in it{hint}")
     return [
         _read_scene(name, folder, metres_per_unit, camera)
         for name, folder in chosen(found, names, path).items()
@@ -85,14 +87,14 @@ def read_bop(
 
 
 def is_bop_scene(folder: Path) -> bool:
-    """Whether it is a scene of this layout."""
+    """Whether the folder is a scene of this layout."""
     return (folder / "scene_camera.json").is_file()
 
 
 def _read_scene(name: str, folder: Path, unit_m: float | None, camera: Camera | None) -> Recording:
     cameras, lost = _by_id(folder / "scene_camera.json")
     if not cameras:
-        raise DataError(f"{folder / 'scene_camera.json'} lists no image")
+        raise DataError(f"{folder / 'scene_camera.json'} lists no images")
     source = folder / "scene_camera.json"
     listing = Listing(
         name,
@@ -102,7 +104,7 @@ def _read_scene(name: str, folder: Path, unit_m: float | None, camera: Camera | 
         camera or _one_camera(cameras, source),
         source,
         _one_unit_m(cameras, source) if unit_m is None else unit_m,
-        notes=(f"no timestamps: {RATE_HZ:g} image ids a second assumed",),
+        notes=(f"no timestamps: {RATE_HZ:g} image ids per second assumed",),
         skipped=lost,
     )
     recording = examine(listing)
@@ -115,7 +117,7 @@ def _read_scene(name: str, folder: Path, unit_m: float | None, camera: Camera | 
 
 
 def _by_id(path: Path) -> tuple[dict[int, Any], tuple[str, ...]]:
-    """The entries of a file that lists images by their id, in the order of the ids; what was lost of them."""
+    """Read a file that lists entries by image id, sorted; also what was lost of it."""
     lost: tuple[str, ...] = ()
     try:
         content = read_json(path)
@@ -123,7 +125,8 @@ def _by_id(path: Path) -> tuple[dict[int, Any], tuple[str, ...]]:
         content = _whole_entries(read_text(path))
         if not content:
             raise
-        lost = (f"{path.name} was cut off or is broken behind {len(content)} images; the rest of it is lost",)
+        kept = counted(len(content), "image")
+        lost = (f"{path.name} was cut off or is damaged after {kept}; the rest of it is lost",)
     try:
         return dict(sorted((int(key), value) for key, value in content.items())), lost
     except (AttributeError, ValueError) as error:
@@ -131,7 +134,7 @@ def _by_id(path: Path) -> tuple[dict[int, Any], tuple[str, ...]]:
 
 
 def _whole_entries(text: str) -> dict[str, Any]:
-    """The entries of a JSON object up to the first that is broken."""
+    """Entries of a JSON object up to the first that is broken."""
     entries: dict[str, Any] = {}
     decoder, at = json.JSONDecoder(), text.find("{") + 1
     while key := _KEY.match(text, at):
@@ -148,7 +151,7 @@ def _color(folder: Path, index: int) -> Path:
 
 
 def _one_camera(cameras: Mapping[int, Json], source: Path) -> Camera:
-    """The camera of all images; DataError where it changes, since a scene here has one."""
+    """The camera of all images; DataError when it changes, since a scene here has one camera."""
     (first, entry), *others = cameras.items()
     matrix = _numbers(entry, "cam_K", 9, source)
     for index, other in others:
@@ -162,7 +165,7 @@ def _one_camera(cameras: Mapping[int, Json], source: Path) -> Camera:
 
 
 def _one_unit_m(cameras: Mapping[int, Json], source: Path) -> float:
-    """Metres of a unit of depth; depth_scale is millimetres."""
+    """Metres per unit of depth; depth_scale is in millimetres."""
     scales = {float(_numbers(entry, "depth_scale", 1, source)[0]) for entry in cameras.values()}
     if len(scales) > 1:
         raise DataError(f"{source}: depth_scale changes within the scene: {sorted(scales)}; expected one")
@@ -180,13 +183,13 @@ def _numbers(entry: Json, key: str, count: int, source: Path) -> Float64[np.ndar
 
 
 def _pose(entry: Json, which: str, source: Path) -> Transform:
-    """The transform "w2c" or "m2c" of an entry, its translation in millimetres."""
+    """The transform "w2c" or "m2c" of an entry; its translation is stored in millimetres."""
     rotation = _numbers(entry, f"cam_R_{which}", 9, source).reshape(3, 3)
     return rigid(rotation, _numbers(entry, f"cam_t_{which}", 3, source) / 1000)
 
 
 def _with_truth(recording: Recording, path: Path) -> Recording:
-    """The recording with the poses of scene_gt.json, which test images of some datasets do not have."""
+    """Add the poses of scene_gt.json, which test images of some datasets do not have."""
     if not path.exists():
         return recording
     poses: dict[str, dict[int, Transform]] = {}
@@ -215,10 +218,10 @@ def write_scene_camera(
     """Write scene_camera.json; DataError for a lens with distortion, which it cannot hold.
 
     Args:
-        folder: of the scene.
-        intrinsics: of all images.
-        metres_per_unit: of the depth images.
-        scene_from_camera: by image id; None where it is not known.
+        folder: folder of the scene.
+        intrinsics: camera of all images.
+        metres_per_unit: unit of the depth images.
+        scene_from_camera: pose by image id; None where it is not known.
     """
     if any(intrinsics.distortion):
         raise DataError(f"scene_camera.json in {folder} cannot hold lens distortion; undistort first")
@@ -234,8 +237,8 @@ def write_scene_gt(folder: Path, camera_from_object: Mapping[int, Iterable[tuple
     """Write scene_gt.json.
 
     Args:
-        folder: of the scene.
-        camera_from_object: by image id, object id and pose of every instance.
+        folder: folder of the scene.
+        camera_from_object: by image id, the object id and pose of every instance.
     """
     entries = {
         str(index): [_entry(pose, "m2c") | {"obj_id": number} for number, pose in instances]

@@ -1,4 +1,4 @@
-"""The file camera.txt of RapidPoseLabels, which ElasticFusion's `-cal` file is too.
+"""RapidPoseLabels' file camera.txt, which is also ElasticFusion's `-cal` file.
 
 ::
 
@@ -6,8 +6,8 @@
     distortion k1 k2 p1 p2 k3       where the lens has any
     metres_per_unit 0.001           where it is known
 
-The two tools read the first line only; the others are ours. `rpl capture` writes them, so that a recording
-says all that its camera said.
+The two tools read the first line only; the other lines are ours. `rpl capture` writes them, so that a
+recording holds everything that its camera reported.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ WHAT = "one line: fx fy cx cy, in pixels of the colour images"
 
 @dataclass(frozen=True)
 class CameraFile:
-    """What the file says; `metres_per_unit` of the depth images is None where it does not."""
+    """Content of the file; `metres_per_unit` of the depth images is None where it is not given."""
 
     camera: Camera
     metres_per_unit: float | None = None
 
 
 def read_camera(path: Path) -> CameraFile:
-    """The content of a camera.txt; DataError when it is missing or its numbers are none."""
+    """Read a camera.txt; DataError when it is missing or its numbers are invalid."""
     if not path.exists():
         raise DataError(f"{path} is missing; write it with {WHAT}")
     first, *others = read_text(path).strip().splitlines() or [""]
@@ -49,7 +49,7 @@ def read_camera(path: Path) -> CameraFile:
 
 
 def _said(path: Path, lines: Sequence[str]) -> Mapping[str, tuple[float, ...]]:
-    """Our own lines; lines of others are not ours to judge."""
+    """Read our own lines; unknown lines are ignored."""
     counts = {"distortion": (4, 5, 8), "metres_per_unit": (1,)}
     said: dict[str, tuple[float, ...]] = {}
     for line in lines:
@@ -62,7 +62,7 @@ def _said(path: Path, lines: Sequence[str]) -> Mapping[str, tuple[float, ...]]:
             raise DataError(f"{path}: {error} in {line!r}; repair or delete the line") from error
         if len(said[key]) not in counts[key]:
             allowed = " or ".join(map(str, counts[key]))
-            raise DataError(f"{path}: expected {allowed} numbers behind {key}, found {line!r}")
+            raise DataError(f"{path}: expected {allowed} numbers after {key}, found {line!r}")
     return said
 
 
@@ -72,7 +72,7 @@ def write_camera(folder: Path, intrinsics: Intrinsics, metres_per_unit: float | 
 
 
 def camera_text(intrinsics: Intrinsics, metres_per_unit: float | None = None) -> str:
-    """What `write_camera` writes."""
+    """Text that `write_camera` writes."""
     text = _numbers((intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy))
     if any(intrinsics.distortion):
         text += f"distortion {_numbers(intrinsics.distortion)}"

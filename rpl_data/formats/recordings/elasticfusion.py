@@ -1,15 +1,15 @@
-"""What ElasticFusion reads and leaves: a log (.klg), its camera, and the trajectory it found.
+"""Files that ElasticFusion reads and writes: a log (.klg), its camera, and the trajectory it found.
 
 ::
 
     <name>.klg             all frames, see `klg`
     <name>.klg.freiburg    TUM lines "t tx ty tz qx qy qz qw", scene_from_camera, t in seconds
-    <name>.cal             "fx fy cx cy"; or camera.txt, of all logs of the folder
-    <name>.klg.ply         the surface it fused, in the frame of the first camera
+    <name>.cal             "fx fy cx cy"; or camera.txt, for all logs of the folder
+    <name>.klg.ply         the fused surface, in the frame of the first camera
 
-ElasticFusion never processes the last frame, and others neither when told so, hence poses are matched by
-time. Run with -icl it writes the log's numbers as they are instead of seconds. The .freiburg of a run
-that was killed is empty.
+ElasticFusion never processes the last frame, and skips others when told so; hence poses are matched by time.
+Run with -icl, it writes the log's numbers unchanged instead of seconds. The .freiburg file of a run that was
+killed is empty.
 """
 
 from __future__ import annotations
@@ -42,12 +42,12 @@ from rpl_data.formats.recordings.frame_files import (
     without_poses,
 )
 from rpl_data.formats.recordings.pose_lines import nearest, read_pose_lines
-from rpl_data.formats.recordings.scene_images import write_images
+from rpl_data.formats.recordings.saved_images import write_images
 from rpl_data.geometry import Transform
 from rpl_data.types import DataError, Frame, Recording
 
 USUAL_STEPS_S = (1 / 250, 2.0)
-"""Between frames; a log whose numbers are no microseconds is outside."""
+"""Usual times between frames; a log whose numbers are not microseconds lies outside."""
 
 
 def read_klg(
@@ -59,20 +59,20 @@ def read_klg(
     camera: Camera | None = None,
     bgr: bool = False,
 ) -> list[Recording]:
-    """The logs of a folder, or one log, unpacked; a scene is called as its log.
+    """Read the logs of a folder, or one log, and unpack their images; a scene is named after its log.
 
-    `Frame.index` is the frame's place in the log.
+    `Frame.index` is the frame's position in the log.
 
     Args:
         path: a .klg file, or a folder of them.
-        unpack: where the images of a scene go, by its name.
+        unpack: returns the folder for the images of a scene, given its name.
         names: which logs to read, without .klg.
-        metres_per_unit: of the depth; 0.001 by the format.
-        camera: instead of <name>.cal or camera.txt beside the log.
-        bgr: the order of colours, see `klg_color`.
+        metres_per_unit: unit of the depth; 0.001 by the format.
+        camera: used instead of <name>.cal or camera.txt beside the log.
+        bgr: order of the colours, see `klg_color`.
 
     Raises:
-        DataError: there is no log, no camera, or no whole frame.
+        DataError: there is no log, no camera, or no complete frame.
     """
     path = path.absolute()
     logs = sorted(path.glob("*.klg")) if path.is_dir() else [path]
@@ -102,10 +102,10 @@ def _read_log(
 
 
 def _loss(index: KlgIndex) -> list[str]:
-    """What a log that was cut off has lost."""
+    """Describe what a log that was cut off has lost."""
     whole, promised = len(index.entries), index.promised
     if promised > whole:
-        return [f"{promised - whole} of {promised} frames: the log was cut off behind frame {whole - 1}"]
+        return [f"{promised - whole} of {promised} frames: the log was cut off after frame {whole - 1}"]
     if index.lost_bytes:
         return [f"the log was cut off in the middle of frame {whole}: its {index.lost_bytes} bytes are lost"]
     return []
@@ -114,8 +114,8 @@ def _loss(index: KlgIndex) -> list[str]:
 def _times_s(index: KlgIndex) -> tuple[Float64[np.ndarray, " n"], tuple[str, ...]]:
     """Time of every frame in seconds.
 
-    png_to_klg stores the digits of the time it read, without the point: seconds with other than six decimals
-    are then no microseconds, and are scaled by the power of ten that comes nearest to 30 frames a second.
+    png_to_klg stores the digits of the time it read, without the point: seconds that do not have six decimals
+    are then not microseconds, and are scaled by the power of ten that comes nearest to 30 frames per second.
     """
     stored = np.array([entry.time for entry in index.entries], dtype=float)
     step = float(np.median(np.abs(np.diff(stored)))) if len(stored) > 1 else 0.0
@@ -123,7 +123,7 @@ def _times_s(index: KlgIndex) -> tuple[Float64[np.ndarray, " n"], tuple[str, ...
         return stored * 1e-6, ()
     unit_s = 10.0 ** -round(float(np.log10(step * 30)))
     note = (
-        f"times are no microseconds (frames would be {step * 1e-6:g} s apart): units of {unit_s:g} s assumed"
+        f"times are not microseconds (frames would be {step * 1e-6:g} s apart): units of {unit_s:g} s assumed"
     )
     return stored * unit_s, (note,)
 
@@ -135,7 +135,7 @@ def _camera_of(log: Path, camera: Camera | None) -> tuple[Camera, Path]:
         if path.exists():
             return read_camera(path).camera, path
     raise DataError(
-        f"{log}: a log does not say its camera; give `camera: [fx, fy, cx, cy]` in pixels, "
+        f"{log}: a log does not hold its camera; give `camera: [fx, fy, cx, cy]` in pixels, "
         f"or write these four numbers into {log.with_suffix('.cal').name} beside it"
     )
 
@@ -143,7 +143,7 @@ def _camera_of(log: Path, camera: Camera | None) -> tuple[Camera, Path]:
 def _unpack(
     log: Path, index: KlgIndex, times_s: Float64[np.ndarray, " n"], folder: Path, bgr: bool
 ) -> tuple[list[Pair], list[str]]:
-    """Write the images, a frame at a time; frames whose data is broken are counted."""
+    """Write the images, one frame at a time; frames with damaged data are counted."""
     size = klg_image_size(log, index)
     pairs: list[Pair] = []
     broken: list[int] = []
@@ -154,7 +154,7 @@ def _unpack(
                 broken.append(number)
             else:
                 pairs.append(Pair(number, float(times_s[number]), *files))
-    return pairs, grouped(broken, "with broken data in the log")
+    return pairs, grouped(broken, "with damaged data in the log")
 
 
 def _unpack_frame(
@@ -168,7 +168,7 @@ def _unpack_frame(
 
 
 def _match(poses: Path, index: KlgIndex, frames: Sequence[Frame]) -> dict[int, Transform]:
-    """The pose at each frame's time, on whichever clock fits: microseconds, or the log's own numbers."""
+    """Match a pose to each frame by time, on the clock that fits: microseconds, or the log's own numbers."""
     times, found = read_pose_lines(poses)
     numbers = [frame.index for frame in frames]
     stored = np.array([index.entries[number].time for number in numbers], dtype=float)

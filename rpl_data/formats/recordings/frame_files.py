@@ -1,20 +1,21 @@
-"""What every reader does once it knows which files belong together: keep what is whole, name the rest."""
+"""Steps that all readers share: check the listed images, keep complete frames, and report the others."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from rpl_data.formats.recordings.image_files import ImageHeader, probe
+from rpl_data.formats.recordings.image_headers import ImageHeader, probe
 from rpl_data.formats.recordings.plausibility import SATURATED, median_depth_m, principal_point_notes
 from rpl_data.formats.recordings.pose_lines import nearest
 from rpl_data.geometry import Transform
 from rpl_data.types import DataError, Frame, Intrinsics, Recording, Scene, Trajectory
+from rpl_data.wording import counted
 
 Headers = Mapping[Path, ImageHeader | None]
 
@@ -24,11 +25,11 @@ Camera = tuple[float, ...]
 
 @dataclass(frozen=True)
 class Pair:
-    """A colour and a depth image that belong together, before anybody looked at them.
+    """A colour and a depth image that belong together; their files have not been read yet.
 
     Attributes:
-        index: `Frame.index`.
-        timestamp_s: of the colour image.
+        index: the later `Frame.index`.
+        timestamp_s: time of the colour image.
     """
 
     index: int
@@ -38,18 +39,17 @@ class Pair:
 
 
 def grouped(indices: Sequence[int], reason: str, *, listed: int = 12) -> list[str]:
-    """One line for frames left out for one reason; none for no frames."""
+    """Write one line about frames left out for one reason; nothing for no frames."""
     if not indices:
         return []
     more = ", ..." if len(indices) > listed else ""
-    plural = "frame" if len(indices) == 1 else "frames"
-    return [f"{len(indices)} {plural} {reason}: {', '.join(map(str, indices[:listed]))}{more}"]
+    return [f"{counted(len(indices), 'frame')} {reason}: {', '.join(map(str, indices[:listed]))}{more}"]
 
 
 def whole_frames(
     pairs: Iterable[Pair], headers: Headers, *, width: int, height: int
 ) -> tuple[list[Frame], list[str]]:
-    """Frames with two good images and a time of their own, and a line for each reason to leave some out."""
+    """Keep frames with two good images and a new timestamp; also say why others were left out."""
     frames: list[Frame] = []
     left_out: dict[str, list[int]] = {}
     times: set[float] = set()
@@ -68,7 +68,7 @@ def whole_frames(
 
 
 def _defect(kind: str, path: Path, headers: Headers, size: tuple[int, int]) -> str | None:
-    if not path.exists():
+    if not path.is_file():
         return f"without {kind} (no such file)"
     header = headers[path]
     if header is None:
@@ -89,18 +89,18 @@ def match_poses(
     max_apart_s: float = 0.02,
     source: str,
 ) -> dict[int, Transform]:
-    """By `Frame.index`, the pose nearest in time of each frame that has one within half a frame interval.
+    """Find the pose nearest in time to each frame, within half a frame interval, by `Frame.index`.
 
     Args:
-        pose_times_s: sorted.
-        poses: one a time.
-        indices: of the frames.
-        stamps_s: a time a frame, on the clock of the poses.
-        max_apart_s: no pose is taken that is further away than this, however slow the recording.
-        source: of the poses, for the message.
+        pose_times_s: times of the poses, sorted.
+        poses: one pose per time.
+        indices: `Frame.index` of the frames.
+        stamps_s: one time per frame, on the clock of the poses.
+        max_apart_s: a pose farther away in time than this is never used, however slow the recording.
+        source: where the poses are from, for the message.
 
     Raises:
-        DataError: no pose is at the time of a frame.
+        DataError: no pose is close in time to any frame.
     """
     rows, apart_s = nearest(pose_times_s, stamps_s)
     steps_s = np.diff(np.unique(stamps_s))
@@ -119,18 +119,18 @@ def match_poses(
 
 @dataclass(frozen=True)
 class Listing:
-    """A scene as a reader found it listed, its images not yet looked at.
+    """A scene as its reader found it listed; the images have not been read yet.
 
     Attributes:
-        name: of the scene.
-        folder: where it is, for messages.
+        name: name of the scene.
+        folder: its folder, for messages.
         format: name of the format, for the report.
         pairs: the images.
-        camera: of the colour images.
-        camera_source: the file the camera is from, for messages.
-        metres_per_unit: of the depth images.
-        assumed_unit: nobody stated `metres_per_unit`; said in a note.
-        registered: depth pixels lie on the colour pixels.
+        camera: camera of the colour images.
+        camera_source: file that the camera is from, for messages.
+        metres_per_unit: unit of the depth images.
+        assumed_unit: whether `metres_per_unit` was assumed, which a note then says.
+        registered: whether depth pixels coincide with colour pixels.
         notes: what was assumed so far.
         skipped: what was left out so far.
     """
@@ -149,14 +149,15 @@ class Listing:
 
 
 def examine(listing: Listing) -> Recording:
-    """The recording of what is listed, without poses: frames with two whole images, the rest counted.
+    """Make a recording without poses from a listing: frames with two complete images, the rest counted.
 
     Raises:
-        DataError: no pair is whole, depth and colour differ in size, the camera does not fit the images,
+        DataError: no pair is complete, depth and colour differ in size, the camera does not fit the images,
             or depths are outside 0.1-10 m, so the depth unit must be wrong.
     """
     check_unit(listing.metres_per_unit)
-    headers = {path: probe(path) for pair in listing.pairs for path in (pair.color, pair.depth)}
+    images = [path for pair in listing.pairs for path in (pair.color, pair.depth)]
+    headers = {path: probe(path) if path.is_file() else None for path in images}
     width, height = _image_size(listing, headers)
     frames, skipped = whole_frames(listing.pairs, headers, width=width, height=height)
     intrinsics = intrinsics_of(listing.camera, width, height)
@@ -180,19 +181,20 @@ def examine(listing: Listing) -> Recording:
 
 
 def unlisted(list_file: Path, colors: Sequence[Path]) -> tuple[str, ...]:
-    """A note when the folder of the listed colour images holds more: the list may have been cut off."""
+    """Note that the folder holds more colour images than are listed: the list may have been cut off."""
     images = {p for p in colors[0].parent.glob("*") if p.suffix in (".png", ".jpg", ".jpeg")}
     more = len(images - set(colors))
     if not more:
         return ()
-    return (f"{more} images of {colors[0].parent.name}/ are not in {list_file.name}: was the list cut off?",)
+    unknown = f"{counted(more, 'image')} of {colors[0].parent.name}/ not in {list_file.name}"
+    return (f"{unknown}: was the list cut off?",)
 
 
 def with_poses(recording: Recording, poses: Mapping[int, Transform], *, without: str) -> Recording:
-    """The recording with scene_from_camera by `Frame.index`; frames that have none are left out.
+    """Add `scene_from_camera` poses by `Frame.index`; frames that have none are left out.
 
     Args:
-        recording: without poses.
+        recording: a recording without poses.
         poses: rigid transforms.
         without: the reason to give, such as "without a pose in groundtruth.txt at their time".
     """
@@ -211,13 +213,13 @@ def with_poses(recording: Recording, poses: Mapping[int, Transform], *, without:
 
 
 def without_poses(recording: Recording, missing: str) -> Recording:
-    """The recording as it is, with a note which file of poses is missing."""
+    """Return the recording as it is, with a note that names the missing poses."""
     note = f"no {missing}: the camera must be tracked"
     return Recording(recording.scene, None, recording.skipped, (note, *recording.notes))
 
 
 def _image_size(listing: Listing, headers: Headers) -> tuple[int, int]:
-    """Width and height of the first pair that is whole."""
+    """Width and height of the first pair that is complete."""
     for pair in listing.pairs:
         color, depth = headers[pair.color], headers[pair.depth]
         if color is None or depth is None or color.is_depth or not depth.is_depth:
@@ -231,18 +233,18 @@ def _image_size(listing: Listing, headers: Headers) -> tuple[int, int]:
     first = listing.pairs[0]
     raise DataError(
         f"{listing.folder}: none of {len(listing.pairs)} frames has a readable colour image and a readable "
-        f"16-bit depth image; the first would be {first.color} and {first.depth}; copy the images again"
+        f"16-bit depth image; the first names {first.color} and {first.depth}; copy the images again"
     )
 
 
 def check_unit(metres_per_unit: float) -> None:
-    """DataError unless positive and finite."""
+    """Raise a DataError unless the unit is positive and finite."""
     if not 0 < metres_per_unit < math.inf:
         raise DataError(f"metres_per_unit must be positive, got {metres_per_unit}; 0.001 means millimetres")
 
 
 def intrinsics_of(camera: Camera, width: int, height: int) -> Intrinsics:
-    """The camera of images of this size; DataError when the numbers are none."""
+    """Intrinsics for images of this size; DataError when the camera's numbers are invalid."""
     if len(camera) not in (4, 8, 9, 12) or not all(map(math.isfinite, camera)) or min(camera[:2]) <= 0:
         raise DataError(
             "a camera is fx fy cx cy in pixels, fx and fy positive, then 0, 4, 5 or 8 numbers of lens "
@@ -252,8 +254,18 @@ def intrinsics_of(camera: Camera, width: int, height: int) -> Intrinsics:
     return Intrinsics(fx, fy, cx, cy, width, height, tuple(distortion))
 
 
+def folders_in(path: Path) -> list[Path]:
+    """The folders directly below a path, sorted; none where it is not a folder."""
+    return sorted(folder for folder in path.iterdir() if folder.is_dir()) if path.is_dir() else []
+
+
+def scene_folders(path: Path, is_scene: Callable[[Path], bool]) -> dict[str, Path]:
+    """Which of a folder and the folders directly below it hold a scene, by name."""
+    return {folder.name: folder for folder in (path, *folders_in(path)) if is_scene(folder)}
+
+
 def chosen(found: Mapping[str, Path], names: Sequence[str] | None, where: Path) -> dict[str, Path]:
-    """The scenes to read, by name and sorted; DataError when one of `names` is not there."""
+    """Choose the scenes to read, by name and sorted; DataError when one of `names` does not exist."""
     unknown = [name for name in names or [] if name not in found]
     if unknown:
         raise DataError(f"{where} has no scene {', '.join(map(str, unknown))}; it has {', '.join(found)}")

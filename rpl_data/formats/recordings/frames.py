@@ -1,14 +1,14 @@
-"""Numbered frames with a pose each: 7-Scenes, 3DMatch and what tsdf-fusion-python reads.
+"""Numbered frames with one pose each: 7-Scenes, 3DMatch and the input of tsdf-fusion-python.
 
 ::
 
     <scene>/camera-intrinsics.txt       the 3x3 matrix K; may lie in the folder above instead
             frame-000540.color.jpg      or .png
             frame-000540.depth.png      16 bit, millimetres; 0 and 65535 = no depth
-            frame-000540.pose.txt       4x4, scene_from_camera, metres; all or none have one
+            frame-000540.pose.txt       4x4, scene_from_camera, metres; for all frames or for none
 
-The layout does not say whether depth lies on the colour pixels. In the recordings it comes from (a Kinect's
-two cameras, one K) it does not, so the scene is marked as not registered unless the caller knows better.
+The layout does not say whether depth is registered to colour. In its usual recordings (a Kinect's two
+cameras, one K) it is not, so the scene is marked as not registered unless the caller knows better.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from rpl_data.formats.recordings.frame_files import (
     Pair,
     chosen,
     examine,
+    scene_folders,
     with_poses,
     without_poses,
 )
@@ -35,7 +36,7 @@ from rpl_data.geometry import Transform
 from rpl_data.types import DataError, Intrinsics, Recording
 
 RATE_HZ = 30.0
-"""Of the camera; the layout has no timestamps."""
+"""Assumed frame rate of the camera; the layout has no timestamps."""
 
 _COLOR = re.compile(r"frame-(\d+)\.color\.(?:jpg|jpeg|png)")
 
@@ -47,7 +48,7 @@ def read_frames(
     metres_per_unit: float | None = None,
     camera: Camera | None = None,
 ) -> list[Recording]:
-    """One scene, or the scenes in the folders of a folder, sorted by name.
+    """Read one scene, or the scenes in the folders of a folder, sorted by name.
 
     `Frame.index` is the number in the file's name. Frames without depth, with an unreadable image, or
     without a valid pose where others have one, are left out and named in `Recording.skipped`.
@@ -55,28 +56,24 @@ def read_frames(
     Args:
         path: a folder with frame-N files, or with such folders.
         names: which scenes to read, by folder name.
-        metres_per_unit: of the depth images; 0.001 where not given, said in `Recording.notes`.
-        camera: instead of camera-intrinsics.txt.
+        metres_per_unit: unit of the depth images; 0.001 when not given, which `Recording.notes` says.
+        camera: used instead of camera-intrinsics.txt.
 
     Raises:
-        DataError: there is no frame, no camera, none of the frames is whole, or the depth unit is wrong.
+        DataError: there is no frame, no camera, no complete frame, or the depth unit is wrong.
     """
     path = path.absolute()
-    found = {folder.name: folder for folder in (path, *_folders(path)) if has_frames(folder)}
+    found = scene_folders(path, has_frames)
     if not found:
-        raise DataError(f"{path} has no frame-<number>.color.jpg (or .png), nor has a folder in it")
+        raise DataError(f"{path} has no frame-<number>.color.jpg (or .png), and neither has any folder in it")
     return [
         _read_scene(name, folder, metres_per_unit, camera)
         for name, folder in chosen(found, names, path).items()
     ]
 
 
-def _folders(path: Path) -> list[Path]:
-    return sorted(folder for folder in path.iterdir() if folder.is_dir()) if path.is_dir() else []
-
-
 def has_frames(folder: Path) -> bool:
-    """Whether it holds frames of this layout."""
+    """Whether the folder holds frames of this layout."""
     return folder.is_dir() and any(_COLOR.fullmatch(found.name) for found in folder.iterdir())
 
 
@@ -96,8 +93,8 @@ def _read_scene(name: str, folder: Path, unit_m: float | None, camera: Camera | 
         assumed_unit=unit_m is None,
         registered=False,
         notes=(
-            f"no timestamps: {RATE_HZ:g} frames a second assumed",
-            "depth taken as not registered to colour; set `registered: true` if the camera aligned it",
+            f"no timestamps: {RATE_HZ:g} frames per second assumed",
+            "depth assumed not to be registered to colour; set `registered: true` if the camera aligned it",
         ),
     )
     recording = examine(listing)
@@ -133,7 +130,7 @@ def _read_matrix_camera(path: Path) -> Camera:
 
 
 def _read_pose(path: Path) -> Transform | None:
-    """scene_from_camera; None where a lost tracker left no rigid transform."""
+    """Read scene_from_camera; None where a lost tracker left no rigid transform."""
     try:
         values = np.array([float(token) for token in read_text(path).split()])
     except ValueError:  # 7-Scenes' tracker writes "-1.#IND"

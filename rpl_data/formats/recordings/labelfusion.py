@@ -1,4 +1,4 @@
-"""LabelFusion's log directories, after its images were extracted from the log.
+"""LabelFusion's log directories, once the images were extracted from the log.
 
 ::
 
@@ -9,10 +9,11 @@
                  0000000001_utime.txt         time in microseconds
                  0000000001_poses.yaml        by object: label, num_pixels, pose
                                               [[x, y, z], [qw, qx, qy, qz]], camera_from_object, metres;
-                                              only objects that are seen
+                                              only objects that are visible
 
-The camera is written nowhere: LabelFusion itself takes f = 528 px and the centre (320, 240) for all. A mesh
-that was an .obj was found to be turned by -90 degrees about x against the poses (LabelFusion issue 56).
+The camera is stored nowhere: LabelFusion itself assumes f = 528 px and the centre (320, 240) for all. A mesh
+that
+was an .obj is rotated by -90 degrees about x relative to the poses (LabelFusion issue 56).
 """
 
 from __future__ import annotations
@@ -32,12 +33,14 @@ from rpl_data.formats.recordings.frame_files import (
     Pair,
     chosen,
     examine,
+    folders_in,
     grouped,
     match_poses,
+    scene_folders,
     with_poses,
     without_poses,
 )
-from rpl_data.formats.recordings.image_files import probe
+from rpl_data.formats.recordings.image_headers import probe
 from rpl_data.formats.recordings.pose_lines import read_pose_lines
 from rpl_data.formats.recordings.true_poses import with_true_poses
 from rpl_data.geometry import Transform, from_quaternion_xyzw
@@ -45,7 +48,7 @@ from rpl_data.types import DataError, Recording
 
 METRES_PER_UNIT = 0.001
 CAMERA: Camera = (528.0, 528.0, 320.0, 240.0)
-"""LabelFusion's own, for 640 x 480 images of an Asus Xtion."""
+"""LabelFusion's assumed camera, for 640 x 480 images of an Asus Xtion."""
 
 POSE_GRAPHS = ("posegraph_smoothed.posegraph", "posegraph.posegraph")
 
@@ -59,26 +62,25 @@ def read_labelfusion(
     metres_per_unit: float | None = None,
     camera: Camera | None = None,
 ) -> list[Recording]:
-    """One log, or the logs of a folder, sorted by name.
+    """Read one log, or the logs of a folder, sorted by name.
 
     `Frame.index` is the number of the file, from 1. The poses of the objects are `Recording.true_poses`.
 
     Args:
         path: a log directory, or a folder of them.
         names: which logs to read, by folder name.
-        metres_per_unit: of the depth images; 0.001 by the format.
-        camera: of the colour images; LabelFusion's own where not given, said in `Recording.notes`.
+        metres_per_unit: unit of the depth images; 0.001 by the format.
+        camera: camera of the colour images; LabelFusion's own when not given, which `Recording.notes` says.
 
     Raises:
-        DataError: there is no log, its images were not extracted with depth, or no frame is whole.
+        DataError: there is no log, its images were not extracted with depth, or no frame is complete.
     """
     path = path.absolute()
-    folders = sorted(p for p in path.iterdir() if p.is_dir()) if path.is_dir() else []
-    found = {folder.name: folder for folder in (path, *folders) if is_log(folder)}
+    found = scene_folders(path, is_log)
     if not found:
-        packed = any(any(folder.glob("*.lcmlog")) for folder in (path, *folders))
+        packed = any(any(folder.glob("*.lcmlog")) for folder in (path, *folders_in(path)))
         todo = "; extract them from the log with LabelFusion (run_create_data -d)" if packed else ""
-        raise DataError(f"{path} has no images/<number>_rgb.png, nor has a folder in it{todo}")
+        raise DataError(f"{path} has no images/<number>_rgb.png, and neither has any folder in it{todo}")
     return [
         _read_log(name, folder, metres_per_unit, camera)
         for name, folder in chosen(found, names, path).items()
@@ -86,7 +88,7 @@ def read_labelfusion(
 
 
 def is_log(folder: Path) -> bool:
-    """Whether it is a log directory with images."""
+    """Whether the folder is a log directory with images."""
     images = folder / "images"
     return images.is_dir() and any(_COLOR.fullmatch(found.name) for found in images.iterdir())
 
@@ -117,7 +119,7 @@ def _read_log(name: str, folder: Path, unit_m: float | None, camera: Camera | No
 
 
 def _usual_camera(folder: Path, colors: Mapping[int, Path]) -> Camera:
-    """LabelFusion's own camera; DataError for images of another size."""
+    """Return LabelFusion's camera; DataError for images of another size."""
     sizes = {(found.width, found.height) for found in map(probe, colors.values()) if found is not None}
     if sizes - {(640, 480)}:
         width, height = max(sizes - {(640, 480)})
@@ -133,7 +135,7 @@ def _beside(color: Path, ending: str) -> Path:
 
 
 def _time_s(path: Path) -> float | None:
-    """Seconds of a file with microseconds; None where it is missing or cut off."""
+    """Read a file with microseconds, in seconds; None where it is missing or cut off."""
     try:
         return int(read_text(path).strip()) * 1e-6
     except (DataError, ValueError):
@@ -152,7 +154,7 @@ def _with_trajectory(recording: Recording, folder: Path) -> Recording:
 
 
 def _object_poses(colors: Mapping[int, Path]) -> dict[str, dict[int, Transform]]:
-    """camera_from_object by object and frame."""
+    """Read camera_from_object by object and frame."""
     poses: dict[str, dict[int, Transform]] = {}
     for number, color in colors.items():
         path = _beside(color, "poses.yaml")

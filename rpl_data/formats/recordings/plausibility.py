@@ -1,4 +1,4 @@
-"""Checks that a recording's numbers belong to its images, before anything is computed with them."""
+"""Check that a recording's numbers fit its images, before anything is computed from them."""
 
 from __future__ import annotations
 
@@ -11,26 +11,26 @@ import numpy as np
 from rpl_data.types import DataError, Intrinsics, Scene
 
 SATURATED = 65535
-"""What a Kinect writes where it saw nothing; no 16-bit depth reaches it otherwise."""
+"""Value that a Kinect writes where it measured nothing; no 16-bit depth reaches it otherwise."""
 
 USUAL_UNITS_M = (1e-3, 2e-4, 1e-4, 2.5e-4)
-"""Millimetres, TUM's 1/5000, YCB-Video's 1/10000, the RealSense L515's 1/4000."""
+"""Common depth units: millimetres, TUM's 1/5000, YCB-Video's 1/10000, the RealSense L515's 1/4000 m."""
 
 
 def principal_point_notes(source: Path, intrinsics: Intrinsics) -> list[str]:
-    """A note when the principal point is off the centre by 10 % of the image; DataError at 20 %."""
+    """Note a principal point that is 10 % of the image off its centre; DataError at 20 %."""
     off = max(abs(intrinsics.cx / intrinsics.width - 0.5), abs(intrinsics.cy / intrinsics.height - 0.5))
     what = (
         f"{source} has its principal point at ({intrinsics.cx:.1f}, {intrinsics.cy:.1f}), but the images are "
-        f"{intrinsics.width} x {intrinsics.height} px: is it of another resolution?"
+        f"{intrinsics.width} x {intrinsics.height} px: is it for another resolution?"
     )
     if off > 0.2:
-        raise DataError(f"{what} Write fx fy cx cy of these images into it")
+        raise DataError(f"{what} Write fx fy cx cy for these images into it")
     return [what] if off > 0.1 else []
 
 
 def median_depth_m(scene: Scene, *, frames: int = 5) -> float:
-    """Median depth of a few frames; DataError when it is not that of a hand-held recording."""
+    """Median depth of a few frames; DataError when it does not suit a hand-held recording."""
     picked = [scene.frames[i] for i in np.unique(np.linspace(0, len(scene.frames) - 1, frames).astype(int))]
     images = [cv2.imread(str(frame.depth), cv2.IMREAD_UNCHANGED) for frame in picked]
     raw = np.concatenate([np.ravel(image) for image in images if image is not None] or [np.zeros(0)])
@@ -45,7 +45,7 @@ def median_depth_m(scene: Scene, *, frames: int = 5) -> float:
     if not 0.1 <= median_m <= 10:
         likely = min(USUAL_UNITS_M, key=lambda unit: abs(math.log(median_units * unit / 0.8)))
         raise DataError(
-            f"scene {scene.name}: with {scene.metres_per_unit:g} m a depth unit the median depth is "
+            f"scene {scene.name}: with {scene.metres_per_unit:g} m per depth unit, the median depth is "
             f"{median_m:.3g} m; expected 0.1 to 10 m. Set metres_per_unit, probably to {likely:g}"
         )
     return median_m

@@ -1,4 +1,4 @@
-"""Text files with a line a frame: TUM's pose lines, and matching them to frames by time."""
+"""Text files with one line per frame: read TUM's pose lines, and match poses to frames by time."""
 
 from __future__ import annotations
 
@@ -16,21 +16,22 @@ from rpl_data.types import DataError
 
 
 def data_lines(path: Path) -> Iterator[tuple[int, str]]:
-    """Line numbers and lines that are neither empty nor a comment."""
+    """Yield line numbers and lines that are neither empty nor a comment."""
     for number, line in enumerate(read_text(path, errors="replace").splitlines(), start=1):
         if line.strip() and not line.lstrip().startswith("#"):
             yield number, line.strip()
 
 
 def whole_lines(path: Path, words: int) -> tuple[list[tuple[int, str]], tuple[str, ...]]:
-    """The `data_lines` of a file, without the last where it was cut off in its middle; what was lost.
+    """Read `data_lines`, without a last line that was cut off in its middle; also what was lost.
 
-    A writer that was killed, or a copy that was interrupted, leaves a last line without its end: with fewer
-    words, or with fewer decimals than the lines before it all have.
+    A writer that was killed, or a copy that was interrupted, leaves an incomplete last line: with fewer
+        words,
+    or with fewer decimals than all lines before it.
 
     Args:
         path: the file.
-        words: on a whole line.
+        words: number of words on a complete line.
     """
     lines = list(data_lines(path))
     if not lines or read_text(path, errors="replace").endswith("\n"):
@@ -48,7 +49,7 @@ def _decimals(token: str) -> int:
 
 
 def finite_numbers(tokens: Sequence[str], path: Path, number: int) -> list[float]:
-    """The tokens of a line as numbers; DataError naming the line where one is none or not finite."""
+    """Convert the words of a line to numbers; DataError naming the line when one is not a finite number."""
     try:
         values = [float(token) for token in tokens]
     except ValueError as error:
@@ -62,14 +63,14 @@ def finite_numbers(tokens: Sequence[str], path: Path, number: int) -> list[float
 
 
 def read_pose_lines(path: Path) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, "n 4 4"]]:
-    """Times in seconds, sorted, and poses of the lines ``t tx ty tz qx qy qz qw``.
+    """Read the lines ``t tx ty tz qx qy qz qw``: times in seconds, sorted, and poses.
 
     Raises:
-        DataError: a line has other than 8 finite numbers or no unit quaternion, or there is no line.
+        DataError: a line does not have 8 finite numbers or a unit quaternion, or there are no lines.
     """
     times: list[float] = []
     poses: list[np.ndarray] = []
-    for number, line in whole_lines(path, 8)[0]:  # a frame whose pose was lost is named for lack of it
+    for number, line in whole_lines(path, 8)[0]:  # a frame whose pose was lost is reported as such
         tokens = line.split()
         if len(tokens) != 8:
             raise DataError(f"{path} line {number}: expected 't tx ty tz qx qy qz qw', found {line!r}")
@@ -80,7 +81,7 @@ def read_pose_lines(path: Path) -> tuple[Float64[np.ndarray, " n"], Float64[np.n
         poses.append(from_quaternion_xyzw(values[4:], values[1:4]))
     if not times:
         raise DataError(
-            f"{path} is empty (a killed ElasticFusion leaves it so); track the scene again, "
+            f"{path} is empty (as ElasticFusion leaves it when it is killed); track the scene again, "
             "or delete the file to have the camera tracked here"
         )
     order = np.argsort(times, kind="stable")
@@ -88,7 +89,7 @@ def read_pose_lines(path: Path) -> tuple[Float64[np.ndarray, " n"], Float64[np.n
 
 
 def write_pose_lines(path: Path, times_s: Iterable[float], poses: Float64[np.ndarray, "n 4 4"]) -> None:
-    """Write a line ``t tx ty tz qx qy qz qw`` a pose."""
+    """Write one line ``t tx ty tz qx qy qz qw`` per pose."""
     lines = []
     for t, pose in zip(times_s, poses, strict=True):
         values = " ".join(f"{value:.9f}" for value in (*pose[:3, 3], *to_quaternion_xyzw(pose)))
@@ -99,7 +100,7 @@ def write_pose_lines(path: Path, times_s: Iterable[float], poses: Float64[np.nda
 def nearest(
     times_s: Float64[np.ndarray, " n"], wanted_s: Float64[np.ndarray, " m"]
 ) -> tuple[Int64[np.ndarray, " m"], Float64[np.ndarray, " m"]]:
-    """Row of the sorted `times_s` nearest to each wanted time, and how far apart they are, seconds."""
+    """Row of the sorted `times_s` nearest to each wanted time, and its distance in seconds."""
     after = np.searchsorted(times_s, wanted_s).clip(0, len(times_s) - 1)
     before = (after - 1).clip(0)
     row = np.where(np.abs(times_s[before] - wanted_s) <= np.abs(times_s[after] - wanted_s), before, after)
@@ -113,20 +114,20 @@ def interpolated(
     *,
     max_gap_s: float,
 ) -> list[Transform | None]:
-    """The pose at each wanted time: straight in position, slerp in rotation between its two neighbours.
+    """Pose at each wanted time: linear in position, slerp in rotation between its two neighbours.
 
-    None before the first pose, behind the last, and between two that are more than `max_gap_s` apart.
+    None before the first pose, after the last, and between two that are more than `max_gap_s` apart.
 
     Args:
-        times_s: sorted.
+        times_s: times of the poses, sorted.
         poses: a_from_b at each of them.
-        wanted_s: in any order.
+        wanted_s: times in any order.
         max_gap_s: a longer gap is not bridged.
     """
     kept = np.flatnonzero(np.diff(times_s, prepend=-math.inf) > 0)
     times_s, poses = times_s[kept], poses[kept]
     after = np.searchsorted(times_s, wanted_s).clip(0, len(times_s) - 1)
-    before = np.where(times_s[after] > wanted_s, after - 1, after)  # one and the same at a pose's own time
+    before = np.where(times_s[after] > wanted_s, after - 1, after)  # equals `after` at a pose's own time
     inside = (wanted_s >= times_s[0]) & (wanted_s <= times_s[-1])
     known = inside & (times_s[after] - times_s[before.clip(0)] <= max_gap_s)
     if len(times_s) == 1:

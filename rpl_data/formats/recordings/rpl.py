@@ -3,12 +3,12 @@
 ::
 
     <dataset>/camera.txt                 "fx fy cx cy" in pixels, one camera for all scenes; see `camera_file`
-    <dataset>/<scene>/associations.txt   a line a frame: "<t> depth/<file> <t> rgb/<file>", or rgb first
+    <dataset>/<scene>/associations.txt   one line per frame: "<t> depth/<file> <t> rgb/<file>", or rgb first
                       camera.poses       TUM lines "t tx ty tz qx qy qz qw", scene_from_camera
                       rgb/ depth/        depth: 16-bit images, registered to colour
 
-The original pairs poses and frames by row; a tracker that drops a frame (ElasticFusion always drops
-the last) then shifts every pose behind it, so here they are matched by time.
+The original pairs poses and frames by row; when a tracker drops a frame (ElasticFusion always drops the last)
+every later pose is then shifted, so here they are matched by time.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from rpl_data.formats.recordings.frame_files import (
     with_poses,
     without_poses,
 )
-from rpl_data.formats.recordings.image_files import probe
+from rpl_data.formats.recordings.image_headers import probe
 from rpl_data.formats.recordings.pose_lines import (
     finite_numbers,
     nearest,
@@ -50,7 +50,7 @@ DEFAULT_METRES_PER_UNIT = 0.001
 
 @dataclass(frozen=True)
 class _Row:
-    """A line of associations.txt; `pair` are its two images as listed, `times_s` their times."""
+    """A line of associations.txt: `pair` has its two images as listed, `times_s` their times."""
 
     index: int
     times_s: tuple[float, float]
@@ -67,7 +67,7 @@ def read_rpl(
     metres_per_unit: float | None = None,
     camera: Camera | None = None,
 ) -> list[Recording]:
-    """The scenes of a RapidPoseLabels tree, sorted by name.
+    """Read the scenes of a RapidPoseLabels tree, sorted by name.
 
     Frames without a pose, without depth or with an unreadable image are left out and named in
     `Recording.skipped`; those that stay keep their row in associations.txt as `Frame.index`. A scene
@@ -75,10 +75,10 @@ def read_rpl(
 
     Args:
         path: the folder with camera.txt and the scene folders, or one scene folder below it.
-        names: which scenes to read, by folder name; for a single scene folder, what to call it.
-        metres_per_unit: of the depth images; where not given, what camera.txt says, else 0.001, said in
-            `Recording.notes`.
-        camera: instead of camera.txt.
+        names: which scenes to read, by folder name; for a single scene folder, the name to give it.
+        metres_per_unit: unit of the depth images; when not given, that of camera.txt, else 0.001, which
+            `Recording.notes` says.
+        camera: used instead of camera.txt.
 
     Raises:
         DataError: a file is missing or broken, a scene has no usable frame, the images do not fit
@@ -98,6 +98,12 @@ def read_rpl(
         _read_scene(folder, name, camera or said.camera, camera_file, unit_m)
         for name, folder in folders.items()
     ]
+
+
+def is_rpl_scene(folder: Path) -> bool:
+    """Whether a folder looks like one scene of a RapidPoseLabels tree."""
+    camera_files = (folder / "camera.txt", folder.absolute().parent / "camera.txt")
+    return (folder / "associations.txt").exists() and any(path.exists() for path in camera_files)
 
 
 def _single_scene(path: Path, names: Sequence[str] | None) -> dict[str, Path]:
@@ -141,7 +147,7 @@ def _read_scene(
 
 
 def _read_associations(folder: Path) -> tuple[list[_Row], tuple[str, ...]]:
-    """The rows, and what was lost of them."""
+    """Read the rows, and what was lost of them."""
     path = folder / "associations.txt"
     rows: list[_Row] = []
     lines, lost = whole_lines(path, 4)
@@ -152,12 +158,12 @@ def _read_associations(folder: Path) -> tuple[list[_Row], tuple[str, ...]]:
         times = finite_numbers([tokens[0], tokens[2]], path, number)
         rows.append(_Row(len(rows), (times[0], times[1]), (folder / tokens[1], folder / tokens[3])))
     if not rows:
-        raise DataError(f"{path} is empty; expected a line a frame: <t> depth/<file> <t> rgb/<file>")
+        raise DataError(f"{path} is empty; expected one line per frame: <t> depth/<file> <t> rgb/<file>")
     return rows, lost
 
 
 def _depth_column(folder: Path, rows: Sequence[_Row]) -> int:
-    """Which of the two images of a line is depth, as the first line with two whole images shows."""
+    """Find which of the two images of a line is depth, from the first line with two complete images."""
     for row in rows:
         first, second = (probe(path) for path in row.pair)
         if first is None or second is None:
@@ -175,9 +181,9 @@ def _depth_column(folder: Path, rows: Sequence[_Row]) -> int:
 
 
 def _match_poses(folder: Path, rows: Sequence[_Row], indices: Sequence[int]) -> dict[int, Transform]:
-    """The pose nearest in time of each frame, by its row.
+    """Match the pose nearest in time to each frame, by its row.
 
-    Trackers stamp a pose with the colour's or the depth's time; the one that fits better is used.
+    Trackers stamp a pose with the time of colour or of depth; the one that fits better is used.
     """
     times_s, poses = read_pose_lines(folder / "camera.poses")
     stamps_s = np.array([rows[index].times_s for index in indices])
@@ -199,12 +205,12 @@ def write_associations(
 
 
 def association_line(timestamp_s: float, color: str, depth: str) -> str:
-    """A line of associations.txt."""
+    """Format a line of associations.txt."""
     return f"{timestamp_s:.6f} {depth} {timestamp_s:.6f} {color}\n"
 
 
 def write_poses(
     scene_folder: Path, timestamps_s: Iterable[float], scene_from_camera: Float64[np.ndarray, "n 4 4"]
 ) -> None:
-    """Write camera.poses, a TUM line a pose."""
+    """Write camera.poses, one TUM line per pose."""
     write_pose_lines(scene_folder / "camera.poses", timestamps_s, scene_from_camera)

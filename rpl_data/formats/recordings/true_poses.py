@@ -1,4 +1,4 @@
-"""Poses of objects that come with a dataset: the truth for evaluation, and nothing else."""
+"""True poses of objects that come with a dataset; used for evaluation only."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from rpl_data.geometry import Transform, invert
 from rpl_data.types import Recording, Trajectory
 
 STILL_M = 0.02
-"""An object that is annotated to move by more in a scene where everything stands, does not."""
+"""If an object's annotated poses move by more than this in a static scene, a note says so."""
 
-BETTER = 3.0
-"""So many times stiller with inverted poses means that they are."""
+LESS_MOVEMENT_RATIO = 3.0
+"""If inverting the camera's poses makes objects this many times stiller, they are called inverted."""
 
 
 def with_true_poses(recording: Recording, poses: Mapping[str, Mapping[int, Transform]]) -> Recording:
-    """The recording with camera_from_object by object name and `Frame.index`; those of frames left out go.
+    """Add `camera_from_object` by object name and `Frame.index`, for the frames that were kept.
 
-    Objects stand still in a scene. Where the camera's poses say otherwise, that is noted, with the mending.
+    Objects stand still in a scene. Where the camera's poses contradict that, a note says so, with the remedy.
     """
     kept = {frame.index for frame in recording.scene.frames}
     known = {
@@ -40,8 +40,8 @@ def _movement(trajectory: Trajectory, poses: Mapping[str, Mapping[int, Transform
         if moved_m > STILL_M:
             hint = "; the camera's poses look inverted: set `mend: {inverted_poses: true}`"
             notes.append(
-                f"by the camera's poses {name} moves by {1000 * moved_m:.0f} mm (median) in the scene"
-                + (hint if moved_m > BETTER * inverted_m else "")
+                f"by the camera's poses, {name} moves by {1000 * moved_m:.0f} mm (median) in the scene"
+                + (hint if moved_m > LESS_MOVEMENT_RATIO * inverted_m else "")
             )
     return notes
 

@@ -1,4 +1,4 @@
-"""The TUM RGB-D benchmark's layout, and ICL-NUIM's variant of it.
+"""The layout of the TUM RGB-D benchmark, and ICL-NUIM's variant of it.
 
 ::
 
@@ -7,11 +7,11 @@
             groundtruth.txt  lines "t tx ty tz qx qy qz qw", scene_from_camera, by a motion capture system
             associations.txt instead of the two lists (ICL-NUIM): "t depth/<file> t rgb/<file>", any order
 
-Colour, depth and poses have clocks of their own: images are paired with the nearest within 20 ms, as
-the benchmark's associate.py does, and poses are interpolated at the time of the colour image.
+Colour, depth and poses have clocks of their own: each image is paired with the nearest within 20 ms, as the
+benchmark's associate.py does, and poses are interpolated at the time of the colour image.
 
-ICL-NUIM counts frames instead of seconds, and its camera looks with y up, which it writes as a negative fy:
-the scene is then mirrored (y -> -y), the one way to a right-handed scene with OpenCV's camera.
+ICL-NUIM counts frames instead of seconds, and its camera has y up, which it writes as a negative fy: the
+scene is then mirrored (y -> -y), the only way to a right-handed scene with OpenCV's camera.
 """
 
 from __future__ import annotations
@@ -30,11 +30,12 @@ from rpl_data.formats.recordings.frame_files import (
     Pair,
     chosen,
     examine,
+    scene_folders,
     unlisted,
     with_poses,
     without_poses,
 )
-from rpl_data.formats.recordings.image_files import probe
+from rpl_data.formats.recordings.image_headers import probe
 from rpl_data.formats.recordings.pose_lines import (
     finite_numbers,
     interpolated,
@@ -45,23 +46,24 @@ from rpl_data.formats.recordings.pose_lines import (
 )
 from rpl_data.geometry import Transform
 from rpl_data.types import DataError, Recording
+from rpl_data.wording import counted
 
 METRES_PER_UNIT = 1 / 5000
 MAX_APART_S = 0.02
-"""Between the two images of a pair, as in associate.py."""
+"""Largest time between the two images of a pair, as in associate.py."""
 
 MAX_POSE_GAP_S = 0.1
-"""Poses further apart are not interpolated: the motion capture had lost the camera."""
+"""Poses farther apart are not interpolated: the motion capture had lost the camera."""
 
 FRAME_RATE_HZ = 30.0
-"""Of recordings that count frames instead of seconds."""
+"""Assumed frame rate of recordings that count frames instead of seconds."""
 
 CAMERAS: dict[str, Camera] = {
     "freiburg1": (517.3, 516.5, 318.6, 255.3, 0.2624, -0.9531, -0.0054, 0.0026, 1.1633),
     "freiburg2": (520.9, 521.0, 325.1, 249.7, 0.2312, -0.7849, -0.0033, -0.0001, 0.9172),
     "freiburg3": (535.4, 539.2, 320.1, 247.6),
 }
-"""The benchmark's colour cameras, as its page on file formats gives them; the files do not hold them."""
+"""The benchmark's colour cameras, from its page on file formats; the files do not hold them."""
 
 _MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
 
@@ -75,7 +77,7 @@ def read_tum(
     metres_per_unit: float | None = None,
     camera: Camera | None = None,
 ) -> list[Recording]:
-    """One sequence, or the sequences in the folders of a folder, sorted by name.
+    """Read one sequence, or the sequences in the folders of a folder, sorted by name.
 
     `Frame.index` is the row in rgb.txt. Colour images without a depth image within 20 ms, broken ones and
     those outside the time of the ground truth are left out and named in `Recording.skipped`.
@@ -83,19 +85,18 @@ def read_tum(
     Args:
         path: a sequence, or a folder of sequences.
         names: which sequences to read, by folder name.
-        metres_per_unit: of the depth images; 1/5000 where not given, said in `Recording.notes`.
-        camera: of the colour images; where not given, camera.txt ("fx fy cx cy") of the sequence, or the
-            benchmark's own for a folder called ...freiburg1..., 2 or 3. A negative fy means y up.
+        metres_per_unit: unit of the depth images; 1/5000 when not given, which `Recording.notes` says.
+        camera: camera of the colour images; when not given, camera.txt ("fx fy cx cy") of the sequence, or
+            the benchmark's own for a folder called ...freiburg1..., 2 or 3. A negative fy means y up.
 
     Raises:
-        DataError: there is no sequence, its lists are broken, no camera is known, no frame is whole or
+        DataError: there is no sequence, its lists are broken, no camera is known, no frame is complete or
             none has a pose.
     """
     path = path.absolute()
-    folders = sorted(p for p in path.iterdir() if p.is_dir()) if path.is_dir() else []
-    found = {folder.name: folder for folder in (path, *folders) if is_sequence(folder)}
+    found = scene_folders(path, is_sequence)
     if not found:
-        raise DataError(f"{path} has no rgb.txt and depth.txt, nor has a folder in it")
+        raise DataError(f"{path} has no rgb.txt and depth.txt, and neither has any folder in it")
     return [
         _read_sequence(name, folder, metres_per_unit, camera)
         for name, folder in chosen(found, names, path).items()
@@ -103,7 +104,7 @@ def read_tum(
 
 
 def is_sequence(folder: Path) -> bool:
-    """Whether it has the lists of a TUM sequence or of ICL-NUIM's variant."""
+    """Whether the folder has the lists of a TUM sequence or of ICL-NUIM's variant."""
     lists = (folder / "rgb.txt").exists() and (folder / "depth.txt").exists()
     return lists or ((folder / "associations.txt").exists() and _truth_file(folder) is not None)
 
@@ -116,7 +117,7 @@ def _read_sequence(name: str, folder: Path, unit_m: float | None, camera: Camera
         raise DataError(f"{folder}: no image of rgb.txt is within {MAX_APART_S:g} s of one of depth.txt")
     counted = _counts_frames([time for time, _ in colors])
     unit_s = 1 / FRAME_RATE_HZ if counted else 1.0
-    assumed = (f"frames are counted, not timed: {FRAME_RATE_HZ:g} a second assumed",) if counted else ()
+    assumed = (f"frames are counted, not timed: {FRAME_RATE_HZ:g} per second assumed",) if counted else ()
     listing = Listing(
         name,
         folder,
@@ -154,7 +155,7 @@ def _camera_of(folder: Path, camera: Camera | None) -> tuple[Camera, Path]:
         if name in folder.name:
             return known, folder
     raise DataError(
-        f"{folder}: a TUM sequence does not say its camera; give `camera: [fx, fy, cx, cy]` in pixels, "
+        f"{folder}: a TUM sequence does not hold its camera; give `camera: [fx, fy, cx, cy]` in pixels, "
         "or write these four numbers into camera.txt beside rgb.txt"
     )
 
@@ -163,12 +164,12 @@ def _camera_of(folder: Path, camera: Camera | None) -> tuple[Camera, Path]:
 
 
 def _list_file(folder: Path) -> Path:
-    """The list of colour images."""
+    """The file that lists the colour images."""
     return folder / ("rgb.txt" if (folder / "rgb.txt").exists() else "associations.txt")
 
 
 def _lists(folder: Path) -> tuple[tuple[Stamped, Stamped], tuple[str, ...]]:
-    """Times and files of colour and depth, and what was lost of the lists."""
+    """Read times and files of colour and depth; also what was lost of the lists."""
     if (folder / "rgb.txt").exists():
         ((color,), no_color), ((depth,), no_depth) = (
             _read_list(folder / name, 2) for name in ("rgb.txt", "depth.txt")
@@ -180,7 +181,7 @@ def _lists(folder: Path) -> tuple[tuple[Stamped, Stamped], tuple[str, ...]]:
 
 
 def _read_list(path: Path, width: int) -> tuple[list[Stamped], tuple[str, ...]]:
-    """The columns "t file" of a list with `width` words a line, sorted by the time of the first; the loss."""
+    """Read the columns "t file" of a list with `width` words per line, sorted by time; also what was lost."""
     rows: list[list[tuple[float, Path]]] = []
     lines, lost = whole_lines(path, width)
     for number, line in lines:
@@ -191,20 +192,20 @@ def _read_list(path: Path, width: int) -> tuple[list[Stamped], tuple[str, ...]]:
         times = finite_numbers(tokens[::2], path, number)
         rows.append([(t, path.parent / file) for t, file in zip(times, tokens[1::2], strict=True)])
     if not rows:
-        raise DataError(f"{path} is empty; expected a line an image")
+        raise DataError(f"{path} is empty; expected one line per image")
     rows.sort(key=lambda row: row[0][0])
     return [list(column) for column in zip(*rows, strict=True)], lost
 
 
 def _counts_frames(times: Sequence[float]) -> bool:
-    """Whether the times are frame numbers: whole, and a step of one apart."""
+    """Whether the times are frame numbers: whole, and one apart."""
     return len(times) > 1 and all(t.is_integer() for t in times) and float(np.median(np.diff(times))) == 1
 
 
 def _associate(
     colors: Stamped, depths: Stamped
 ) -> tuple[list[tuple[int, float, Path, Path]], tuple[str, ...]]:
-    """Row, time, colour and depth of the pairs; the nearest pairs first, no image twice."""
+    """Pair row, time, colour and depth; the nearest pairs are taken first, and no image twice."""
     color_s, depth_s = (np.array([time for time, _ in images]) for images in (colors, depths))
     rows, apart_s = nearest(depth_s, color_s)
     taken: dict[int, int] = {}
@@ -213,12 +214,12 @@ def _associate(
             taken.setdefault(int(rows[row]), row)
     pairs = sorted((row, colors[row][0], colors[row][1], depths[depth][1]) for depth, row in taken.items())
     alone = len(colors) - len(pairs)
-    lines = (f"{alone} colour images without a depth image within {MAX_APART_S:g} s of their own",)
+    lines = (f"{counted(alone, 'colour image')} without a depth image within {MAX_APART_S:g} s of their own",)
     return pairs, lines if alone else ()
 
 
 def _poses_at(truth: Path, times: dict[int, float]) -> dict[int, Transform]:
-    """The poses of a file at these times, by the same keys; those far from any pose are left out."""
+    """Interpolate the poses of a file at these times, by the same keys; times far from any are left out."""
     pose_times, poses = read_pose_lines(truth)
     wanted = np.array(list(times.values()))
     found = interpolated(pose_times, poses, wanted, max_gap_s=MAX_POSE_GAP_S)
@@ -237,9 +238,9 @@ def write_tum(
     """Write the lists of a sequence; files are named relative to its folder.
 
     Args:
-        folder: of the sequence, with the images in it.
+        folder: folder of the sequence, with the images in it.
         colors: time and file of every colour image.
-        depths: of every depth image, in 1/5000 m.
+        depths: time and file of every depth image, in 1/5000 m.
         poses: times and scene_from_camera.
     """
     for name, images in (("rgb.txt", colors), ("depth.txt", depths)):

@@ -7,11 +7,11 @@
                         000001-meta.mat       MATLAB: intrinsic_matrix, factor_depth, cls_indexes, poses
                                               (3, 4, n: camera_from_object, metres) and
                                               rotation_translation_matrix (camera_from_scene, metres)
-              image_sets/classes.txt          names of the classes from 1
+              image_sets/classes.txt          names of the classes, numbered from 1
 
-Sequences 0-59 and 60-91 are from two cameras, so the camera is read from each. A meta.mat with one object
-holds `poses` as 3 x 4. The objects' poses are those of the dataset's own models, not of BOP's, which are
-centred anew.
+Sequences 0-59 and 60-91 are from two cameras, so the camera is read from each. A meta.mat with one object has
+`poses` as 3 x 4. The objects' poses refer to the dataset's own models, not to BOP's, whose origins are moved
+to their centres.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 
 from rpl_data.files import read_text
+from rpl_data.formats.containers.mat import read_mat
 from rpl_data.formats.recordings.frame_files import (
     Camera,
     Listing,
@@ -31,6 +32,7 @@ from rpl_data.formats.recordings.frame_files import (
     chosen,
     examine,
     grouped,
+    scene_folders,
     with_poses,
     without_poses,
 )
@@ -39,7 +41,7 @@ from rpl_data.geometry import Transform, invert, rigid
 from rpl_data.types import DataError, Recording
 
 RATE_HZ = 30.0
-"""Of the camera; the layout has no timestamps."""
+"""Assumed frame rate of the camera; the layout has no timestamps."""
 
 CLASSES = (
     "002_master_chef_can", "003_cracker_box", "004_sugar_box", "005_tomato_soup_can", "006_mustard_bottle",
@@ -47,7 +49,7 @@ CLASSES = (
     "019_pitcher_base", "021_bleach_cleanser", "024_bowl", "025_mug", "035_power_drill", "036_wood_block",
     "037_scissors", "040_large_marker", "051_large_clamp", "052_extra_large_clamp", "061_foam_brick",
 )  # fmt: skip
-"""Of image_sets/classes.txt, in its order; used where a copy of the dataset lacks the file."""
+"""Names of image_sets/classes.txt, in its order; used where a copy of the dataset lacks the file."""
 
 _COLOR = re.compile(r"(\d{6})-color\.(?:png|jpg)")
 _KEYS = ("cls_indexes", "factor_depth", "intrinsic_matrix", "poses", "rotation_translation_matrix")
@@ -60,25 +62,24 @@ def read_ycb_video(
     metres_per_unit: float | None = None,
     camera: Camera | None = None,
 ) -> list[Recording]:
-    """One sequence, or those of the dataset, sorted by name.
+    """Read one sequence, or those of the dataset, sorted by name.
 
     `Frame.index` is the number of the file, from 1. The poses of the objects are `Recording.true_poses`.
 
     Args:
         path: the dataset, its folder data, or a sequence.
-        names: which sequences to read, as 0048.
-        metres_per_unit: of the depth images, instead of 1 / factor_depth.
-        camera: instead of intrinsic_matrix.
+        names: which sequences to read, such as 0048.
+        metres_per_unit: unit of the depth images, instead of 1 / factor_depth.
+        camera: used instead of intrinsic_matrix.
 
     Raises:
-        DataError: there is no sequence, no meta.mat of one can be read, or no frame is whole.
+        DataError: there is no sequence, no meta.mat of it can be read, or no frame is complete.
     """
     path = path.absolute()
     root = path / "data" if (path / "data").is_dir() else path
-    folders = sorted(p for p in root.iterdir() if p.is_dir()) if root.is_dir() else []
-    found = {folder.name: folder for folder in (root, *folders) if is_ycb_sequence(folder)}
+    found = scene_folders(root, is_ycb_sequence)
     if not found:
-        raise DataError(f"{path} has no <number>-color.png, nor has a folder in it or in data/")
+        raise DataError(f"{path} has no <number>-color.png, and neither has any folder in it or in data/")
     return [
         _read_sequence(name, folder, metres_per_unit, camera)
         for name, folder in chosen(found, names, path).items()
@@ -86,7 +87,7 @@ def read_ycb_video(
 
 
 def is_ycb_sequence(folder: Path) -> bool:
-    """Whether it holds frames of this layout."""
+    """Whether the folder holds frames of this layout."""
     return folder.is_dir() and any(_COLOR.fullmatch(found.name) for found in folder.iterdir())
 
 
@@ -105,7 +106,7 @@ def _read_sequence(name: str, folder: Path, unit_m: float | None, camera: Camera
         camera or _camera(first, source),
         source,
         1 / float(_array(first, "factor_depth", source).item()) if unit_m is None else unit_m,
-        notes=(f"no timestamps: {RATE_HZ:g} frames a second assumed",),
+        notes=(f"no timestamps: {RATE_HZ:g} frames per second assumed",),
         skipped=tuple(grouped(sorted(metas.keys() - whole.keys()), "without a readable meta.mat")),
     )
     recording = _with_trajectory(examine(listing), whole, folder)
@@ -114,14 +115,10 @@ def _read_sequence(name: str, folder: Path, unit_m: float | None, camera: Camera
 
 def _read_meta(path: Path) -> Mapping[str, Any] | None:
     """What is needed of a meta.mat; None where it is missing or broken."""
-    from scipy.io import loadmat
-    from scipy.io.matlab import MatReadError
-
     try:
-        content: Mapping[str, Any] = loadmat(path, variable_names=_KEYS)
-    except (OSError, ValueError, TypeError, NotImplementedError, MatReadError):
-        return None  # SciPy raises each of these on broken files; the reader counts and names it
-    return content
+        return read_mat(path, _KEYS)
+    except DataError:
+        return None  # the reader counts and names it
 
 
 def _array(meta: Mapping[str, Any], key: str, source: Path) -> np.ndarray:
@@ -151,7 +148,7 @@ def _rigid(rows: np.ndarray) -> Transform:
 
 
 def _classes(folder: Path) -> Sequence[str]:
-    """Names of the classes from 1, of the dataset the sequence lies in."""
+    """Names of the classes from 1, of the dataset that contains the sequence."""
     for above in list(folder.parents)[:2]:
         if (above / "image_sets" / "classes.txt").exists():
             return read_text(above / "image_sets" / "classes.txt").split()
@@ -161,7 +158,7 @@ def _classes(folder: Path) -> Sequence[str]:
 def _object_poses(
     metas: Mapping[int, Mapping[str, Any]], classes: Sequence[str], folder: Path
 ) -> dict[str, dict[int, Transform]]:
-    """camera_from_object by class name and frame."""
+    """Read camera_from_object by class name and frame."""
     poses: dict[str, dict[int, Transform]] = {}
     for number, meta in metas.items():
         numbers = _array(meta, "cls_indexes", folder).ravel().astype(int)

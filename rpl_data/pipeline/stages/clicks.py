@@ -1,4 +1,4 @@
-"""Recordings and clicks -> the workspace."""
+"""Stage `clicks`: bring keypoint names and clicks into the workspace."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from rpl_data.pipeline.context import Context, step
 from rpl_data.pipeline.ledger import Advance, Outcome, Step, stamps
 from rpl_data.pipeline.recipe import ObjectRecipe
 from rpl_data.types import DataError
+from rpl_data.wording import counted
 from rpl_data.workspace.workspace import Workspace
 
 VERSION = 1
@@ -22,7 +23,7 @@ VERSION = 1
 
 
 def clicks_steps(context: Context) -> list[Step]:
-    """Keypoint names and, where a recipe names a CSV file, its clicks -> the log of each object."""
+    """Plan the steps that write keypoint names, and the clicks of a CSV file, to each object's log."""
     return [_clicks_step(context, item) for item in context.objects]
 
 
@@ -32,7 +33,9 @@ def _clicks_step(context: Context, item: ObjectRecipe) -> Step:
             return _name_keypoints(context.workspace, item)
         changed = import_clicks(context.workspace, item, item.clicks)
         return Outcome(
-            messages=(f"{item.name}: {changed} clicks changed from {item.clicks}",) if changed else ()
+            messages=(f"{item.name}: {counted(changed, 'click')} changed from {item.clicks}",)
+            if changed
+            else ()
         )
 
     options = {
@@ -44,18 +47,18 @@ def _clicks_step(context: Context, item: ObjectRecipe) -> Step:
 
 
 def _name_keypoints(workspace: Workspace, item: ObjectRecipe) -> Outcome:
-    """Names from the recipe, once: whoever renames or adds keypoints on the page has the last word."""
+    """Take the names from the recipe, once: later changes on the annotation page take precedence."""
     named = workspace.load_annotation(item.name).keypoints
     if not named:
         workspace.append_events(item.name, [keypoints_event(item.keypoint_names)])
     elif named != item.keypoint_names:
-        line = f"{item.name}: the keypoints are those of its clicks, {', '.join(named)}; not the recipe's"
+        line = f"{item.name}: its keypoints are those of its clicks, {', '.join(named)}; not the recipe's"
         return Outcome(messages=(line,))
     return Outcome()
 
 
 def import_clicks(workspace: Workspace, item: ObjectRecipe, path: Path) -> int:
-    """Make the log of an object say what the CSV file says; returns how many events that took."""
+    """Make the log of an object agree with the CSV file; returns the number of events added."""
     clicks = clicks_from_csv(
         read_text(path), source=str(path), object_name=item.name, keypoints=item.keypoint_names
     )
@@ -67,13 +70,13 @@ def import_clicks(workspace: Workspace, item: ObjectRecipe, path: Path) -> int:
 
 
 def add_clicks(context: Context, path: Path, *, proposed: bool = False) -> dict[str, int]:
-    """Add the clicks of a CSV file to the logs; returns how many events that took, by object.
+    """Add the clicks of a CSV file to the logs; returns the number of events added, by object.
 
     Args:
-        context: of the workspace.
+        context: context of the workspace.
         path: the CSV file.
-        proposed: the clicks are a program's: none is taken for a keypoint that has been clicked in that scene
-            or was declared not visible there.
+        proposed: the clicks come from a program: skip keypoints that were already clicked in that scene
+            or declared not visible there.
     """
     text = read_text(path)
     named = set(objects_in_csv(text))
@@ -93,13 +96,13 @@ def add_clicks(context: Context, path: Path, *, proposed: bool = False) -> dict[
             decided = annotation.skipped | {(click.keypoint, click.scene) for click in annotation.clicks}
             clicks = [click for click in clicks if (click.keypoint, click.scene) not in decided]
         events[item.name] = events_to(annotation, names, [*annotation.clicks, *clicks])
-    for name, found in events.items():  # after all of the file was understood
+    for name, found in events.items():  # only after the whole file was read
         context.workspace.append_events(name, found)
     return {name: len(found) for name, found in events.items()}
 
 
 def clicks_table(workspace: Workspace) -> str:
-    """The clicks of all objects as CSV, the heading once."""
+    """Write the clicks of all objects as CSV with one heading."""
     annotations = [workspace.load_annotation(name) for name in workspace.object_names()]
     in_video = workspace.parts().click_in_video
     tables = [

@@ -1,4 +1,4 @@
-"""How far poses stray, and scenes cut so that labels do not."""
+"""Stages `drift` and `cut`: measure the drift of camera poses, and cut recordings that drift too far."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ CUT_VERSION = 1
 """The same of the stage `cut`."""
 
 FEWEST_KEYPOINTS = 4
-"""Of an object, in every part, and clicked elsewhere too: three tie a part to the rest, one is spare."""
+"""Keypoints an object needs in every part, also clicked elsewhere: three tie the part, one is spare."""
 
 
 def drift_steps(context: Context) -> list[Step]:
-    """Depth images and poses -> how far the poses stray, a recording."""
+    """Plan the steps that measure how far the poses of each recording drift, from its depth images."""
     return [_drift_step(context, name) for name in context.workspace.video_names()]
 
 
@@ -48,7 +48,7 @@ def _drift_step(context: Context, name: str) -> Step:
 
 
 def cut_steps(context: Context) -> list[Step]:
-    """Drift and clicks -> recordings cut into scenes where that is needed and clicks allow it."""
+    """Plan the step that cuts recordings into scenes, where drift requires it and clicks allow it."""
     workspace, max_drift_mm = context.workspace, context.recipe.reconstruct.max_drift_mm
     videos = workspace.video_names()
 
@@ -83,25 +83,25 @@ def cut_steps(context: Context) -> list[Step]:
 
 @dataclass(frozen=True)
 class Cut:
-    """Parts of a recording, one where it stays whole, and lines for a person."""
+    """Parts of a recording (a single one when it stays whole), and lines for the user."""
 
     spans: tuple[Span, ...]
     messages: tuple[str, ...] = ()
 
 
 def choose_cut(video: str, drift: Drift, clicks: Mapping[str, Sequence[Click]], *, max_drift_m: float) -> Cut:
-    """The fewest parts within which poses stray no farther than allowed.
+    """Choose the fewest parts within which poses drift no farther than allowed.
 
-    Every part must have clicks enough to be placed by itself. Where they are not, the recording is cut as
-    far as they allow, if that helps at all, and a line says where to click.
+    Every part needs enough clicks to be placed by itself. If some parts lack them, the recording is cut as
+    far as the clicks allow, if that helps at all, and a line says where to click.
 
     Args:
-        clicks: of all recordings, by object, with the names of videos.
+        clicks: clicks of all recordings, by object, with the names of videos.
 
     Raises:
-        DataError: the poses stray too fast to be mended by cutting.
+        DataError: the poses drift too fast to be mended by cutting.
     """
-    strayed = f"{video}: its poses stray by {1000 * drift.whole_m:.0f} mm"
+    strayed = f"{video}: its poses drift by {1000 * drift.whole_m:.0f} mm"
     limit = f"max_drift_mm: {1000 * max_drift_m:.0f}"
     wanted = cut(drift, max_drift_m=max_drift_m)
     if wanted is None:
@@ -137,7 +137,7 @@ def choose_cut(video: str, drift: Drift, clicks: Mapping[str, Sequence[Click]], 
 def _as_far_as_clicks_allow(
     drift: Drift, max_drift_m: float, most_parts: int, allowed: Callable[[int, int], bool]
 ) -> list[Span] | None:
-    """A cut into parts that stray farther than they should, but half as far as the whole at most."""
+    """Cut into parts that drift farther than allowed, but at most half as far as the whole."""
     limit_m = 1.25 * max_drift_m
     while limit_m < drift.whole_m / 2:
         found = cut(drift, max_drift_m=limit_m, most_parts=most_parts, allowed=allowed)
@@ -148,12 +148,12 @@ def _as_far_as_clicks_allow(
 
 
 def _listed(spans: Sequence[Span]) -> str:
-    """How many, and which frames."""
+    """Write the number of parts and their frames."""
     return f"{len(spans)} (frames {', '.join(f'{first} to {last}' for first, last in spans)})"
 
 
 def _lacking(video: str, span: Span, clicks: Mapping[str, Sequence[Click]]) -> list[str]:
-    """Objects clicked in this video whose clicks in a part of it would not place them there."""
+    """Objects clicked in this video whose clicks in this part of it are too few to place them."""
     lacking = []
     for name, of_object in clicks.items():
         here = {c.keypoint for c in of_object if c.scene == video and span[0] <= c.frame <= span[1]}

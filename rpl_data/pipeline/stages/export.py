@@ -1,4 +1,4 @@
-"""What a build hands over: exported folders, the comparison with truth, and the report, with their files."""
+"""Stage `export`: write the labels to folders that trainers read."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ VERSION = 1
 
 
 def export_steps(context: Context) -> list[Step]:
-    """Labels -> folders that trainers read, one a format; `coco` first, since the others are made of it."""
+    """Plan one step per export format; `coco` first, since the others are made from it."""
     return [_export_step(context, name) for name in sorted(context.recipe.export, key=lambda n: n != "coco")]
 
 
 def refuse_unknown_exports(names: Sequence[str]) -> None:
-    """DataError at a name without a writer; asked before a long build, not after."""
+    """Raise a DataError for an unknown format; called before a long build, not after."""
     for name in names:
         if name not in EXPORTS:
             raise DataError(f"unknown export {name!r} in the recipe; expected one of {', '.join(EXPORTS)}")
     if names and "coco" not in names:
-        raise DataError(f"export {', '.join(names)} is made of `coco`; write `export: [coco, {names[0]}]`")
+        raise DataError(f"export {', '.join(names)} is made from `coco`; write `export: [coco, {names[0]}]`")
 
 
 def _export_step(context: Context, name: str) -> Step:
@@ -63,7 +63,7 @@ def _export_step(context: Context, name: str) -> Step:
 
 
 def refuse_unseen(context: Context) -> None:
-    """DataError when an object is in none of the labelled frames."""
+    """Raise a DataError when an object is in none of the labelled frames."""
     counts: Counter[str] = Counter()
     frames = 0
     for entry in Ledger(context.workspace.stages_file).of_stage("label").values():
@@ -78,12 +78,12 @@ def refuse_unseen(context: Context) -> None:
 
 
 def export_labels(context: Context) -> ExportSummary:
-    """`export/coco` from the labels of the workspace."""
+    """Write `export/coco` from the labels of the workspace."""
     return _export_coco(context, context.workspace, "coco", {})
 
 
 def export_truth(context: Context) -> ExportSummary:
-    """`export/coco_truth`: the same images, ids and schema, with the labels of the truth."""
+    """Write `export/coco_truth`: the same images, ids and schema, with the labels of the truth."""
     truth = truth_workspace(context)
     if truth is None:
         raise DataError(
@@ -123,7 +123,7 @@ def _export_coco(context: Context, labels: Workspace, name: str, options: Json) 
 
 
 def _kept(labels: Iterator[FrameLabel], left_out: frozenset[int]) -> Iterator[FrameLabel]:
-    """Without the frames that a person keeps out."""
+    """Drop the frames that the user excluded."""
     return (label for label in labels if label.frame not in left_out)
 
 
@@ -147,7 +147,7 @@ EXPORTS: dict[str, Callable[[Context], ExportSummary | DialectSummary]] = {
     "bop": _bop,
     "okt": _okt,
 }
-"""What writes each format, by its name in the recipe."""
+"""The writer of each format, by its name in the recipe."""
 
 
 # Quality ------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""Grasp frames of the objects, from the two clicks of the annotation page."""
+"""Compute grasp frames of the objects from two clicks on the annotation page."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from rpl_data.workspace.workspace import Workspace
 
 
 def object_from_grasp(workspace: Workspace, clicks: GraspClicks, solution: Solution) -> Transform:
-    """The grasp frame of two clicks in the object frame.
+    """Compute the grasp frame, in the object frame, from two clicks.
 
     Raises:
-        DataError: the object has no place in that scene, or there is no depth at the clicks.
+        DataError: the object has no pose in that scene, or there is no depth at the clicks.
     """
     if clicks.scene not in solution.scene_from_object:
         raise DataError(
             f"the grasp of {solution.model.name} was marked in scene {clicks.scene}, where the object has "
-            "no place; mark it in another scene, or click more keypoints there"
+            "no pose; mark it in another scene, or click more keypoints there"
         )
     scene = workspace.load_scene(clicks.scene)
     camera_from_grasp = grasp_frame(
@@ -29,19 +29,19 @@ def object_from_grasp(workspace: Workspace, clicks: GraspClicks, solution: Solut
     )
     scene_from_camera = workspace.load_trajectory(scene).at(clicks.frame)
     object_from_scene = invert(solution.scene_from_object[clicks.scene])
-    placed: Transform = object_from_scene @ scene_from_camera @ camera_from_grasp
-    return placed
+    grasp: Transform = object_from_scene @ scene_from_camera @ camera_from_grasp
+    return grasp
 
 
 def save_grasps(workspace: Workspace, names: list[str]) -> dict[str, Transform]:
-    """Write the grasp frame of every object that has one; those that have none any more are deleted."""
+    """Write the grasp frame of every object that has one, and delete those that were removed."""
     found = {}
     for name in names:
         clicks = workspace.load_annotation(name).grasp
-        placed = (
+        grasp = (
             None if clicks is None else object_from_grasp(workspace, clicks, workspace.load_solution(name))
         )
-        workspace.save_grasp(name, placed)
-        if placed is not None:
-            found[name] = placed
+        workspace.save_grasp(name, grasp)
+        if grasp is not None:
+            found[name] = grasp
     return found

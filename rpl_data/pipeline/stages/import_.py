@@ -1,4 +1,4 @@
-"""Recordings -> scenes of the workspace."""
+"""Stage `import`: read recordings into scenes of the workspace."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ VERSION = 1
 
 
 def import_steps(context: Context) -> list[Step]:
-    """Recordings -> scenes of the workspace."""
+    """Stage `import`: read recordings into scenes of the workspace."""
     workspace, sources = context.workspace, context.scene_sources
 
     def run(advance: Advance) -> Outcome:
@@ -65,11 +65,11 @@ def _emptied(workspace: Workspace, scene: str) -> Path:
 def read_recordings(
     sources: Sequence[SceneSource], *, unpack: Callable[[str], Path] | None = None, poses: bool = True
 ) -> list[Recording]:
-    """All scenes of all sources; DataError when two share a name or one has no poses.
+    """Read all scenes of all sources; DataError when two share a name or one has no poses.
 
     Args:
-        sources: where they are.
-        unpack: an empty folder for the images of a scene whose recording is one file.
+        sources: the sources of the scenes.
+        unpack: returns an empty folder for the images of a scene whose recording is a single file.
         poses: whether a scene without poses is refused.
     """
     recordings: dict[str, Recording] = {}

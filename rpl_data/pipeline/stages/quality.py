@@ -1,4 +1,4 @@
-"""Models and labels against the truth, where it is known."""
+"""Stage `quality`: compare models and labels with the ground truth, where it is known."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ VERSION = 1
 
 
 def truth_workspace(context: Context) -> Workspace | None:
-    """Where the truth is, when it is known."""
+    """The workspace with the ground truth; None when it is not known."""
     if context.recipe.truth is not None and context.recipe.truth.is_dir():
         return Workspace(context.recipe.truth)
     known = context.recipe.truth is not None or context.recipe.twin is not None
@@ -24,7 +24,7 @@ def truth_workspace(context: Context) -> Workspace | None:
 
 
 def quality_steps(context: Context) -> list[Step]:
-    """Models and labels against truth, where it is known."""
+    """Plan the comparison of models and labels with the truth, where it is known."""
     recipe, workspace = context.recipe, context.workspace
     truth = truth_workspace(context)
     if truth is None:
@@ -47,7 +47,7 @@ def quality_steps(context: Context) -> list[Step]:
 
 
 def quality_rows(ledger: Ledger) -> list[QualityRow]:
-    """The comparison that the quality stage made last; empty when there was none."""
+    """Rows of the last comparison that this stage made; empty when there was none."""
     entry = ledger.entries.get("quality")
     rows: Any = [] if entry is None else entry.outcome.details["rows"]
     filled: list[dict[str, Any]] = [{k: math.nan if v is None else v for k, v in row.items()} for row in rows]
@@ -55,7 +55,7 @@ def quality_rows(ledger: Ledger) -> list[QualityRow]:
 
 
 def finite_or_none(value: Any) -> Any:
-    """JSON-ready: NaN becomes null, tuples lists."""
+    """Make a value JSON-ready: NaN becomes null, tuples become lists."""
     if isinstance(value, dict):
         return {key: finite_or_none(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

@@ -6,6 +6,7 @@ from rpl_data.pipeline.context import Context, step
 from rpl_data.pipeline.ledger import Advance, Ledger, Outcome, Step
 from rpl_data.pipeline.stages import ORDER
 from rpl_data.pipeline.stages.quality import quality_rows
+from rpl_data.wording import counted
 from rpl_data.workspace.workspace import Workspace
 
 VERSION = 1
@@ -43,11 +44,11 @@ def report_steps(context: Context) -> list[Step]:
 
 
 def drift_remarks(workspace: Workspace, ledger: Ledger, video: str) -> list[str]:
-    """How far the poses of a recording stray by its depth images, and by the clicks of its keypoints."""
+    """Describe the drift of a recording's poses, measured by depth images and by repeated clicks."""
     lines = []
     measured = ledger.entries.get(f"drift/{video}")
     if measured is not None:
-        lines.append(f"poses stray by {measured.outcome.details['drift_mm']:.0f} mm")
+        lines.append(f"poses drift by {measured.outcome.details['drift_mm']:.0f} mm")
     for scene in workspace.parts().scenes_of(video):
         spreads = {
             f"{name} {keypoint}": spread
@@ -70,7 +71,7 @@ def drift_remarks(workspace: Workspace, ledger: Ledger, video: str) -> list[str]
 
 
 def timings(ledger: Ledger) -> dict[str, dict[str, float | int]]:
-    """Seconds and frames of every stage that ran, in order."""
+    """Seconds and number of frames of every stage that ran, in order."""
     found: dict[str, dict[str, float | int]] = {}
     for stage in ORDER:
         outcomes = ledger.of_stage(stage).values()
@@ -81,14 +82,14 @@ def timings(ledger: Ledger) -> dict[str, dict[str, float | int]]:
 
 
 def split_summary(ledger: Ledger) -> str:
-    """Images and scenes of every split, and how near its views are to training's, a line each."""
+    """Write one line per split: its images, scenes, and how near its views are to those of training."""
     entry = ledger.entries.get("export/coco")
     if entry is None:
         return ""
     lines = []
     for name, images in entry.outcome.details["images"].items():
         scenes = ", ".join(entry.outcome.details["scenes"].get(name, []))
-        line = f"{name}: {images} images of {scenes or 'no scene'}"
+        line = f"{name}: {counted(images, 'image')} of {scenes or 'no scene'}"
         near = entry.outcome.details["views"].get(name)
         if near is not None and near["angle_median_deg"] is not None:
             line += (

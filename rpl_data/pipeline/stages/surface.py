@@ -1,4 +1,4 @@
-"""Depth near the objects -> a surface for each scene."""
+"""Stage `surface`: fuse the depth near the objects into a surface, for each scene."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from rpl_data.pipeline.context import Context, posed_frames, step
 from rpl_data.pipeline.ledger import Advance, Outcome, Step
 from rpl_data.types import Frame, Mesh, Solution
 
-VERSION = 1
+VERSION = 2
 """Raised when the stage writes something else for the same input; its steps then run again."""
 
 
 def surface_steps(context: Context) -> list[Step]:
-    """Depth near the objects -> a surface, a scene."""
+    """Plan the steps that fuse the depth near the objects, one per scene."""
     return [_surface_step(context, scene) for scene in context.placed_scenes()]
 
 
@@ -38,7 +38,7 @@ def _surface_step(context: Context, name: str) -> Step:
                 fuse_surface(
                     scene,
                     trajectory,
-                    counted(frames, advance, number * len(frames), len(spheres) * len(frames)),
+                    reporting(frames, advance, number * len(frames), len(spheres) * len(frames)),
                     workspace.depth_reader(scene),
                     centre_scene=sphere.centre_m,
                     radius_m=sphere.radius_m,
@@ -62,21 +62,21 @@ def _surface_step(context: Context, name: str) -> Step:
     )
 
 
-def counted(frames: Sequence[Frame], advance: Advance, done: int, total: int) -> Iterator[Frame]:
-    """The frames, telling how far it is."""
+def reporting(frames: Sequence[Frame], advance: Advance, done: int, total: int) -> Iterator[Frame]:
+    """Yield the frames, reporting the progress."""
     for number, frame in enumerate(frames, start=done):
         advance(number, total)
         yield frame
 
 
 def sphere_of(solution: Solution, scene: str) -> Sphere:
-    """The ball around the keypoints of an object in a scene that its surface is fused in, scene frame."""
+    """Sphere around an object's keypoints in which the surface of a scene is fused, in the scene frame."""
     model = solution.model
     return sphere_around(transform(solution.scene_from_object[scene], model.points_object[model.known]))
 
 
 def joined_spheres(spheres: Sequence[Sphere]) -> list[Sphere]:
-    """Spheres that do not overlap and hold the given ones, so that no surface is fused twice."""
+    """Join spheres that overlap, so that no surface is fused twice."""
     joined: list[Sphere] = []
     for sphere in spheres:
         while touching := [other for other in joined if _overlap(sphere, other)]:
@@ -91,7 +91,7 @@ def _overlap(a: Sphere, b: Sphere) -> bool:
 
 
 def _around(a: Sphere, b: Sphere) -> Sphere:
-    """The smallest sphere that holds both."""
+    """The smallest sphere that contains both."""
     distance = float(np.linalg.norm(b.centre_m - a.centre_m))
     if distance + b.radius_m <= a.radius_m:
         return a
@@ -102,7 +102,7 @@ def _around(a: Sphere, b: Sphere) -> Sphere:
 
 
 def joined_meshes(meshes: Sequence[Mesh]) -> Mesh:
-    """All triangles in one mesh."""
+    """Join meshes into one."""
     offsets = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
     colors = [mesh.colors for mesh in meshes if mesh.colors is not None]
     return Mesh(

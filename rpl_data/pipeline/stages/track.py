@@ -1,4 +1,4 @@
-"""Images -> camera poses, where the recipe does not take those of the recording."""
+"""Stage `track`: compute camera poses from the images, if the recipe does not use the recording's."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ VERSION = 1
 """Raised when the stage writes something else for the same input; its steps then run again."""
 
 AHEAD = 8
-"""Frames that are decoded while others are tracked."""
+"""Number of frames that are decoded ahead while others are tracked."""
 
 
 def track_steps(context: Context) -> list[Step]:
-    """Images -> the path of the camera, a scene."""
+    """Plan the steps that track the camera, one per recording."""
     return [_track_step(context, name) for name in context.workspace.video_names()] if context.tracks else []
 
 
@@ -45,10 +45,10 @@ def _track_step(context: Context, name: str) -> Step:
 def decoded(
     frames: Sequence[Frame], depths: ReadDepth, advance: Advance
 ) -> Iterator[tuple[Frame, GreyImage, DepthImage]]:
-    """Frames with small brightness and depth, decoded in a thread ahead of whoever uses them.
+    """Decode frames to small brightness and depth images, in a thread that works ahead of the caller.
 
     Args:
-        depths: reads a depth image.
+        depths: function that reads a depth image.
     """
     from rpl_data.reconstruct.view import REDUCE
 

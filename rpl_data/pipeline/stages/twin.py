@@ -1,4 +1,4 @@
-"""The recipe's `twin:` -> a synthetic recording with truth."""
+"""Stage `twin`: make the synthetic recording with ground truth that the recipe describes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ VERSION = 4
 
 
 def twin_steps(context: Context) -> list[Step]:
-    """A synthetic recording with truth, when the recipe asks for one."""
+    """Plan the step that makes the synthetic recording, if the recipe asks for one."""
     spec, workspace = context.recipe.twin, context.workspace
     if spec is None:
         return []

@@ -1,4 +1,4 @@
-"""The objects of a twin: shapes of our own, each with its own trouble, and anybody's textured meshes."""
+"""The objects of a twin: built-in shapes, each hard in its own way, and textured meshes from files."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ OBJECTS: dict[str, Callable[[], TwinObject]] = {
     "bracket": bracket,
     "junction_box": junction_box,
 }
-"""The shapes that ship with the package."""
+"""The built-in shapes."""
 
 
 @lru_cache(maxsize=32)
 def build(thing: str | Thing) -> TwinObject:
-    """The object, or the shape of ours with that name.
+    """Build the object: a `Thing`, or a built-in shape by its name.
 
     Raises:
-        DataError: no such shape, no such mesh, or more landmarks than there are.
+        DataError: no such shape, no such mesh, or more landmarks asked for than there are.
     """
     thing = Thing(thing) if isinstance(thing, str) else thing
     if thing.mesh is not None:
@@ -51,5 +51,5 @@ def build(thing: str | Thing) -> TwinObject:
     if thing.landmarks is None:
         return one.renamed(thing.name)
     if not isinstance(thing.landmarks, int):
-        raise DataError(f"twin object {thing.name} has landmarks of its own; give how many, not their places")
+        raise DataError(f"twin object {thing.name} has its own landmarks; give a number, not positions")
     return with_landmarks(one, thing.landmarks).renamed(thing.name)

@@ -1,4 +1,4 @@
-"""A bottle: a surface of revolution that only its label tells apart from itself turned."""
+"""A bottle: a surface of revolution, whose orientation only its label shows."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ SHOULDER_RZ_M = [(0.0135, 0.165), (0.0135, 0.150), (0.024, 0.135), (0.033, 0.115
 BODY_RZ_M = [(0.034, 0.105), (0.034, 0.012), (0.0325, 0.004), (0.030, 0.0)]
 CAP_RZ_M = [(0.0155, 0.186), (0.016, 0.184), (0.016, 0.162), (0.0155, 0.160)]
 LABEL = (2, 10, 17, 72)
-"""The label goes two thirds around, so its two upright edges are never seen alike."""
+"""The label goes two thirds around, so that its two upright edges are never seen together alike."""
 CREST, STAMP, TAB = (5, 34, 12, 46), (3, 80, 7, 88), (2, 20, 7, 26)
 GLASS, CAP = (34, 84, 62), (228, 120, 40)
 
 
 def bottle() -> TwinObject:
-    """A tea bottle, 186 mm; landmarks are corners of its label, crest, stamp and of the tab on the cap."""
+    """Build a tea bottle, 186 mm high; its landmarks are corners of label, crest, stamp and the cap's tab."""
     body = surfaces.lathe_grid(surfaces.smooth_path(BODY_RZ_M, 21), columns=COLUMNS)
     shoulder = surfaces.lathe_grid(surfaces.smooth_path(SHOULDER_RZ_M, 13), columns=COLUMNS)
     cap = surfaces.lathe_grid(surfaces.smooth_path(CAP_RZ_M, 10), columns=COLUMNS)

@@ -1,4 +1,4 @@
-"""A blackened steel bracket: dark and shiny, so that the depth camera loses much of it."""
+"""A blackened steel bracket: dark and shiny, so the depth camera misses much of it."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ WALL_CENTRE_M = (-(0.120 - THICK_M) / 2, 0.0, THICK_M + 0.038)
 RIB_TOE_X_M, RIB_TOP_M, RIB_HALF_M = -0.006, 0.062, 0.004
 BOSS_M = (0.022, 0.0)
 STICKER_M = (0.030, 0.012, 0.052, 0.034)
-"""x0, y0, x1, y1 on the base plate."""
+"""x0, y0, x1, y1 of the sticker on the base plate."""
 
 
 def bracket() -> TwinObject:
-    """An angle bracket with ribs and a boss, 120 x 80 x 85 mm; landmarks are its corners and a sticker's."""
+    """Build an angle bracket with ribs and a boss, 120 x 80 x 85 mm; landmarks on it and a sticker."""
     rng = np.random.default_rng(51)
     atlas, (steel, bore, paper) = textures.pack([_steel(rng), np.full((32, 32, 3), 14, np.uint8), _sticker()])
     parts = [
@@ -97,7 +97,7 @@ def _label(rect: UvRect) -> Surface:
 
 
 def _steel(rng: np.random.Generator) -> ColorImage:
-    """Blackened and machined: fine parallel scratches."""
+    """Blackened, machined steel: fine parallel scratches."""
     image = prints.moulded(rng, 400, 400, STEEL, rough=0.5).astype(np.float32)
     scratches = 1 + 0.25 * (rng.random((400, 1), dtype=np.float32) - 0.5)
     return (image * scratches[..., None]).clip(0, 255).astype(np.uint8)

@@ -12,11 +12,11 @@ from rpl_data.types import ColorImage
 
 SIZE_M = (0.090, 0.060, 0.140)
 CELLS = 14
-"""Of each face's grid, a centimetre high; marks end on its lines."""
+"""Cells of each face's grid along each side; printed marks end on its lines."""
 
 
 def carton() -> TwinObject:
-    """A printed box, 90 x 60 x 140 mm, six different faces; landmarks are its corners and three marks."""
+    """Build a printed box, 90 x 60 x 140 mm, with six different faces; landmarks: corners and three marks."""
     x, y, z = SIZE_M
     faces = [_front(x, z), _back(x, z), _left(y, z), _right(y, z), _top(x, y), _bottom(x, y)]
     atlas, rects = textures.pack(faces)
@@ -37,7 +37,7 @@ def carton() -> TwinObject:
 
 
 def _differ(one: str, other: str) -> int:
-    """In how many of height, depth and side two corners differ: edges join those that differ in one."""
+    """Count in how many of height, depth and side two corners differ; 1 for the ends of an edge."""
     return sum(a != b for a, b in zip(one.split("_"), other.split("_"), strict=True))
 
 

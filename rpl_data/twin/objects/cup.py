@@ -1,4 +1,4 @@
-"""A mug: concave, with a handle that the depth camera half sees."""
+"""A mug: concave, with a handle that the depth camera only partly sees."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ HANDLE_RADIUS_M = 0.0055
 PICTURE, PANEL = (4, 38, 15, 58), (7, 14, 12, 26)
 GLAZE = (206, 214, 216)
 INNER_MARK = (11, 40, 15, 52)
-"""Below the rim on the inside, where a camera from above looks in."""
+"""A mark below the rim on the inside, which a camera from above sees."""
 
 
 def cup() -> TwinObject:
-    """A mug, 95 mm high; landmarks on handle, picture, word panel and a mark inside."""
+    """Build a mug, 95 mm high; its landmarks are on handle, picture, word panel and a mark inside."""
     outer = surfaces.lathe_grid(surfaces.smooth_path(OUTER_RZ_M, 21), columns=COLUMNS)
     inner = surfaces.lathe_grid(surfaces.smooth_path(INNER_RZ_M, 20), columns=COLUMNS)
     path = surfaces.smooth_path(HANDLE_XZ_M, 25)

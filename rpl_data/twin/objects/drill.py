@@ -1,4 +1,4 @@
-"""A cordless drill: thin, concave, black and yellow, some of it shiny."""
+"""A cordless drill: thin and concave, black and yellow, partly shiny."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ BATTERY_SIZE_M, BATTERY_CENTRE_M = (0.110, 0.066, 0.042), (-0.030, 0.0, 0.021)
 TRIGGER_SIZE_M, TRIGGER_CENTRE_M = (0.016, 0.014, 0.030), (0.002, 0.0, 0.122)
 COLUMNS = 64
 BADGE, PLATE = (8, 12, 18, 22), (8, 44, 14, 52)
-"""On the two flanks of the housing, rows from its front to its back."""
+"""Badge and plate on the two flanks of the housing; rows run from its front to its back."""
 
 
 def drill() -> TwinObject:
-    """A cordless drill, 216 mm from back to bit; landmarks on bit, battery, trigger and badges."""
+    """Build a cordless drill, 216 mm from back to bit; landmarks on bit, battery, trigger and badges."""
     housing = _turned(HOUSING_X_R_M, 27)
     rng = np.random.default_rng(41)
     body, black, red, steel, pack = (
@@ -86,14 +86,14 @@ def _landmarks(housing: Grid) -> dict[str, list[float]]:
 
 
 def _turned(profile_x_r_m: list[tuple[float, float]], rows: int) -> Grid:
-    """A profile (x, radius) turned about the drill's axis; rows from the front to the back."""
+    """A profile (x, radius) turned about the drill's axis; rows run from the front to the back."""
     x, radius = np.array(surfaces.smooth_path(profile_x_r_m, rows)).T
     path = [(value, AXIS_Z_M) for value in x.tolist()]
     return surfaces.tube_grid(path, radius.tolist(), columns=COLUMNS)
 
 
 def _housing(housing: Grid, rng: np.random.Generator) -> ColorImage:
-    """Rows from front to back, columns around the axis."""
+    """The housing's texture: rows from front to back, columns around the axis."""
     image = prints.moulded(rng, 520, 960, YELLOW, rough=0.12)
     image[:60] = BLACK
     image[-90:] = BLACK

@@ -1,4 +1,4 @@
-"""A junction box: four sides alike but for a screw and a sticker."""
+"""A junction box: four sides that differ only by a screw and a sticker."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ CELLS = 12
 SCREW_M, SCREW_RADIUS_M = 0.036, 0.006
 GLAND_M = 0.014
 STICKER_PX = (4, 8)
-"""First and last cell, both ways, of the sticker on the front."""
+"""First and last cell, in both directions, of the sticker on the front."""
 
 
 def junction_box() -> TwinObject:
-    """A box of 96 x 96 x 52 mm with a gland on each side: a quarter turn changes next to nothing."""
+    """Build a box of 96 x 96 x 52 mm with a gland on each side: a quarter turn hardly changes its look."""
     rng = np.random.default_rng(61)
     size = (SIDE_M, SIDE_M, HEIGHT_M)
     faces = [_side(rng, sticker=number == 0) for number in range(4)] + [_lid(rng), _side(rng, sticker=False)]
@@ -47,7 +47,7 @@ def junction_box() -> TwinObject:
 
 
 def _gland(quarter: int, rect: UvRect) -> list[Surface]:
-    """A cable gland: a short ring that stands out of the side, and its dark end."""
+    """A cable gland: a short ring that sticks out of the side, and its dark end."""
     r, half = GLAND_M, SIDE_M / 2
     profiles = [
         [(0.0, half + 0.008), (0.008, half + 0.009), (0.8 * r, half + 0.009)],
@@ -71,7 +71,7 @@ def _side(rng: np.random.Generator, *, sticker: bool) -> ColorImage:
 
 
 def _lid(rng: np.random.Generator) -> ColorImage:
-    """Seen from above, +y at the top: four screws, the one at +x +y of brass."""
+    """The lid seen from above, +y at the top: four screws, the one at +x +y made of brass."""
     image = prints.moulded(rng, 384, 384, GREY, rough=0.1)
     cv2.rectangle(image, (14, 14), (369, 369), (140, 142, 140), 3)
     for column, row in ((2, 2), (10, 2), (2, 10), (10, 10)):

@@ -1,4 +1,4 @@
-"""An enamelled kettle."""
+"""An enamelled kettle: a curved body with few corners."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ KNOB_CENTRE_M = (0.003, 0.0, 0.121)
 
 
 def kettle() -> TwinObject:
-    """An enamelled kettle, 200 mm from handle to spout, curved body; landmarks on corners and marks."""
+    """Build an enamelled kettle, 200 mm from handle to spout; its landmarks are corners and printed marks."""
     body = surfaces.lathe_grid(BODY_RZ_M, columns=BODY_COLUMNS)
     spout = surfaces.tube_grid(SPOUT_XZ_M, SPOUT_RADII_M)
     rng = np.random.default_rng(3)
@@ -99,7 +99,7 @@ def _handle(uv_rect: surfaces.UvRect) -> list[Surface]:
 
 
 def _enamel(body: Grid) -> ColorImage:
-    """The body's decoration, one turn wide, top to bottom: bands, flowers, a badge and a gauge."""
+    """The body's texture, once around, from top to bottom: bands, flowers, a badge and a gauge."""
     width, height = 1440, 500
     image = np.full((height, width, 3), (64, 112, 150), np.uint8)
     image[:70], image[-80:] = (226, 220, 204), (226, 220, 204)

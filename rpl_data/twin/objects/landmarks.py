@@ -1,4 +1,4 @@
-"""Points of a mesh that a person would click: corners and edges of its shape and of what is printed on it."""
+"""Choose points of a mesh that a person would click: corners and edges of its shape and of its print."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from rpl_data.twin.surfaces import Surface
 from rpl_data.types import DataError
 
 NEIGHBOURHOOD = 0.04
-"""Radius in which corners are looked for, as a share of the mesh's diagonal; also how far they are apart."""
+"""Radius in which corners are sought, and their least distance, as a share of the mesh's diagonal."""
 OPEN = 0.45
-"""Share of all directions a landmark is seen from; half is a flat surface, less is a hollow."""
+"""Share of all directions from which a landmark must be visible: 0.5 is a flat surface, less a hollow."""
 CONTRAST = 0.5
-"""A step of brightness, both ways, that stands out as much as the sharpest corner of the shape."""
+"""Step of brightness, in both directions, that counts as much as the sharpest corner of the shape."""
 DIRECTIONS = 200
 
 
 def landmark_points(surface: Surface, count: int) -> Float64[np.ndarray, "count 3"]:
-    """Vertices on corners, open to view and well spread.
+    """Choose vertices on corners that are visible from outside and well spread.
 
-    What stands out is where the surface faces many ways, or where print has a corner. Of the points that
-    stand out most those are taken that are far from one another and leave no side without any.
+    A point is salient when the surface around it faces many ways, or when the print has a corner there. Of
+    the most salient points, those are taken that are far from each other and leave no side without any.
 
     Raises:
-        DataError: the mesh has fewer such points.
+        DataError: the mesh has fewer than `count` such points.
     """
     vertices = np.unique(surface.vertices[np.unique(surface.triangles)].round(6), axis=0)
     radius_m = NEIGHBOURHOOD * float(np.linalg.norm(np.ptp(vertices, axis=0)))
@@ -44,20 +44,20 @@ def landmark_points(surface: Surface, count: int) -> Float64[np.ndarray, "count 
 def _salience(
     surface: Surface, points: Float64[np.ndarray, "n 3"], radius_m: float
 ) -> Float64[np.ndarray, " n"]:
-    """How much each point is a corner of the shape, 0 to 1, and of the print, 0 to 1."""
+    """Measure how much each point is a corner of the shape (0 to 1) plus of the print (0 to 1)."""
     a, b, c = (surface.vertices[surface.triangles[:, i]] for i in range(3))
     near = cKDTree((a + b + c) / 3).query_ball_point(points, radius_m)
     shape = _eigenvalues(_normal_scatter(a, b, c), near)
     print_ = _eigenvalues(_print_scatter(surface, a, b, c), near)
     faces = shape.sum(axis=1) + 1e-15
-    corner = (shape[:, 1] + 2 * shape[:, 0]) / faces  # three ways count more than two
+    corner = (shape[:, 1] + 2 * shape[:, 0]) / faces  # three directions count more than two
     marked = (np.sqrt(print_[:, 1] / faces) * radius_m / CONTRAST).clip(0, 1)
     salience: Float64[np.ndarray, " n"] = corner / corner.max() + marked
     return salience
 
 
 def _normal_scatter(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> Float64[np.ndarray, "m 3 3"]:
-    """Normal times normal, by area: normal voting (Medioni, Lee & Tang, 2000)."""
+    """Outer products of the normals, weighted by area: normal voting (Medioni, Lee & Tang, 2000)."""
     normals = np.cross(b - a, c - a)
     length = np.linalg.norm(normals, axis=1) + 1e-15
     scatter: Float64[np.ndarray, "m 3 3"] = normals[:, :, None] * normals[:, None] / length[:, None, None]
@@ -67,7 +67,7 @@ def _normal_scatter(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> Float64[np.n
 def _print_scatter(
     surface: Surface, a: np.ndarray, b: np.ndarray, c: np.ndarray
 ) -> Float64[np.ndarray, "m 3 3"]:
-    """Gradient times gradient of the brightness, by area: the structure tensor of Harris (1988)."""
+    """Outer products of the brightness gradients, weighted by area: Harris's structure tensor (1988)."""
     colors = surface.mesh.colors
     grey = np.zeros(len(surface.vertices)) if colors is None else colors.mean(axis=1) / 255
     values = grey[surface.triangles]
@@ -84,7 +84,7 @@ def _print_scatter(
 
 
 def _eigenvalues(scatter: Float64[np.ndarray, "m 3 3"], near: np.ndarray) -> Float64[np.ndarray, "n 3"]:
-    """Of the sum around each point, ascending."""
+    """Eigenvalues of the sum of the matrices around each point, ascending."""
     sums = np.stack([scatter[rows].sum(axis=0) if rows else np.zeros((3, 3)) for rows in near])
     values: Float64[np.ndarray, "n 3"] = np.linalg.eigvalsh(sums).clip(0)
     return values
@@ -93,7 +93,7 @@ def _eigenvalues(scatter: Float64[np.ndarray, "m 3 3"], near: np.ndarray) -> Flo
 def _peaks(
     points: Float64[np.ndarray, "n 3"], salience: Float64[np.ndarray, " n"], radius_m: float
 ) -> Int64[np.ndarray, " k"]:
-    """Numbers of the points more salient than any within the radius, the most salient first."""
+    """Numbers of the points that are more salient than all within the radius, most salient first."""
     tree, free = cKDTree(points), np.ones(len(points), dtype=bool)
     kept = []
     for number in np.argsort(-salience):
@@ -104,7 +104,7 @@ def _peaks(
 
 
 def _seen_from(surface: Surface, points: Float64[np.ndarray, "n 3"]) -> Bool[np.ndarray, "n directions"]:
-    """From which directions, even on the sphere, each point is seen."""
+    """Directions, evenly spread over the sphere, from which each point is visible."""
     rays = RayScene([surface.mesh], threads=1)
     turn = np.arange(DIRECTIONS) * np.pi * (3 - np.sqrt(5))  # Fibonacci lattice
     rise = 1 - (np.arange(DIRECTIONS) + 0.5) * 2 / DIRECTIONS
@@ -120,7 +120,7 @@ def _chosen(
     seen: Bool[np.ndarray, "n directions"],
     count: int,
 ) -> list[int]:
-    """Each next point stands out, is far from those before it, and is seen from where few of them are."""
+    """Choose points one by one: salient, far from those before, and visible from where few of those are."""
     chosen: list[int] = []
     apart = np.linalg.norm(points - points.mean(axis=0), axis=1)
     for _ in range(count):

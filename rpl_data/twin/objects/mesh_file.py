@@ -1,4 +1,4 @@
-"""Anybody's textured mesh as an object of a twin: OBJ, PLY or GLB, and landmarks a person might choose."""
+"""Objects of a twin from mesh files (OBJ, PLY or GLB), with landmarks that a person might choose."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from rpl_data.types import ColorImage, DataError
 
 GREY = (150, 150, 150)
 BLOCK_PX = 3
-"""Side of the piece of texture that a triangle with coloured vertices gets."""
+"""Side of the piece of texture that each triangle with coloured vertices gets."""
 
 
 def object_of_file(
     name: str, path: Path, landmarks: int | Sequence[Sequence[float]], *, gloss: float
 ) -> TwinObject:
-    """The mesh of a file, metres, with landmarks chosen (a count) or given (points in the file's frame).
+    """Load the mesh of a file (metres), with landmarks chosen (a count) or given (points in its frame).
 
     Raises:
-        DataError: no such file, no triangles, not metres by the look of it, or too few landmarks.
+        DataError: no such file, no triangles, apparently not in metres, or too few landmarks.
     """
     surface = read_surface(path, gloss=gloss)
     if isinstance(landmarks, int):
@@ -37,16 +37,16 @@ def object_of_file(
 
 
 def read_surface(path: Path, *, gloss: float) -> Surface:
-    """Triangles of a file with its texture, or with its vertices' colours, or grey.
+    """Read the triangles of a file with its texture, or else its vertex colours, or else grey.
 
     Raises:
-        DataError: no such file, no triangles, or a size no hand-held thing has in metres.
+        DataError: no such file, no triangles, or a size that no hand-held thing has in metres.
     """
     import open3d as o3d
 
     if not path.is_file():
         raise DataError(
-            f"there is no mesh {path}; check `mesh:` in the recipe, or the folder given by --root"
+            f"there is no mesh file {path}; check `mesh:` in the recipe, or the folder given by --root"
         )
     mesh = o3d.t.io.read_triangle_mesh(str(path))
     if "indices" not in mesh.triangle or not len(mesh.triangle.indices):
@@ -64,7 +64,7 @@ def read_surface(path: Path, *, gloss: float) -> Surface:
 
 
 def _texture_of(mesh: Any, triangles: np.ndarray) -> tuple[np.ndarray, ColorImage]:
-    """Position of every corner in the texture, v down, and the texture."""
+    """Return the texture, and the position of every triangle corner in it (v down)."""
     if "texture_uvs" in mesh.triangle and mesh.has_valid_material():
         maps = mesh.material.texture_maps
         if "albedo" in maps and maps["albedo"].rows:
@@ -80,7 +80,7 @@ def _texture_of(mesh: Any, triangles: np.ndarray) -> tuple[np.ndarray, ColorImag
 
 
 def _blocks(corner_colors: np.ndarray) -> tuple[np.ndarray, ColorImage]:
-    """A texture in which every triangle has a small square that holds its corners' colours, blended."""
+    """Make a texture in which every triangle has a small square with its corners' colours, blended."""
     across = int(np.ceil(np.sqrt(len(corner_colors))))
     step = np.arange(BLOCK_PX) / (BLOCK_PX - 1)
     a, b, c = (corner_colors[:, i, None, None].astype(float) for i in range(3))

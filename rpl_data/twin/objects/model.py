@@ -1,4 +1,4 @@
-"""What every object of a twin has: a textured surface, and landmarks in an order worth cutting short."""
+"""What every object of a twin has: a textured surface, and landmarks ordered so that any few are spread."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ from rpl_data.twin.surfaces import Surface
 from rpl_data.types import DataError, KeypointModel
 
 FEWEST = 3
-"""Landmarks a pose needs."""
+"""Number of landmarks that a pose needs."""
 
 
 @dataclass(frozen=True)
 class TwinObject:
-    """An object with exact truth; the object frame's origin is the centroid of the landmarks.
+    """An object with exact ground truth; its frame's origin is the centroid of the landmarks.
 
     Attributes:
         surface: triangles in the object frame.
-        model: the landmarks, on corners and edges, in the object frame; the first few of them are always
-            well spread (`spread_order`).
+        model: the landmarks, on corners and edges, in the object frame; the first few are always well spread
+            (see `spread_order`).
     """
 
     surface: Surface
     model: KeypointModel
 
     def renamed(self, name: str) -> TwinObject:
-        """The same under another name."""
+        """Return the same object under another name."""
         return replace(self, model=replace(self.model, name=name))
 
 
@@ -39,7 +39,7 @@ def assembled(
     landmarks: Mapping[str, Sequence[float]],
     lines: Sequence[tuple[str, str]] = (),
 ) -> TwinObject:
-    """The object with its landmarks in `spread_order` and its frame moved to their centroid.
+    """Make an object with its landmarks in `spread_order` and its origin at their centroid.
 
     Args:
         lines: pairs of landmarks to draw a line between.
@@ -54,10 +54,10 @@ def assembled(
 
 
 def with_landmarks(one: TwinObject, count: int) -> TwinObject:
-    """The object with only its first landmarks, its frame moved to their centroid.
+    """Return the object with only its first landmarks, its origin moved to their centroid.
 
     Raises:
-        DataError: fewer than three, or more than it has.
+        DataError: `count` is less than three or more than the object has.
     """
     model, have = one.model, len(one.model.keypoints)
     if not FEWEST <= count <= have:
@@ -72,11 +72,11 @@ def with_landmarks(one: TwinObject, count: int) -> TwinObject:
 
 
 def spread_order(points: Float64[np.ndarray, "n 3"]) -> list[int]:
-    """An order of the points whose every beginning is well spread.
+    """Order the points so that the first few of them are always well spread.
 
     Farthest-point order (Gonzalez, Theoretical Computer Science 38, 1985) from the point farthest from
-    the middle; but the third is the one farthest from the line through the first two and the fourth the
-    one farthest from the plane through three, so that few landmarks fix a pose well too.
+    centroid. But the third is the one farthest from the line through the first two, and the fourth the one
+    farthest from the plane through the first three, so that few landmarks fix a pose well too.
     """
     order = [int(np.argmax(np.linalg.norm(points - points.mean(axis=0), axis=1)))]
     while len(order) < len(points):
@@ -89,7 +89,7 @@ def spread_order(points: Float64[np.ndarray, "n 3"]) -> list[int]:
 def _distance(
     points: Float64[np.ndarray, "n 3"], chosen: Float64[np.ndarray, "m 3"]
 ) -> Float64[np.ndarray, " n"]:
-    """To the nearest chosen point; of two chosen to their line, of three to their plane."""
+    """Distance to the nearest chosen point; to the line through two, to the plane through three."""
     if len(chosen) not in (2, 3):
         apart: Float64[np.ndarray, " n"] = np.linalg.norm(points[:, None] - chosen[None], axis=-1).min(axis=1)
         return apart

@@ -1,6 +1,6 @@
-"""What an RGB-D camera such as the RealSense D435 makes of a perfect image.
+"""Sensor errors of an RGB-D camera such as the RealSense D435, applied to a perfect image.
 
-Every effect is a field of `Sensor` with its own switch, so that a recipe can do without it
+Every effect is a field of `Sensor` with its own switch, so that a recipe can turn it off
 (`twin: {sensor: {depth: {bleed_px: 0}}}`) and a test can measure it alone.
 """
 
@@ -26,14 +26,14 @@ __all__ = [
 
 @dataclass(frozen=True)
 class Sensor:
-    """A camera: its depth image, its colour image, and how badly they fit one another.
+    """A camera: errors of its depth image, of its colour image, and of how they fit together.
 
     Attributes:
-        depth, color: errors of either image.
+        depth, color: errors of each image.
         lag_frames: the depth image is this many frames older than the colour image it is stored with.
             About half a frame in hand-held D435 recordings whose streams are not synchronised.
-        shift_px: the depth image lies this far right of and below its place on the colour image; in
-            a D435 whose calibration has aged one pixel is usual.
+        shift_px: the depth image is shifted by this to the right and down, relative to the colour image; one
+            pixel is usual in a D435 whose calibration has aged.
     """
 
     depth: DepthSensor = field(default_factory=DepthSensor)

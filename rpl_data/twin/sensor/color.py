@@ -1,4 +1,4 @@
-"""The colour image of a rolling-shutter camera held by hand."""
+"""The colour image of a hand-held camera with a rolling shutter."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rpl_data.types import ColorImage
 
 GAMMA = 2.2
 Flow = Float32[np.ndarray, "height width 2"]
-"""How fast every pixel's content moves to the right and down; pixels a second."""
+"""Velocity of every pixel's content to the right and down, in pixels per second."""
 
 
 @dataclass(frozen=True)
@@ -21,16 +21,16 @@ class ColorSensor:
     """Errors of the colour image; set a number to 0 to switch its effect off.
 
     Attributes:
-        blur_px: of lens, Bayer pattern and sharpening; standard deviation of a Gaussian.
-        exposure_s: how long a pixel collects light while the camera moves; a RealSense left to itself
+        blur_px: blur by lens, Bayer pattern and sharpening; standard deviation of a Gaussian.
+        exposure_s: time for which a pixel collects light while the camera moves; a RealSense on automatic
             takes 5 to 16 ms indoors.
-        readout_s: from the first to the last row; each is exposed that much later. The image's time and
-            pose are those of its middle row. About 17 ms in a D435's colour camera, whose shutter rolls
-            (D400 series datasheet); 0, as the clicks and labels of a fast frame else are truly off.
+        readout_s: time between the exposure of the first and of the last row. The image's time and pose are
+            those of its middle row. About 17 ms in a D435's colour camera, whose shutter rolls (D400 series
+            datasheet); 0 by default, since otherwise clicks and labels of a fast frame are truly off.
         noise: standard deviation in dark parts, grey levels.
-        shot_noise: standard deviation at white is this much more, grey levels: the variance grows with the
+        shot_noise: standard deviation that is added at white, grey levels: the variance grows with the
             light (EMVA standard 1288, the linear model).
-        exposure_spread: of the brightness from frame to frame, relative; standard deviation.
+        exposure_spread: standard deviation of the brightness from frame to frame, relative.
         jpeg_quality: 1 to 100.
     """
 
@@ -44,16 +44,16 @@ class ColorSensor:
 
 
 PERFECT_COLOR = ColorSensor(blur_px=0.0, exposure_s=0.0, noise=0.0, shot_noise=0.0, exposure_spread=0.0)
-"""No effect before compression; `dataclasses.replace` adds one."""
+"""No effect before compression; add single effects with `dataclasses.replace`."""
 
 
 def measure_color(
     color: ColorImage, sensor: ColorSensor, *, flow_px_s: Flow | None, rng: np.random.Generator
 ) -> ColorImage:
-    """The colour image before compression: motion, blur, exposure and noise.
+    """Apply motion blur, lens blur, exposure and noise to the colour image; compression comes later.
 
     Args:
-        flow_px_s: None when the camera stands still.
+        flow_px_s: velocity of every pixel; None when the camera stands still.
     """
     image = color.astype(np.float32)
     if flow_px_s is not None:
@@ -67,7 +67,7 @@ def measure_color(
 
 
 def _moved(image: Float32[np.ndarray, "height width 3"], flow_px_s: Flow, sensor: ColorSensor) -> np.ndarray:
-    """The mean light over the exposure: the image warped to several moments, one to every pixel of motion."""
+    """Mean light over the exposure: the image warped to several moments, one per pixel of motion."""
     height, width = image.shape[:2]
     fastest_px_s = float(np.abs(flow_px_s).max())
     if fastest_px_s * max(sensor.exposure_s, sensor.readout_s) < 0.1:

@@ -1,14 +1,15 @@
 """The depth image of an active stereo camera.
 
-The defaults were set beside a real hand-held D435 at 640 x 480 that films a printed cube of known pose from
-0.47 m; a printed carton of the twin from the same distance in brackets. Focal length x baseline 19.3 m px
-and disparities in steps of 1/32 px, read off the stored values (the same). Noise of smooth surfaces 0.075 px
-(the same), alike over 4 px; residual of a plane through a face 2.4 mm scaled to 0.7 m (2.5); its growth with
-the incidence 1.6 to 2 mm below 65 degrees, 3.4 at 65 to 70, 6 to 13 at 75 to 80 (0.8 to 1.6; 2.3; 6.1). No
-depth: under 1 % up to 75 degrees (1), 4 to 20 % from 75 to 80 (16), 40 % beyond (50); of the pixels inside a
-silhouette 0 to 4 px from its edge 15, 13, 11, 9, 6 % (14, 12, 10, 7, 6), outside 20 to 31 % (20 to 38).
-Clicks on corners, 1.5 px of noise: 20 % without depth (20), 35 % more than 10 mm off (12; the rest comes from
-registration and from depth lagging colour, see `Sensor`).
+The defaults were fitted to a real hand-held D435 at 640 x 480 that films a printed cube of known pose from
+0.47 m. Each figure is the real camera's; the twin's, for a printed carton at the same distance, follows in
+brackets. Focal length x baseline: 19.3 m px, and disparities in steps of 1/32 px, read off the stored values
+(the same). Noise of smooth surfaces: 0.075 px (the same), correlated over 4 px; residual of a plane through a
+face: 2.4 mm scaled to 0.7 m (2.5); it grows with the incidence: 1.6 to 2 mm below 65 degrees, 3.4 at 65 to
+70, 6 to 13 at 75 to 80 (0.8 to 1.6; 2.3; 6.1). Pixels without depth: under 1 % up to 75 degrees (1), 4 to
+20 % from 75 to 80 (16), 40 % beyond (50); inside a silhouette, 0 to 4 px from its edge: 15, 13, 11, 9, 6 %
+(14, 12, 10, 7, 6); outside it: 20 to 31 % (20 to 38). Clicks on corners with 1.5 px of noise: 20 % without
+depth (20), 35 % more than 10 mm off (12; the rest comes from registration and from depth lagging colour, see
+`Sensor`).
 """
 
 from __future__ import annotations
@@ -23,17 +24,17 @@ from rpl_data.twin.sensor.outline import Outlines, find_outlines
 from rpl_data.types import DepthImage
 
 Share = Float32[np.ndarray, "height width"]
-"""One number a pixel, mostly 0 to 1."""
+"""One number per pixel, mostly 0 to 1."""
 
 
 @dataclass(frozen=True)
 class PerfectView:
-    """What a depth camera without errors would see.
+    """The image that a depth camera without errors would see.
 
     Attributes:
-        depth_m: along the optical axis; 0 where there is nothing.
+        depth_m: depth along the optical axis; 0 where there is nothing.
         cos_incidence: cosine of the angle between the ray and the surface's normal; 0 = grazing.
-        albedo: share of the light the surface throws back, linear.
+        albedo: share of the light that the surface reflects, linear.
         shininess: 0 (paper) to 1 (polished metal).
     """
 
@@ -44,7 +45,7 @@ class PerfectView:
 
 
 def shifted(view: PerfectView, shift_px: tuple[float, float]) -> PerfectView:
-    """The view moved right and down in the image, as by a wrong registration."""
+    """Move the view right and down in the image, as a wrong registration does."""
     if shift_px == (0.0, 0.0):
         return view
     height, width = view.depth_m.shape
@@ -62,35 +63,35 @@ class DepthSensor:
     """Errors of the depth image; set a number to 0 to switch its effect off.
 
     Attributes:
-        focal_px: of the imagers; 386 in a D435 at 640 x 480.
-        baseline_m: distance of the two imagers. What only one of them sees, left of things in front, has
-            no depth (D400 series datasheet, "invalid depth band", is the same at the image's border and
-            is left out here). 0 switches this off, and `subpixel_px` and `disparity_step_px` with it.
-        subpixel_px: noise of the disparity, standard deviation; of the depth it is
-            z^2 / (focal_px baseline_m) times that (Keselman et al., "Intel RealSense stereoscopic depth
+        focal_px: focal length of the two infrared imagers; 386 in a D435 at 640 x 480.
+        baseline_m: distance of the two imagers. What only one of them sees, to the left of things in front,
+            has no depth (the same effect at the image's border, "invalid depth band" in the D400 series
+            datasheet, is left out). 0 switches this off, and `subpixel_px` and `disparity_step_px` with it.
+        subpixel_px: standard deviation of the disparity's noise; that of the depth is
+            z^2 / (focal_px baseline_m) times it (Keselman et al., "Intel RealSense stereoscopic depth
             cameras", CVPRW 2017; Intel's "Tuning depth cameras for best performance" has 0.1 px for a
             well-textured target and less).
-        slope_noise: factor on what a slanted surface adds to it, 0.1 mm / sqrt(z) (t / (90 deg - t))^2 at
+        slope_noise: factor on the noise that a slanted surface adds, 0.1 mm / sqrt(z) (t / (90 deg - t))^2 at
             the incidence t (Nguyen, Izadi & Lovell, "Modeling Kinect sensor noise for improved 3D
             reconstruction and tracking", 3DIMPVT 2012, their eq. 5).
-        grain_px: size of the grain of that noise, standard deviation of a Gaussian. Stereo matches
-            windows, so neighbours err alike.
-        disparity_step_px: disparities are stored in such steps; five binary digits after the point in
+        grain_px: size of the grain of that noise, standard deviation of a Gaussian. Stereo matches windows,
+            so neighbouring pixels have similar errors.
+        disparity_step_px: disparities are stored in steps of this; five binary digits after the point in
             the D4 processor.
-        fatten_px: how much larger things look than they are, on every side: windows that hold both
-            surfaces match the nearer one (edge fattening, Scharstein & Szeliski, IJCV 47, 2002).
-        bleed_px: how far an outline wanders to either side of that, standard deviation; the depth there is
-            that of the other surface. 0.8 px lateral noise in Nguyen et al.
-        outline_m: step of depth that is an outline, beside what slope explains.
-        dropout: share of pixels without depth behind and right beside an outline; half of that before it.
-        dropout_px: where that has fallen to nothing behind the outline; a third of that before it.
-        grazing_deg: surfaces seen at less than this angle to the surface lose depth, the more the less.
-        dimmest: surfaces that throw back a smaller share of the light than this (albedo without the gloss,
-            times the cosine) lose depth, the more the darker.
-        glare: share of pixels without depth where polished metal throws the projector's light
-            straight back, within some 12 degrees of facing the camera.
-        nearest_m, farthest_m: no depth outside. 0.175 m is the D435's least at 640 x 480 (datasheet, MinZ).
-        quantum_m: a unit of the stored image.
+        fatten_px: how much larger things look than they are, on every side: matching windows that contain
+            both surfaces match the nearer one (edge fattening, Scharstein & Szeliski, IJCV 47, 2002).
+        bleed_px: standard deviation of the outline's position around that; pixels in between have the depth
+            of the other surface. 0.8 px lateral noise in Nguyen et al.
+        outline_m: a step of depth larger than this, beyond what slope explains, is an outline.
+        dropout: share of pixels without depth behind an outline, right beside it; half of that in front.
+        dropout_px: distance behind the outline at which that share has fallen to 0; a third of it in front.
+        grazing_deg: surfaces seen at less than this angle to the surface lose depth, more at smaller angles.
+        dimmest: surfaces that reflect a smaller share of the light than this (albedo without the gloss,
+            times the cosine) lose depth, darker ones more.
+        glare: share of pixels without depth where polished metal reflects the projector's light straight
+            back, within some 12 degrees of facing the camera.
+        nearest_m, farthest_m: no depth outside these. 0.175 m is the D435's MinZ at 640 x 480 (datasheet).
+        quantum_m: unit of the stored image.
     """
 
     focal_px: float = 386.0
@@ -113,7 +114,7 @@ class DepthSensor:
 
     @property
     def triangulation_m_px(self) -> float:
-        """Depth times disparity."""
+        """Depth times disparity, in m px."""
         return self.focal_px * self.baseline_m
 
 
@@ -132,16 +133,16 @@ PERFECT_DEPTH = DepthSensor(
     farthest_m=float("inf"),
     quantum_m=0.0,
 )
-"""No effect at all; `dataclasses.replace` adds one."""
+"""No effect at all; add single effects with `dataclasses.replace`."""
 
 
 def measure_depth(
     view: PerfectView, sensor: DepthSensor, *, focal_px: float, rng: np.random.Generator
 ) -> DepthImage:
-    """The depth image the sensor gives for the true one; metres, 0 = none.
+    """Return the depth image that the sensor records of the true one; metres, 0 = none.
 
     Args:
-        focal_px: of the image, which is the colour camera's: depth comes registered.
+        focal_px: focal length of the image, which is the colour camera's since depth comes registered.
     """
     depth_m = view.depth_m
     outlines = find_outlines(depth_m, view.cos_incidence, step_m=sensor.outline_m, focal_px=focal_px)
@@ -162,18 +163,18 @@ def measure_depth(
 def half_occluded(
     depth_m: DepthImage, *, focal_px: float, baseline_m: float
 ) -> Bool[np.ndarray, "height width"]:
-    """Pixels the right imager does not see: something to their right lands on or left of them there."""
+    """Pixels that the right imager does not see: something to their right projects onto or beyond them."""
     columns = np.arange(depth_m.shape[1], dtype=np.float32)
     disparity = focal_px * baseline_m / np.where(depth_m > 0, depth_m, np.inf)
     right = columns - disparity
     leftmost = np.minimum.accumulate(right[:, ::-1], axis=1)[:, ::-1]
     hidden = np.zeros(depth_m.shape, dtype=bool)
-    hidden[:, :-1] = leftmost[:, 1:] < right[:, :-1] - 0.5  # half a pixel: slanted surfaces stay
+    hidden[:, :-1] = leftmost[:, 1:] < right[:, :-1] - 0.5  # half a pixel, so that slanted surfaces stay
     return hidden
 
 
 def _dropped(outlines: Outlines, sensor: DepthSensor) -> Share:
-    """Share of pixels that outlines cost; it falls evenly with the distance."""
+    """Share of pixels that lose depth near outlines; it falls linearly with the distance."""
     if sensor.dropout <= 0 or sensor.dropout_px <= 0:
         return np.zeros_like(outlines.nearer_px)
     behind = 1 - outlines.nearer_px / np.float32(sensor.dropout_px)
@@ -183,7 +184,7 @@ def _dropped(outlines: Outlines, sensor: DepthSensor) -> Share:
 
 
 def _unseen(view: PerfectView, sensor: DepthSensor) -> Share:
-    """Share of pixels that grazing, dark and shiny surfaces cost."""
+    """Share of pixels that lose depth on grazing, dark and shiny surfaces."""
     kept = np.ones_like(view.depth_m)
     if sensor.grazing_deg > 0:
         kept *= (view.cos_incidence / np.float32(np.sin(np.deg2rad(sensor.grazing_deg)))).clip(0, 1)
@@ -197,7 +198,7 @@ def _unseen(view: PerfectView, sensor: DepthSensor) -> Share:
 
 
 def _ragged(rng: np.random.Generator, share: Share) -> Bool[np.ndarray, "height width"]:
-    """Patches that cover the given share of the pixels."""
+    """Draw patches that cover the given share of the pixels."""
     from scipy.special import ndtr
 
     level = ndtr(grain(rng, share.shape, 1.0))
@@ -211,7 +212,7 @@ def _ragged(rng: np.random.Generator, share: Share) -> Bool[np.ndarray, "height 
 def _bled(
     depth_m: DepthImage, outlines: Outlines, sensor: DepthSensor, rng: np.random.Generator
 ) -> DepthImage:
-    """Outlines moved outwards by `fatten_px` on the mean; the shift varies slowly, so they wander."""
+    """Move outlines outwards by `fatten_px` on average; the shift varies slowly, so they wander."""
     if sensor.bleed_px <= 0 and sensor.fatten_px == 0:
         return depth_m.copy()
     outwards_px = np.float32(sensor.fatten_px) + np.float32(sensor.bleed_px) * grain(rng, depth_m.shape, 3.0)
@@ -232,7 +233,7 @@ def _sigma_m(depth_m: DepthImage, cos_incidence: Share, sensor: DepthSensor) -> 
 
 
 def _rounded(depth_m: DepthImage, sensor: DepthSensor) -> DepthImage:
-    """Depth in steps of the disparity, then in units of the stored image."""
+    """Round depth to steps of the disparity, then to units of the stored image."""
     rounded = depth_m
     if sensor.disparity_step_px > 0 and sensor.triangulation_m_px > 0:
         steps = np.float32(sensor.triangulation_m_px / sensor.disparity_step_px)
@@ -245,7 +246,7 @@ def _rounded(depth_m: DepthImage, sensor: DepthSensor) -> DepthImage:
 def grain(
     rng: np.random.Generator, shape: tuple[int, ...], size_px: float
 ) -> Float32[np.ndarray, "height width"]:
-    """Normal noise with unit variance whose neighbours are alike over `size_px`."""
+    """Normal noise with unit variance, correlated over `size_px`."""
     white = rng.standard_normal(shape, dtype=np.float32)
     if size_px <= 0:
         return white

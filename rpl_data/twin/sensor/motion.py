@@ -1,4 +1,4 @@
-"""How fast the image of a standing scene moves before a moving camera."""
+"""Velocity of a static scene's image before a moving camera."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from rpl_data.geometry import Transform, invert, rays
 from rpl_data.types import DepthImage, Intrinsics
 
 Twist = Float64[np.ndarray, "6"]
-"""Velocity of a camera in its own frame: metres a second, then radians a second."""
+"""Velocity of a camera in its own frame: metres per second, then radians per second."""
 
 
 def twist(a_from_before: Transform, a_from_after: Transform, span_s: float) -> Twist:
-    """The mean velocity from one pose to another, `span_s` later; the turn between them is small."""
+    """Mean velocity from one pose to another, `span_s` later; the rotation between them is small."""
     from scipy.spatial.transform import Rotation
 
     before_from_after = invert(a_from_before) @ a_from_after
@@ -27,10 +27,10 @@ def flow_px_s(
     depth_m: Float[np.ndarray, " n"],
     camera: Twist,
 ) -> Float64[np.ndarray, "n 2"]:
-    """Pixels a second at which points of the scene move (Longuet-Higgins & Prazdny, 1980).
+    """Velocity of the scene's points in the image, pixels per second (Longuet-Higgins & Prazdny, 1980).
 
     Args:
-        depth_m: of the points; 0 = infinitely far.
+        depth_m: depth of the points; 0 = infinitely far.
     """
     ray = rays(intrinsics, uv_px)
     nearness = np.divide(1, depth_m, out=np.zeros(len(depth_m)), where=depth_m > 0)
@@ -43,7 +43,7 @@ def flow_px_s(
 def image_flow_px_s(
     intrinsics: Intrinsics, depth_m: DepthImage, camera: Twist
 ) -> Float32[np.ndarray, "height width 2"]:
-    """The flow at every pixel."""
+    """Velocity at every pixel."""
     v, u = np.mgrid[: depth_m.shape[0], : depth_m.shape[1]]
     uv_px = np.column_stack([u.ravel(), v.ravel()]).astype(float)
     flow = flow_px_s(intrinsics, uv_px, depth_m.ravel(), camera)
@@ -53,6 +53,6 @@ def image_flow_px_s(
 def row_delay_s(
     v_px: Float[np.ndarray, "*shape"], height: int, readout_s: float
 ) -> Float[np.ndarray, "*shape"]:
-    """How much later than the middle of the image a row is exposed; negative above it."""
+    """Time by which a row is exposed later than the middle row; negative above it."""
     delay: Float[np.ndarray, "*shape"] = readout_s * (v_px / (height - 1) - 0.5)
     return delay

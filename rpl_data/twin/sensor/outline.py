@@ -1,4 +1,4 @@
-"""Where one surface ends before another: how far every pixel is from there, and what is on the other side."""
+"""Outlines, where one surface ends in front of another: distance to the nearest, and the depth across it."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from rpl_data.types import DepthImage
 
 @dataclass(frozen=True)
 class Outlines:
-    """The outlines next to every pixel; distances are inf where there are none.
+    """The outline next to every pixel; distances are inf where there is none.
 
     Attributes:
-        nearer_px: distance to the nearest pixel of a surface that ends before this one, 1 = next to it.
+        nearer_px: distance to the nearest pixel of a surface that ends in front of this one, 1 = adjacent.
         nearer_m: depth of that pixel.
-        farther_px, farther_m: the same for the surface behind, seen from the one before.
+        farther_px, farther_m: the same for the surface behind, for pixels of the one in front.
     """
 
     nearer_px: Float32[np.ndarray, "height width"]
@@ -34,8 +34,8 @@ def find_outlines(
     step_m: float,
     focal_px: float,
 ) -> Outlines:
-    """Outlines are steps of depth between neighbours beyond what the slope of the surfaces explains."""
-    slant = np.sqrt(1 / np.square(cos_incidence.clip(0.2, 1)) - 1)  # a contour has no slope to speak of
+    """Find steps of depth between neighbours that are larger than the slope of the surfaces explains."""
+    slant = np.sqrt(1 / np.square(cos_incidence.clip(0.2, 1)) - 1)  # at a contour the slope is meaningless
     allowed_m = np.float32(step_m) + np.float32(1.5 / focal_px) * depth_m * slant
     before, behind = _sides(depth_m, allowed_m)
     nearer_px, nearer_m = _nearest(before, depth_m)
@@ -52,7 +52,7 @@ def find_outlines(
 def _sides(
     depth_m: DepthImage, allowed_m: Float32[np.ndarray, "height width"]
 ) -> tuple[Bool[np.ndarray, "height width"], Bool[np.ndarray, "height width"]]:
-    """Pixels just before an outline, and pixels just behind one."""
+    """Pixels just in front of an outline, and pixels just behind one."""
     before, behind = np.zeros(depth_m.shape, bool), np.zeros(depth_m.shape, bool)
     for one, other in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
         step_m = depth_m[other] - depth_m[one]
@@ -69,7 +69,7 @@ def _sides(
 def _nearest(
     marked: Bool[np.ndarray, "height width"], depth_m: DepthImage
 ) -> tuple[Float32[np.ndarray, "height width"], DepthImage]:
-    """Distance to the nearest marked pixel and the depth there; inf and the pixel's own where none is."""
+    """Distance to the nearest marked pixel and the depth there; inf and the pixel's own depth if none."""
     if not marked.any():
         return np.full(depth_m.shape, np.inf, np.float32), depth_m
     distance, label = cv2.distanceTransformWithLabels(

@@ -8,11 +8,11 @@ from typing import Literal
 
 @dataclass(frozen=True)
 class Curve:
-    """Mean 3D error of one object, a row a seed and a column a value of x.
+    """The mean 3D error of one object: one row per seed, one column per value of x.
 
     Attributes:
         against: `keypoints` (the first x landmarks of the one ordered list) or `scenes`.
-        other: how many there were of the other: the paper's N_s = 8 or N_k = 9, or all where there are fewer.
+        other: how many scenes (or keypoints) were used: the paper's N_s = 8 (or N_k = 9), or all of fewer.
         x: numbers of keypoints or of scenes.
         error_mm: NaN where the clicks of that seed did not tie the scenes together.
     """

@@ -26,18 +26,18 @@ def curves(
 ) -> None:
     """Mean 3D error of sparse models against N_k (with N_s = 8) and against N_s (with N_k = 9).
 
-    Each object is filmed once; every seed clicks it anew, once a keypoint and scene, and draws its scenes.
-    Landmarks are ordered: those of a smaller N_k are the first of those of a larger. Errors are strict
+    Each object is filmed once. Every seed clicks it anew, once per keypoint and scene, and draws its scenes.
+    Landmarks are ordered: a smaller N_k takes the first of those of a larger one. Errors are strict
     (true correspondences after one rigid fit).
 
     Args:
         out: folder for curves.json, curves.html, two PNGs and the recordings.
-        workspace: a twin that is built already; its objects are taken instead of `objects`.
+        workspace: a twin that is already built; its objects are used instead of `objects`.
         objects: shapes of the twin.
         scenes: how many are filmed; N_s goes up to that.
         seeds: repetitions.
         click_noise_px: standard deviation of a click on each axis.
-        workers: processes that render; as many as cores when left out.
+        workers: processes that render; one per core when left out.
     """
     from training.reproduce.curves.page import write_curves
     from training.reproduce.curves.resample import curves_of
@@ -64,7 +64,7 @@ def _existing(folder: Path) -> Workspace:
 
 
 def _filmed(name: str, folder: Path, scenes: int, workers: int | None) -> Workspace:
-    """The recording of one object, one frame in two seconds of a slow partial orbit: enough to click in."""
+    """Film one object: one frame every two seconds of a slow partial orbit, which is enough to click in."""
     from rpl_data.pipeline.build import build
     from rpl_data.workspace.workspace import Workspace
 

@@ -29,11 +29,11 @@ NOTE_OF_FIT = (
 
 @dataclass(frozen=True)
 class Judged:
-    """A curve with its slope, and what the paper's statement about such a curve is judged by.
+    """A curve with the slopes by which the paper's statement about it is judged.
 
     Attributes:
-        measured: of the curve as it is.
-        fair: of the curve that is judged: against N_k without what the rigid fit hides.
+        measured: slope of the curve as it is.
+        fair: slope of the curve that is judged; against N_k it is corrected for what the rigid fit hides.
     """
 
     curve: Curve
@@ -42,7 +42,7 @@ class Judged:
 
     @property
     def holds(self) -> bool:
-        """What the paper says of such a curve is true of this one."""
+        """Whether the paper's statement about such curves is true of this one."""
         return self.fair.flat if self.curve.against == "keypoints" else self.fair.falls
 
 
@@ -61,7 +61,7 @@ def fair_errors(curve: Curve) -> Float64[np.ndarray, "seeds n"]:
 def write_curves(
     out: Path, curves: Sequence[Curve], *, seeds: int, click_noise_px: float
 ) -> tuple[Path, str]:
-    """curves.json, curves.html and a PNG a figure; the page's path, and the slopes as text."""
+    """Write curves.json, curves.html and one PNG per figure; the page's path and the slopes as text."""
     judged = [judge(curve) for curve in curves]
     figures = {
         f"curves_{against}": draw([c for c in curves if c.against == against], against) for against in SAYS
@@ -86,7 +86,7 @@ def _as_json(one: Judged) -> dict[str, Any]:
 
 
 def as_line(one: Judged) -> str:
-    """One curve for the terminal."""
+    """Describe one curve in a line for the terminal."""
     curve = one.curve
     means = np.nanmean(np.array(curve.error_mm), axis=0)
     line = (
@@ -132,7 +132,7 @@ def draw(curves: Sequence[Curve], against: str) -> bytes:
 
 
 def _table(chosen: Sequence[Judged]) -> str:
-    """Against N_k with one more column: the change that is judged."""
+    """The table of slopes; against N_k it has one more column, the change that is judged."""
     of_keypoints = chosen[0].curve.against == "keypoints"
     changes = ("change, 95 % interval", *(("without what the fit hides",) if of_keypoints else ()))
     header = ("object", "first mm", "last mm", *changes, "spread mm", "failed", "the paper's statement")

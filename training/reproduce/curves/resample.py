@@ -53,7 +53,7 @@ def _clicked(
     noise_px: float,
     rng: np.random.Generator,
 ) -> list[Observation]:
-    """All landmarks clicked once in every scene that shows them, and lifted."""
+    """Click all landmarks once in every scene that shows them, and lift the clicks to 3D."""
     scenes = {scene: workspace.load_scene(scene) for scene in labels}
     clicks = []
     for scene, of_scene in labels.items():

@@ -13,8 +13,8 @@ class Slope:
     """Change of a curve from its first to its last x.
 
     Attributes:
-        change: of the fitted line, in the unit of y.
-        low, high: 95 % interval of `change`, seeds drawn again with replacement.
+        change: rise of the fitted line from the first to the last x, in the unit of y.
+        low, high: 95 % interval of `change`, by bootstrap over the seeds.
         relative: `change` as a share of the mean.
         spread: mean over x of the standard deviation among seeds.
     """
@@ -27,12 +27,12 @@ class Slope:
 
     @property
     def falls(self) -> bool:
-        """The whole interval is below zero."""
+        """Whether the whole interval is below zero."""
         return self.high < 0
 
     @property
     def flat(self) -> bool:
-        """The interval holds zero."""
+        """Whether the interval contains zero."""
         return self.low <= 0 <= self.high
 
 
@@ -56,10 +56,11 @@ def slope_of(
 def before_the_fit(
     keypoints: Float64[np.ndarray, " n"], error: Float64[np.ndarray, "seeds n"]
 ) -> Float64[np.ndarray, "seeds n"]:
-    """Errors without what the rigid fit hides of them.
+    """Correct errors for what the rigid fit hides of them.
 
-    A model is moved on the truth before it is compared. That takes 6 of the 3 k degrees of freedom of k
-    keypoints, so equal errors of the keypoints show as sqrt(1 - 2 / k) of their size: few look better.
+    A model is fitted to the truth by a rigid motion before it is compared. That takes 6 of the 3 k degrees
+    of freedom of k keypoints, so equal errors appear as sqrt(1 - 2 / k) of their size: few keypoints look
+    better than they are.
     """
     freed: Float64[np.ndarray, "seeds n"] = error / np.sqrt(1 - 2 / keypoints)
     return freed

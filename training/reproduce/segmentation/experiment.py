@@ -5,9 +5,9 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Mapping
-from dataclasses import asdict, replace
+from dataclasses import asdict, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rpl_data.files import write_json
 from rpl_data.types import DataError
@@ -15,7 +15,7 @@ from training.reproduce.segmentation.progress import Progress, load_progress
 
 if TYPE_CHECKING:
     from training.masks.scores import SplitScore
-    from training.masks.settings import Settings
+    from training.masks.settings import MaskSettings
 
 OURS, MANUAL = "OURS", "MANUAL"
 """The paper's names for training on generated and on true labels."""
@@ -34,28 +34,28 @@ def segmentation(
     """Mean IoU per class of Mask R-CNN trained on OURS and on MANUAL labels (the paper's figure).
 
     Both are trained on the same images for the same number of epochs, in turns, and tested on the true masks
-    of val (random frames, as in the paper) and of test (scenes that training never saw). Interrupt it when
-    you like and run it again: it goes on. After every round the figure is drawn from what there is.
+    of val (random frames, as in the paper) and of test (scenes that training never saw). An interrupted
+    experiment goes on when the same command is given again. After every round the figure is drawn from what
+    there is.
 
     Args:
         workspace: a built workspace whose truth is known.
         out: folder for segmentation.json, segmentation.html, the figure and both runs.
-        preset: settings of the training, as training/configs/masks_cpu.yaml and masks_paper.yaml hold them.
-        epochs: of each source, whatever else the machine is doing; those of the preset when left out.
-        threads: processor cores to use; as many as there are when left out.
+        preset: options of the training, such as training/configs/masks_cpu.yaml or masks_paper.yaml.
+        epochs: of each source; those of the preset when left out.
+        threads: processor threads of torch; those of the preset when left out.
     """
-    import torch
-
     from rpl_data.formats.datasets.coco import read_coco
     from training.masks.settings import load_settings
 
-    if threads is not None:
-        torch.set_num_threads(threads)
     sources = sources_of(workspace)
     settings = load_settings(preset)
-    settings = settings if epochs is None else replace(settings, epochs=epochs)
+    if epochs is not None:
+        settings = replace(settings, learning=replace(settings.learning, epochs=epochs))
+    if threads is not None:
+        settings = replace(settings, machine=replace(settings.machine, threads=threads))
     progress = load_progress(out, settings)
-    while progress.epochs < settings.epochs:
+    while progress.epochs < settings.learning.epochs:
         progress = train_round(sources, settings, progress, out)
         print(_line(progress, settings), flush=True)
     splits = [name for name in ("val", "test") if read_coco(sources[MANUAL] / f"{name}.json")["images"]]
@@ -64,7 +64,7 @@ def segmentation(
 
 
 def sources_of(workspace: Path) -> dict[str, Path]:
-    """Folders of the COCO files of both sources; the true ones are made when they are not there.
+    """Find the export folders of both sources; the true labels are exported when they are not there.
 
     Raises:
         DataError: the truth is not known, or the two do not have the same training images.
@@ -94,14 +94,17 @@ def sources_of(workspace: Path) -> dict[str, Path]:
 # Training -----------------------------------------------------------------------------------------
 
 
-def train_round(sources: Mapping[str, Path], settings: Settings, progress: Progress, out: Path) -> Progress:
-    """A few more epochs of both sources, their scores on val, and the figure as it stands."""
-    from training.masks.module import train
+def train_round(
+    sources: Mapping[str, Path], settings: MaskSettings, progress: Progress, out: Path
+) -> Progress:
+    """Train both sources for a few more epochs, score them on val, and draw the figure as it stands."""
+    from training.train_masks import train_masks
 
     clock, cpu = time.perf_counter(), _cpu_s()
-    done = min(progress.epochs + ROUND_EPOCHS, settings.epochs)
-    for name, data in sources.items():
-        train(settings, data, out / name.lower(), until=done)
+    done = min(progress.epochs + ROUND_EPOCHS, settings.learning.epochs)
+    unvalidated = {**given(settings), "validate_every": 0}  # scored on true masks below
+    for name, coco in sources.items():
+        train_masks(coco, out / name.lower(), **unvalidated, resume=True, until=done)
     scores = score_sources(sources, out, ["val"])
     means = [score.mean_iou for score in scores["val"].values()]
     progress = replace(
@@ -116,16 +119,22 @@ def train_round(sources: Mapping[str, Path], settings: Settings, progress: Progr
     return progress
 
 
+def given(settings: MaskSettings) -> dict[str, Any]:
+    """The settings as arguments of `train_masks`."""
+    return {field.name: getattr(settings, field.name) for field in fields(settings)}
+
+
 def _cpu_s() -> float:
-    """Of this process and of those it has started and seen end."""
+    """CPU seconds of this process and of its finished child processes."""
     return sum(os.times()[:4])
 
 
-def _line(progress: Progress, settings: Settings) -> str:
+def _line(progress: Progress, settings: MaskSettings) -> str:
     epoch, *means = progress.history[-1]
     pairs = zip((OURS, MANUAL), means, strict=True)
     found = ", ".join(f"{name} {'-' if mean is None else f'{mean:.3f}'}" for name, mean in pairs)
-    return f"epoch {epoch} of {settings.epochs}: mean IoU on val {found}; {progress.seconds / 60:.1f} min"
+    done = f"epoch {epoch} of {settings.learning.epochs}"
+    return f"{done}: mean IoU on val {found}; {progress.seconds / 60:.1f} min"
 
 
 # Scores -------------------------------------------------------------------------------------------
@@ -134,15 +143,15 @@ def _line(progress: Progress, settings: Settings) -> str:
 def score_sources(
     sources: Mapping[str, Path], out: Path, splits: list[str]
 ) -> dict[str, dict[str, SplitScore]]:
-    """For each split the scores of both networks, against the true masks."""
-    from training.evaluate_masks import evaluate
-    from training.masks.module import CHECKPOINT
+    """Score both networks on each split, against the true masks."""
+    from training.masks.evaluation import evaluate
     from training.masks.weights import load_segmenter
+    from training.runs.folder import LAST
 
     scores: dict[str, dict[str, SplitScore]] = {split: {} for split in splits}
     for name in sources:
         folder = out / name.lower()
-        segmenter = load_segmenter(folder / CHECKPOINT)
+        segmenter = load_segmenter(folder / LAST)
         for split in splits:
             scores[split][name] = evaluate(segmenter, sources[MANUAL] / f"{split}.json", folder)
     return scores
@@ -152,10 +161,10 @@ def write_figure(
     sources: Mapping[str, Path],
     scores: Mapping[str, Mapping[str, SplitScore]],
     progress: Progress,
-    settings: Settings,
+    settings: MaskSettings,
     out: Path,
 ) -> Path:
-    """segmentation.json, segmentation.html and segmentation.png; the path of the page comes back."""
+    """Write segmentation.json, segmentation.html and segmentation.png; the path of the page comes back."""
     from rpl_data.formats.datasets.coco import read_coco
     from training.reproduce.results import write_results
     from training.reproduce.segmentation.page import bars, sections, verdict
@@ -174,7 +183,7 @@ def write_figure(
         title="Segmentation",
         data=data,
         sections=sections(sources, scores, progress, figure, out),
-        note=f"{settings.model.backbone} FPN at {settings.model.size_px} px, {progress.epochs} epochs of "
+        note=f"{settings.network.backbone} FPN at {settings.network.size_px} px, {progress.epochs} epochs of "
         f"{data['training_images']} images a source, {progress.seconds / 60:.0f} min on the clock, "
         f"{progress.cpu_seconds / 60:.0f} CPU min",
         figures={"segmentation": figure},

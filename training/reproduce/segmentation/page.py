@@ -36,7 +36,7 @@ def verdict(arms: Mapping[str, SplitScore]) -> dict[str, Any]:
 
 
 def bars(scores: Scores) -> bytes:
-    """The paper's figure: mean IoU per class, both sources beside each other, a panel a split."""
+    """The paper's figure: mean IoU per class, both sources beside each other, one panel per split."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(5.5 * len(scores), 3.6), layout="constrained")
@@ -116,12 +116,12 @@ def _curve(progress: Progress) -> bytes:
 
 
 def _examples(coco_json: Path, arms: list[str], out: Path, count: int = 3) -> str:
-    """Images spread over the split, the true masks and what each network found."""
+    """Some images of the split with the true masks and with what each network found."""
     import cv2
 
     from rpl_data.torch.images import read_image
-    from training.evaluate_masks import SCORE_THRESHOLD
     from training.masks.pictures import draw
+    from training.masks.settings import SCORE_THRESHOLD
 
     data = read_coco(coco_json)
     names = ["background", *(c["name"] for c in sorted(data["categories"], key=lambda c: int(c["id"])))]

@@ -10,17 +10,18 @@ from rpl_data.files import read_json
 from rpl_data.types import DataError
 
 if TYPE_CHECKING:
-    from training.masks.settings import Settings
+    from training.masks.settings import MaskSettings
 
 
 @dataclass(frozen=True)
 class Progress:
-    """Where a run stands.
+    """How far an experiment has come.
 
     Attributes:
-        settings: of the training, without what may change when it is resumed.
-        epochs: that both sources have been trained.
-        seconds: on the clock, for finished rounds. cpu_seconds: of the processor, all threads and processes.
+        settings: options of the training, without those that may change when it is resumed.
+        epochs: how many epochs both sources have been trained for.
+        seconds: wall-clock time of the finished rounds.
+        cpu_seconds: processor time of the finished rounds, all threads and processes.
         history: mean IoU on val of [OURS, MANUAL] after each round: [epoch, ours, manual].
     """
 
@@ -31,8 +32,8 @@ class Progress:
     history: list[list[float | None]] = field(default_factory=list)
 
 
-def load_progress(out: Path, settings: Settings) -> Progress:
-    """Of the run in `out`, nothing when there is none; DataError when its settings were others."""
+def load_progress(out: Path, settings: MaskSettings) -> Progress:
+    """Read the progress of the experiment in `out`; DataError when its settings were others."""
     from training.masks.settings import comparable
 
     path = out / "progress.json"

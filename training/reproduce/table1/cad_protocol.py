@@ -23,12 +23,12 @@ PICKED_WITHIN_M = 0.002
 
 @dataclass(frozen=True)
 class CadResult:
-    """An object under the paper's protocol.
+    """The result of one object under the paper's protocol.
 
     Attributes:
         row: errors; its 3D error is the distance to the closest points of the CAD.
         scenes: how GT-CAD lies on each scene, and whether the clicks or our own solution started it.
-        left_out: why, of scenes whose surface did not hold the CAD; their labels are not judged.
+        left_out: scenes to whose surface the CAD could not be aligned, and why; their labels are not judged.
     """
 
     row: QualityRow
@@ -40,7 +40,7 @@ class CadResult:
 
 
 def true_cads(truth: Workspace, names: Sequence[str], *, seed: int) -> dict[str, Cad]:
-    """The true meshes, with the true keypoints picked as a hand would: `PICKED_WITHIN_M` off."""
+    """The true meshes, with keypoints picked on them as a hand would: up to `PICKED_WITHIN_M` off."""
     cads = {}
     for number, name in enumerate(names):
         if truth.mesh_file(name).exists() and truth.solution_file(name).exists():
@@ -54,7 +54,7 @@ def true_cads(truth: Workspace, names: Sequence[str], *, seed: int) -> dict[str,
 
 
 def by_cad(workspace: Workspace, cads: Mapping[str, Cad]) -> dict[str, CadResult]:
-    """Every object that has a CAD, under the paper's protocol."""
+    """Judge every object that has a CAD by the paper's protocol."""
     solutions = {name: workspace.load_solution(name) for name in cads}
     sparse = {name: align_sparse(cad, solutions[name].model) for name, cad in cads.items()}
     places: dict[str, dict[str, tuple[CadInScene, str]]] = {name: {} for name in cads}
@@ -86,7 +86,7 @@ def by_cad(workspace: Workspace, cads: Mapping[str, Cad]) -> dict[str, CadResult
 def place(
     workspace: Workspace, cad: Cad, solution: Solution, sparse: SparseOnCad, scene: str
 ) -> tuple[CadInScene, str]:
-    """GT-CAD on the surface of a scene, and what started it.
+    """Align GT-CAD to the surface of a scene; what the alignment started from comes back too.
 
     The start is the paper's by hand: the keypoints clicked in the scene against those picked on the
     CAD. Where too few are clicked, it is the solution that is being judged.

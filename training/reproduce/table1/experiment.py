@@ -27,14 +27,14 @@ def table1(
     seed: int = 0,
     workers: int | None = None,
 ) -> None:
-    """Accuracy of sparse models and labels (the paper's Table I), an object a row, by two protocols.
+    """Accuracy of sparse models and labels (the paper's Table I), one row per object, by two protocols.
 
     Strict: true correspondences and true poses, nothing aligned in the image; it needs a twin, or `truth:`
     in the recipe. The paper's: a CAD aligned by ICP to the sparse model and to every scene; it needs a CAD,
     which a twin has, and for which real recordings name a folder.
 
     Args:
-        sources: a workspace that is built, a recipe, which is built first, or a list of them: '[a, b]'.
+        sources: a built workspace, a recipe (which is built first), or a list of them: '[a, b]'.
         out: folder for table1.json, table1.html and the workspaces that are made.
         root: where the relative paths of recipes start; the recipe's own folder when left out.
         trajectories: '[given, drifting, tracked]' or some of them; drifting ones (5 mm and 0.3 degrees at
@@ -42,7 +42,7 @@ def table1(
         cad: folder with <object>.obj (or .ply, .stl) and <object>.pp, the keypoints picked on it.
         cad_metres_per_unit: of those meshes and points; 0.001 for millimetres.
         seed: of the drift and of the simulated picks on a twin's CAD.
-        workers: processes; as many as cores when left out.
+        workers: processes; one per core when left out.
     """
     from training.reproduce.table1.page import as_text, write_page
 
@@ -63,7 +63,7 @@ def table1(
 
 
 def built(source: Path, folder: Path, *, root: Path | None, workers: int | None) -> Workspace:
-    """The workspace itself, or what a recipe makes."""
+    """Open a workspace, or build a recipe."""
     from rpl_data.pipeline.build import build
     from rpl_data.pipeline.recipe import load_recipe
     from rpl_data.workspace.workspace import Workspace
@@ -78,7 +78,7 @@ def built(source: Path, folder: Path, *, root: Path | None, workers: int | None)
 def in_kind(
     workspace: Workspace, kind: Trajectories, out: Path, *, seed: int, workers: int | None
 ) -> Workspace:
-    """The workspace, or one of the same pixels and other camera paths, built to its labels."""
+    """The workspace itself, or one with the same pixels and other camera paths, built up to its labels."""
     from rpl_data.pipeline.build import build
     from rpl_data.workspace.workspace import Workspace
     from training.reproduce.table1.trajectories import with_trajectories
@@ -98,7 +98,7 @@ def in_kind(
 def measure(
     workspace: Workspace, *, cad_folder: Path | None = None, metres_per_unit: float = 1.0, seed: int = 0
 ) -> list[Row]:
-    """A row an object of a built workspace.
+    """Measure a built workspace: one row per object.
 
     Raises:
         DataError: neither truth nor a CAD is known.
@@ -177,5 +177,5 @@ def labels_of(workspace: Workspace) -> dict[str, int]:
 
 
 def scores_of(row: QualityRow) -> Scores:
-    """The figures that Table I has."""
+    """Reduce errors to the figures of Table I."""
     return Scores(row.error_3d_mean_mm, row.error_2d_mean_px, row.iou_full_mean, row.iou_visible_mean)

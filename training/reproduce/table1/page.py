@@ -1,4 +1,4 @@
-"""Table I as text and as a page: ours by both protocols, one table a kind of trajectory, then the paper's."""
+"""Table I as text and page: ours by both protocols, one table per kind of trajectory, then the paper's."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ NOTE = (
 
 
 def write_page(out: Path, rows: Sequence[Row], *, seed: int) -> Path:
-    """table1.json and table1.html; the path of the page."""
+    """Write table1.json and table1.html; the path of the page comes back."""
     parts = []
     for kind in dict.fromkeys(row.trajectories for row in rows):
         chosen = [row for row in rows if row.trajectories == kind]
@@ -55,7 +55,7 @@ def write_page(out: Path, rows: Sequence[Row], *, seed: int) -> Path:
 
 
 def worst_of(rows: Sequence[Row]) -> list[str]:
-    """A line an object: its worst scene."""
+    """One line per object: its worst scene."""
     return [f"{row.object}, {row.worst}" for row in rows if row.worst is not None]
 
 
@@ -134,7 +134,7 @@ def _paper() -> str:
 
 
 def as_text(rows: Sequence[Row]) -> str:
-    """The rows and their means, a line each; strict figures, then the paper's protocol."""
+    """The rows and their means, one line each; strict figures, then those of the paper's protocol."""
     head = ["object", "N_k", "N_s", "3D mm", "2D px", "IoU", "vis", "CAD: mm", "px", "IoU", "labels"]
     lines = []
     for kind in dict.fromkeys(row.trajectories for row in rows):

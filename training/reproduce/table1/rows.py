@@ -1,4 +1,4 @@
-"""Table I: what a row of it says."""
+"""The rows of Table I."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ class Scores:
     """Errors under one protocol; NaN where nothing could be measured.
 
     Attributes:
-        iou: of the full masks, as the paper's, whose masks know nothing of what hides the object.
-        iou_visible: of the visible masks; the paper's protocol has none.
+        iou: IoU of the full masks, as in the paper, whose masks ignore occlusion.
+        iou_visible: IoU of the visible masks; the paper's protocol has none.
     """
 
     error_3d_mm: float
@@ -28,14 +28,14 @@ class Scores:
 
 @dataclass(frozen=True)
 class Row:
-    """An object of a workspace.
+    """The figures of one object of a workspace.
 
     Attributes:
         keypoints, scenes: N_k and N_s.
-        labels: frames in which it is labelled.
-        strict: against true correspondences and true poses, nothing aligned; None without truth.
-        by_cad: the paper's protocol, GT-CAD aligned by ICP; None without a CAD.
-        started_by_solution: scenes with too few clicks to start ICP by, started by our own solution.
+        labels: number of frames in which it is labelled.
+        strict: errors against true correspondences and true poses, nothing aligned; None without truth.
+        by_cad: errors by the paper's protocol, GT-CAD aligned by ICP; None without a CAD.
+        started_by_solution: scenes with too few clicks to start ICP from; our own solution started it.
         left_out: scenes that the paper's protocol could not judge, and why.
         cad_rms_mm: how well GT-CAD lies on the scenes' surfaces; NaN without a CAD.
         worst: the scene with the largest 2D error; None without truth.

@@ -48,7 +48,7 @@ def with_trajectories(workspace: Workspace, kind: Trajectories, folder: Path, *,
 
 
 def write_drifting(workspace: Workspace, folder: Path, drift: Drift, *, seed: int) -> None:
-    """A twin's recording with the same pixels, linked, and camera paths that drift."""
+    """Write a twin's recording with links to the same pixels, and with camera paths that drift."""
     folder.mkdir(parents=True, exist_ok=True)
     _link(workspace.recording / "camera.txt", folder)
     for number, name in enumerate(workspace.scene_names()):
@@ -62,7 +62,7 @@ def write_drifting(workspace: Workspace, folder: Path, drift: Drift, *, seed: in
 
 
 def _has(file: Path, poses: Float64[np.ndarray, "n 4 4"]) -> bool:
-    """The file holds these poses, as exactly as it holds any."""
+    """Whether the file holds these poses, to the digits that such files have."""
     if not file.exists():
         return False
     found = read_pose_lines(file)[1]

@@ -29,7 +29,7 @@ class WorstScene:
     rotation_deg: float
 
     def __str__(self) -> str:
-        """For a table."""
+        """Describe the scene in a table's cell."""
         return (
             f"scene {self.scene}: {self.error_2d_px:.1f} px, IoU {self.iou:.3f}, "
             f"{self.rotation_deg:.1f} deg, {self.clicked} keypoints clicked"
@@ -37,7 +37,7 @@ class WorstScene:
 
 
 def worst_scenes(workspace: Workspace, truth: Workspace) -> dict[str, WorstScene]:
-    """By object; without those that have no label with truth."""
+    """The worst scene of each object that has labels with truth, by the object's name."""
     solutions = {name: workspace.load_solution(name) for name in workspace.object_names()}
     known = [name for name in solutions if truth.solution_file(name).exists()]
     alignments = {

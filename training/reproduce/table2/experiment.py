@@ -25,26 +25,26 @@ def table2(
 ) -> None:
     """Errors of poses by networks trained on our labels and on true ones (the paper's Table II).
 
-    A hourglass an object and a detector a label source, the same frames, steps and seed for both sources.
-    Every training can be cut off: run again and it goes on; table2.json and table2.html are written anew
-    after each hourglass. Preset: --config training/configs/table2_cpu.yaml.
+    One hourglass per object and one detector per label source, with the same frames, steps and seed for both
+    sources. An interrupted experiment goes on when the same command is given again. table2.json and
+    table2.html are written anew after each hourglass. Preset: --config training/configs/table2_cpu.yaml.
 
     Args:
         workspace: a built workspace whose truth is known.
         objects: their names; the paper has three.
         out: folder for checkpoints, figures, table2.json and table2.html.
         network: the hourglass.
-        learning: of the hourglass.
-        augment: of the hourglass's crops; the detector's are not turned.
-        detector: which, and how large.
-        detector_learning: of the detector.
-        machine: device, precision, processes.
-        validate_every: epochs.
-        seed: of everything drawn at random.
+        learning: how long and how fast the hourglass is trained.
+        augment: how far the hourglass's crops may stray; the detector's are not turned.
+        detector: which detector, and how large.
+        detector_learning: how long and how fast the detector is trained.
+        machine: the hardware.
+        validate_every: epochs from one validation to the next.
+        seed: of everything that is drawn at random.
     """
     from training.reproduce.label_sources import exports_of
     from training.reproduce.table2.page import write_page
-    from training.runs.trainer import trained_epochs
+    from training.runs.folder import trained_epochs
     from training.train_detector import train_detector
     from training.train_keypoints import train_keypoints
 
@@ -72,7 +72,7 @@ def table2(
 
 
 class _measured:
-    """Adds the CPU and wall seconds of its block to <run>/seconds.json, over all resumptions."""
+    """Adds the CPU and wall-clock seconds of its block to <run>/seconds.json, over all resumptions."""
 
     def __init__(self, run: Path) -> None:
         self._path = run / "seconds.json"

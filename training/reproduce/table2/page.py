@@ -21,7 +21,7 @@ SPLITS = {
 
 
 def write_page(out: Path, workspace: Path, objects: list[str]) -> Path:
-    """table2.json and table2.html of what has been trained so far."""
+    """Write table2.json and table2.html of what has been trained so far."""
     from rpl_data.report.html import section
     from training.reproduce.results import write_results
     from training.reproduce.table2.pictures import curves, mosaic, samples, worst
@@ -78,7 +78,7 @@ RATIO_NOTE = (
 
 
 def seconds(out: Path, objects: Sequence[str]) -> dict[str, dict[str, float]]:
-    """CPU and wall seconds of every training there is."""
+    """CPU and wall-clock seconds of every training so far."""
     from rpl_data.files import read_json
 
     runs = [f"{source}/{name}" for source in ("OURS", "MANUAL") for name in (*objects, "detector")]

@@ -56,17 +56,17 @@ Row = list[tuple[Cell, Judged]]
 
 
 def samples(found: Sequence[tuple[Cell, list[Judged]]], split: str) -> list[Row]:
-    """Of every object and source five instances, from among the best by ADD to among the worst."""
+    """Five instances per object and source, from one of the best by ADD to one of the worst."""
     return _rows(found, split, (0.1, 0.3, 0.5, 0.7, 0.9))
 
 
 def worst(found: Sequence[tuple[Cell, list[Judged]]]) -> list[Row]:
-    """Of every object and source five of the largest ADD that have a pose, by the strict protocol."""
+    """The five instances with the largest ADD that have a pose, per object and source; strict protocol."""
     return _rows(found, "test", (0.96, 0.97, 0.98, 0.99, 1.0))
 
 
 def _rows(found: Sequence[tuple[Cell, list[Judged]]], split: str, shares: Sequence[float]) -> list[Row]:
-    """By our solver; none where nothing has a pose."""
+    """Instances judged with our PnP; empty where none has a pose."""
     mine = [each for each in found if (each[0].method, each[0].split) == ("consensus", split)]
     return [row for cell, judged in mine if (row := _near(cell, judged, shares))]
 
@@ -77,7 +77,7 @@ def _near(cell: Cell, judged: list[Judged], shares: Sequence[float]) -> Row:
 
 
 def mosaic(workspace: Path, rows: Sequence[Row]) -> bytes:
-    """Close-ups with what was predicted; a row an object and source."""
+    """Draw close-ups with what was predicted; one row per object and source."""
     root = Workspace(workspace).export("coco_truth")
     data = {split: read_coco(root / f"{split}.json") for split in {row[0][0].split for row in rows}}
     strips = []
@@ -88,7 +88,7 @@ def mosaic(workspace: Path, rows: Sequence[Row]) -> bytes:
 
 
 def _tile(root: Path, data: Mapping[str, Any], cell: Cell, judged: Judged) -> Any:
-    """One prediction, close up, with its errors written on it."""
+    """Draw one prediction, close up, with its errors written on it."""
     models = [item.model for item in objects_from_coco(data)]
     category = [model.name for model in models].index(judged.object) + 1
     image = next(entry for entry in data["images"] if entry["file_name"] == judged.image)

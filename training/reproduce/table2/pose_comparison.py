@@ -23,7 +23,7 @@ LEAST_PCK = 0.8
 
 @dataclass(frozen=True)
 class Cell:
-    """An object, label source, protocol and PnP method."""
+    """The score of one object, label source, protocol and PnP method."""
 
     object: str
     source: str
@@ -34,7 +34,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class Ratio:
-    """OURS by MANUAL of a median, with the central 95 % of resampled instances."""
+    """The ratio of two medians, OURS / MANUAL, with its central 95 % over resampled instances."""
 
     object: str
     split: str
@@ -46,7 +46,7 @@ class Ratio:
 
 
 def measure(out: Path, workspace: Path, objects: list[str]) -> Iterator[tuple[Cell, list[Judged]]]:
-    """A cell an object, source, protocol and method of the networks there are.
+    """Score the networks that are trained so far: one cell per object, source, protocol and method.
 
     Judged instances are kept in <out>/<source>/<object>/judged_<split>.json: only new checkpoints are run.
     """
@@ -80,11 +80,11 @@ def _judged(
 
 
 def ratios(found: list[tuple[Cell, list[Judged]]], *, draws: int = 2000) -> list[Ratio]:
-    """OURS by MANUAL for every object, protocol and method; instances are resampled in pairs."""
+    """The ratios OURS / MANUAL per object, protocol and method; instances are resampled in pairs."""
     by_key = {(c.source, c.object, c.split, c.method): rows for c, rows in found}
     result = []
-    for (source, *rest), manual in by_key.items():
-        ours = by_key.get(("OURS", *rest))
+    for (source, name, split, method), manual in by_key.items():
+        ours = by_key.get(("OURS", name, split, method))
         if source != "MANUAL" or ours is None or len(ours) != len(manual) or not manual:
             continue
         picks = np.random.default_rng(0).integers(0, len(manual), (draws, len(manual)))
@@ -98,12 +98,12 @@ def ratios(found: list[tuple[Cell, list[Judged]]], *, draws: int = 2000) -> list
             low, high = (
                 np.percentile(known, [2.5, 97.5], method="nearest") if len(known) else (np.nan, np.nan)
             )
-            result.append(Ratio(*rest, figure, value, float(low), float(high)))
+            result.append(Ratio(name, split, method, figure, value, float(low), float(high)))
     return result
 
 
 def counts(found: list[tuple[Cell, list[Judged]]], name: str) -> bool:
-    """MANUAL has learned enough of the object for a comparison: PCK of `LEAST_PCK` on val."""
+    """Whether MANUAL has learned the object well enough to compare: a PCK of `LEAST_PCK` on val."""
     keys = ("MANUAL", "val")
     return any(
         (cell.source, cell.split) == keys and cell.object == name and cell.score.pck >= LEAST_PCK

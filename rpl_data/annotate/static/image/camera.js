@@ -1,6 +1,6 @@
 // Rigid transforms and the pinhole camera, as in geometry.py: the centre of the top-left pixel is (0, 0).
 
-// 16 numbers, row-major, of a translation and a quaternion x y z w.
+// A row-major 4x4 matrix (16 numbers) from a translation and a quaternion x y z w.
 export function matrix(tx, ty, tz, x, y, z, w) {
   return [
     1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w), tx,
@@ -33,12 +33,12 @@ export function apply(m, [x, y, z]) {
   return [0, 4, 8].map((i) => m[i] * x + m[i + 1] * y + m[i + 2] * z + m[i + 3]);
 }
 
-// scene_from_camera of a row of the table of poses.
+// scene_from_camera from a row of the table of poses.
 export function poseAt(table, row) {
   return matrix(...table.subarray(8 * row + 1, 8 * row + 8));
 }
 
-// The pixel [u, v] of a point in the camera frame; null behind the camera. OpenCV's distortion.
+// Project a point in the camera frame to a pixel [u, v], with OpenCV's distortion; null behind the camera.
 export function project(camera, [X, Y, Z]) {
   if (!(Z > 1e-6)) return null;
   const [fx, fy, cx, cy, k1 = 0, k2 = 0, p1 = 0, p2 = 0, k3 = 0, k4 = 0, k5 = 0, k6 = 0] = camera;

@@ -1,4 +1,4 @@
-// The image and what is marked on it: zoom at the cursor, pan, click, drag.
+// The image with its marks: zoom at the cursor, pan, click, drag.
 
 import { fetchNeighbours, onlyFetch, picture, wantedWidth } from "./frames.js";
 import { drawMarks, markAt } from "./marks.js";
@@ -13,7 +13,7 @@ const MOST_ZOOM = 64, STILL_PX = 4;
 let shownScene = null, placing = () => {}, moving = () => {}, drag = null, last = null, wanted = null;
 
 
-// place(u, v) puts the selected keypoint there; move(click, u, v) moves a mark.
+// place(u, v) marks the selected keypoint there; move(click, u, v) moves a mark.
 export function setUp({ place, move }) {
   placing = place;
   moving = move;
@@ -36,7 +36,7 @@ function resize() {
   if (view.fitted) fit(); else change({});
 }
 
-// The whole image.
+// Show the whole image.
 export function fit() {
   if (!scene() || !stage.clientWidth) return;
   const { width, height } = scene();
@@ -47,7 +47,7 @@ export function fit() {
   change({});
 }
 
-// Zoom by a factor; what is under (x, y) stays there.
+// Zoom by a factor; the pixel under (x, y) stays there.
 export function zoomBy(factor, x, y) {
   const zoom = Math.min(MOST_ZOOM, Math.max(0.1, view.zoom * factor));
   view.left = x - (x - view.left) * (zoom / view.zoom);
@@ -57,7 +57,7 @@ export function zoomBy(factor, x, y) {
   change({});
 }
 
-// Where keys zoom and place: the cursor when it is on the image, else the middle.
+// Position for zooming and marking by keys: the cursor if it is on the image, else the centre.
 export function cursorOnScreen() {
   return app.cursor ? toScreen([app.cursor.u, app.cursor.v]) : [stage.clientWidth / 2, stage.clientHeight / 2];
 }
@@ -133,7 +133,7 @@ function up(event) {
   if (isInside(u, v)) placing(u, v);
 }
 
-// Draw everything. The last picture stays until the next one has come.
+// Draw everything. The last picture stays until the next one has loaded.
 export function draw() {
   if (!scene() || frame() === null || app.view !== "mark") return;
   if (shownScene !== app.scene) {

@@ -1,4 +1,4 @@
-// The depth a click would get, and what could go wrong with it: the surfaces around the cursor, cut
+// The depth that a click would get, and whether it is unreliable: the surfaces around the cursor, split
 // where the depth jumps by more than the sensor's noise, as lift.py does it.
 
 const RADIUS_PX = 14;

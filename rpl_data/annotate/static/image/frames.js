@@ -8,7 +8,7 @@ const pictures = new Map(); // address -> {image, ready}
 
 const PATIENCE_MS = 600;
 
-// Open a scene at a frame. When none is said: where it was left, marked last, or is best to begin.
+// Open a scene at a frame; by default the one last shown, last marked, or best to begin with.
 const leftAt = {};
 export async function openScene(name, index = null, part = {}) {
   const wanted = index ?? leftAt[name] ?? clicksIn(name).at(-1)?.frame;
@@ -18,7 +18,7 @@ export async function openScene(name, index = null, part = {}) {
   change({ ...part, scene: name, row });
 }
 
-// The suggested frame that is near and sharp; null when it is not known soon.
+// The suggested frame that is near and sharp; null when the server does not answer soon.
 async function beginning(name) {
   const late = new Promise((resolve) => setTimeout(resolve, PATIENCE_MS, null));
   const found = app.suggestions[name] || (await Promise.race([suggestions(name), late]));
@@ -47,7 +47,7 @@ export function goToRow(row) {
   if (count) change({ row: Math.max(0, Math.min(count - 1, row)) });
 }
 
-// A picture of a frame; `ready` is set once it can be drawn. `then` is called when it has come.
+// A picture of a frame; `ready` is set once it can be drawn. `then` is called when it has loaded.
 export function picture(sceneName, index, width, then) {
   const address = picturePath(sceneName, index, width);
   let entry = pictures.get(address);
@@ -74,7 +74,7 @@ function done(entry, ready) {
   for (const then of entry.waiting.splice(0)) then();
 }
 
-// Stop fetching pictures of other frames: on a slow link they would come first.
+// Stop fetching pictures of other frames, which would come first on a slow link.
 export function onlyFetch(shown) {
   for (const [address, entry] of pictures) {
     if (entry.ready || entry.failed || entry.of === shown) continue;
@@ -86,14 +86,14 @@ export function onlyFetch(shown) {
 
 const HURRIED_PX = 320;
 
-// The width to ask for: what the screen shows, 0 = the whole image; less while frames rush by.
+// The width to request: that of the screen, 0 = full size; less while playing or scrubbing.
 export function wantedWidth(zoom) {
   if (app.hurried && scene().width > HURRIED_PX) return HURRIED_PX;
   const pixels = scene().width * zoom * (window.devicePixelRatio || 1);
   return pixels >= scene().width ? 0 : [320, 640, 960, 1280, 1920].find((w) => w >= pixels) || 0;
 }
 
-// Neighbours are fetched while one looks at a frame.
+// Neighbouring frames are fetched while a frame is shown.
 let resting = null;
 export function fetchNeighbours(width) {
   clearTimeout(resting);
@@ -109,10 +109,10 @@ export function fetchNeighbours(width) {
 // Depth -----------------------------------------------------------------------------------------------
 
 const TILE_PX = 128, MARGIN_PX = 16, MOST_TILES = 60;
-const tiles = new Map(); // "scene/frame/column/row" -> {data, left, top, side}; null while it comes
+const tiles = new Map(); // "scene/frame/column/row" -> {data, left, top, side}; null while it loads
 let asked = null;
 
-// The depth around a pixel of the current frame, as stored; null until it is here.
+// The stored depth around a pixel of the current frame; null until it has loaded.
 export function depthAround(u, v, then) {
   const [column, row] = [u, v].map((value) => Math.floor(Math.max(0, value) / TILE_PX));
   const key = `${app.scene}/${frame()}/${column}/${row}`;

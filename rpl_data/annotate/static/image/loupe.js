@@ -1,4 +1,4 @@
-// The pixels around the cursor, eight times enlarged, with the depth there.
+// The pixels around the cursor, enlarged eight times, with their depth.
 
 import { currentPicture } from "./canvas.js";
 import { toScreen } from "./view.js";

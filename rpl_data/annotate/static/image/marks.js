@@ -1,4 +1,4 @@
-// What is drawn over the picture: clicks, the model projected into the frame, and the cursor.
+// Marks over the picture: clicks, the model projected into the frame, and the cursor.
 
 import { apply, invert, multiply, poseAt, project } from "./camera.js";
 import { clicksHere, toScreen, view } from "./view.js";
@@ -6,7 +6,7 @@ import { app, frame, poses, residualOf, scene } from "../state/store.js";
 
 const REACH_PX = 9;
 
-// The click under a place on the screen; the selected keypoint's first.
+// The click under a position on the screen; that of the selected keypoint first.
 export function markAt(x, y) {
   const near = clicksHere().filter((click) => {
     const [sx, sy] = toScreen([click.u_px, click.v_px]);
@@ -15,15 +15,15 @@ export function markAt(x, y) {
   return near.find((click) => click.keypoint === app.keypoint) || near[0] || null;
 }
 
-// camera_from_object of a frame; null where the object has no place yet.
+// camera_from_object of a frame; null if the object has no pose in the scene yet.
 export function cameraFromObject(sceneName, row) {
-  const place = app.result?.scene_from_object?.[sceneName];
-  return place ? multiply(cameraFromScene(sceneName, row), place) : null;
+  const sceneFromObject = app.result?.scene_from_object?.[sceneName];
+  return sceneFromObject ? multiply(cameraFromScene(sceneName, row), sceneFromObject) : null;
 }
 
 export const cameraFromScene = (sceneName, row) => invert(poseAt(app.poses[sceneName].table, row));
 
-// Where the keypoints are in a frame, [u, v] or null each: the model where it is placed, else the
+// Positions of the keypoints in a frame, each [u, v] or null: of the model if its pose is known, else the
 // clicks of this scene lifted by their depth.
 export function projectedKeypoints(sceneName = app.scene, row = app.row) {
   const camera = app.scenes[sceneName].camera, pose = cameraFromObject(sceneName, row);
@@ -55,7 +55,7 @@ export function drawMarks(canvas, dragged) {
 }
 
 const color = (k) => app.state?.keypoints[k]?.color || "#fff";
-// Its number, and the name of the selected one only, so that names hide nothing.
+// The keypoint's number, with the name for the selected one only, so that names hide nothing.
 const title = (k) => {
   const name = app.state?.keypoints[k]?.name;
   return k === app.keypoint && name !== String(k) ? `${k} ${name}` : String(k);

@@ -1,4 +1,4 @@
-// The mask of the labels in the current frame, fetched while it is shown.
+// The labels' mask in the current frame, fetched when it is shown.
 
 import { scenePath } from "../state/api.js";
 import { app, change, frame, onChange } from "../state/store.js";
@@ -23,7 +23,7 @@ async function load() {
 
 const pictureOf = async (answer) => (answer.status === 200 ? createImageBitmap(await answer.blob()) : null);
 
-// Whether there is a mask for what is shown; null while it comes.
+// Whether there is a mask for the current frame; null while it loads.
 export function maskHere() {
   const here = app.mask && app.mask.scene === app.scene && app.mask.frame === frame();
   return here ? app.mask.image !== null : null;

@@ -1,4 +1,4 @@
-// The frames of a scene: a row of thumbnails, a bar with what is marked where, and a slider to scrub.
+// The frames of a scene: a row of thumbnails, a bar that shows where marks are, and a slider.
 
 import { picturePath } from "../state/api.js";
 import { goToRow } from "./frames.js";
@@ -40,7 +40,7 @@ export function setUp() {
 const hurry = () => change({ hurried: scrubbing || playing !== null });
 const isShown = () => app.shown === `${app.scene}/${frame()}`;
 
-// After the slider, as fast as pictures come.
+// Follow the slider, as fast as pictures load.
 function follow() {
   if (wanted === null || !isShown()) return;
   const row = wanted;
@@ -59,7 +59,7 @@ export function play() {
   }
   button.textContent = "❚❚ stop";
   playing = setInterval(() => {
-    // A slow link is waited for: the next frame comes when this one is shown.
+    // On a slow link, wait: the next frame is requested when this one is shown.
     if (!isShown()) return;
     if (app.row + 1 >= poses().index.length) play(); else goToRow(app.row + 1);
   }, 80);

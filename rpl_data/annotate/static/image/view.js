@@ -1,4 +1,4 @@
-// Which part of the image is on the screen. Screen and image are tied by x = (u + 0.5) * zoom + left: (0, 0)
+// The part of the image that is on the screen. A pixel u is at x = (u + 0.5) * zoom + left: (0, 0)
 // is the centre of the top-left pixel.
 
 import { app, clicksIn, frame, poses, scene } from "../state/store.js";

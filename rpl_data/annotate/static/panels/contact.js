@@ -1,4 +1,4 @@
-// The contact sheet: the labels on small pictures, a page of a scene at a time; a picture opens its frame.
+// The contact sheet: labels on small pictures, one page of a scene at a time; a picture opens its frame.
 
 import { get, post } from "../state/api.js";
 import { openScene } from "../image/frames.js";
@@ -54,7 +54,7 @@ function draw() {
   grid.scrollTop = 0;
 }
 
-const nothing = () => (app.fresh?.label ? `No frame of scene ${scene} is labelled: the object has no place in it yet.`
+const nothing = () => (app.fresh?.label ? `No frame of scene ${scene} is labelled: the object's pose there is not known yet.`
   : "No labels yet: make them with the button on the right (X). Then every frame is shown here with its labels.");
 
 function drawHead() {
@@ -66,7 +66,7 @@ function drawHead() {
   sort.value = order;
   sort.addEventListener("change", () => { order = sort.value; page = 0; draw(); });
   const turn = (by) => element("button", { textContent: by < 0 ? "◀ page" : "page ▶", disabled: page + by < 0 || page + by >= pages, onclick: () => { page += by; draw(); } });
-  const count = `${frames.length} frames${left ? `, ${left} left out of the export` : ""}${pages > 1 ? ` · page ${page + 1} of ${pages}` : ""}`;
+  const count = `${frames.length} ${frames.length === 1 ? "frame" : "frames"}${left ? `, ${left} left out of the export` : ""}${pages > 1 ? ` · page ${page + 1} of ${pages}` : ""}`;
   head.replaceChildren(scenes, sort, ...(pages > 1 ? [turn(-1), turn(1)] : []), element("span", { className: "quiet", textContent: count }));
 }
 
@@ -75,14 +75,14 @@ function picture(item) {
   const image = element("img", { loading: "lazy", alt: `labels of frame ${frame}`, src: `${labelsPath(scene)}/${frame}.jpg?width=320&v=${app.built || 0}` });
   const { width, height } = app.scenes[scene];
   image.style.aspectRatio = `${width} / ${height}`;
-  const open = element("button", { className: "open", title: "open this frame, to mend its clicks" }, image);
+  const open = element("button", { className: "open", title: "open this frame to correct its clicks" }, image);
   open.addEventListener("click", () => openScene(scene, frame, { view: "mark" }));
   const box = element("input", { type: "checkbox", checked: !left_out, ariaLabel: `export frame ${frame}` });
   box.addEventListener("change", () => leaveOut(frame, !box.checked));
   const mark = quality == null ? ["quiet", "no object"] : quality < 0.5 ? ["bad", quality.toFixed(2)] : ["quiet", quality.toFixed(2)];
   return element("figure", { className: left_out ? "out" : "" }, open,
     element("figcaption", {}, element("label", {}, box, ` frame ${frame}`),
-      element("span", { className: `small ${mark[0]}`, title: "how well depth agrees with the label, 0 to 1", textContent: mark[1] })));
+      element("span", { className: `small ${mark[0]}`, title: "how well the measured depth agrees with the label, 0 to 1", textContent: mark[1] })));
 }
 
 async function leaveOut(frame, left_out) {

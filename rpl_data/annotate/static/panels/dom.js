@@ -8,7 +8,7 @@ export function element(tag, properties = {}, ...children) {
   return made;
 }
 
-// New children for a list; the button that had the keyboard's focus keeps it: by its data-key, else its place.
+// New children for a list; the button with the keyboard focus keeps it: by its data-key, else by its position.
 export function refill(list, ...children) {
   const buttons = () => [...list.querySelectorAll("button")];
   const at = buttons().indexOf(document.activeElement), key = document.activeElement.dataset.key;
@@ -32,7 +32,7 @@ export function show(...content) {
 
 export const closeDialog = (value = "") => document.querySelector("dialog[open]")?.close(value);
 
-// Ask for some texts; null when cancelled, else their values in order.
+// Ask for some texts; returns their values in order, or null when cancelled.
 export async function ask(title, fields) {
   const inputs = fields.map(({ label, value, rows }) => {
     const input = element(rows ? "textarea" : "input", { value: value ?? "", ariaLabel: label });

@@ -8,10 +8,10 @@ import { app } from "../state/store.js";
 
 const entries = [
   ["Export clicks (CSV)", "every click of this object: object, keypoint, scene, frame, u_px, v_px", exportClicks],
-  ["Import clicks (CSV)", "takes the place of this object's clicks; undo brings them back", importClicks],
+  ["Import clicks (CSV)", "replaces this object's clicks; undo restores them", importClicks],
 ];
 
-// Add an entry: its text, what it does in a few words, and the function.
+// Add an entry: its text, a short description, and its function.
 export function addEntry(text, note, does) {
   entries.push([text, note, does]);
 }
@@ -48,7 +48,7 @@ async function importClicks() {
   try {
     const { actions } = await post(`${objectPath(app.state.object)}/clicks/read`, { name: file.name, text: await file.text() });
     if (actions.length) await log.act({ op: "batch", events: actions });
-    else log.alertOnce("These clicks are here already.");
+    else log.alertOnce("This object already has all these clicks.");
   } catch (error) {
     log.alertOnce(error.message);
   }

@@ -9,13 +9,13 @@ import { app, change, frame } from "../state/store.js";
 
 const LENGTH_M = 0.05;
 const AXES = [["x", "#e5484d"], ["y", "#30a46c"], ["z", "#3e8bff"]];
-const WHERE = "grasp: click on the object where it is to be grasped (W gives it up)";
-const TOWARD = "grasp: now click, in this frame, toward where its x axis is to point (W gives it up)";
+const WHERE = "grasp: click on the object where it is to be grasped (W cancels)";
+const TOWARD = "grasp: now click, in this frame, toward where its x axis is to point (W cancels)";
 
 export function setUp() {
   addEntry("Mark a grasp", "two clicks on the object: where to grasp, and toward where the gripper's x axis points", begin);
-  addEntry("Remove the grasp", "undo brings it back", () => app.state.grasp && act({ op: "grasp", scene: null }));
-  addKeys([[["w"], "mark a grasp: two clicks; again to give it up", () => (app.pendingGrasp ? end() : begin())]]);
+  addEntry("Remove the grasp", "undo restores it", () => app.state.grasp && act({ op: "grasp", scene: null }));
+  addKeys([[["w"], "mark a grasp: two clicks; again to cancel", () => (app.pendingGrasp ? end() : begin())]]);
   takeClicks(place);
   addTraces(axes, () => [app.result?.grasp]);
 }

@@ -1,4 +1,4 @@
-// Builds: the dense model, the labels, the dataset. They run on the server and go on when the page is closed.
+// Builds: the dense model, the labels, the dataset. They run on the server, even when the page is closed.
 
 import { get, post } from "../state/api.js";
 import { openObject } from "./objects.js";
@@ -48,7 +48,7 @@ async function load() {
   if (state) change(state);
 }
 
-// What is up to date may be another thing after every saved action.
+// Every saved action may change what is up to date.
 function refresh() {
   const key = app.result && `${app.state?.object}/${app.result.revision}`;
   if (!key || key === asked || app.waiting) return;
@@ -57,7 +57,7 @@ function refresh() {
 }
 
 export async function start(stage) {
-  if (atWork()) return alertOnce("A job is at work; wait for its end, or stop it.");
+  if (atWork()) return alertOnce("A job is running; wait until it ends, or stop it.");
   try {
     change(await post("/api/jobs", { stage }));
   } catch (error) {
@@ -111,7 +111,7 @@ function progress() {
   if (!atWork()) return [];
   const { what, done, total, state, stage } = app.job;
   const bar = element("progress", { max: total || 1, ariaLabel: "progress" });
-  if (total) bar.value = done; // else it says that it works, not how far
+  if (total) bar.value = done; // otherwise it shows only that it is running
   const button = element("button", { textContent: state === "stopping" ? "stopping …" : "Stop", disabled: state === "stopping", id: "job-stop" });
   button.addEventListener("click", stop);
   return [element("p", { className: "note", textContent: `${what || stage}${total ? ` · ${done} of ${total} frames` : " …"}` }),

@@ -1,4 +1,4 @@
-// The list of keypoints: which one is marked next, and everything that can be done to the list itself.
+// The list of keypoints: which one to mark next, and all changes to the list itself.
 
 import { app, change, clicksIn, frame as frameNow, isSkipped, keypointTitle, onChange, residualOf } from "../state/store.js";
 import { act, alertOnce } from "../state/log.js";
@@ -16,7 +16,7 @@ export function select(k) {
   if (count) change({ keypoint: ((k % count) + count) % count });
 }
 
-// The next keypoint of this scene that has neither a click nor is skipped; the same when there is none.
+// The next keypoint that is neither clicked nor skipped in this scene; the same one when there is none.
 export function nextOpen(from) {
   const count = app.state.keypoints.length;
   const open = (k) => !isSkipped(k, app.scene) && !clicksIn(app.scene).some((c) => c.keypoint === k);
@@ -30,13 +30,13 @@ export function selectNext(test) {
   for (let step = 1; step <= count; step++) if (test((app.keypoint + step) % count)) return select(app.keypoint + step);
 }
 
-// Keep the selected keypoint when it is to be marked in this scene, else go on to one that is.
+// Keep the selected keypoint if it is not marked in this scene, else select one that is not.
 export function selectOpen() {
   const count = app.state?.keypoints.length || 0;
   if (count) select(nextOpen((app.keypoint + count - 1) % count));
 }
 
-// Other parts may want a click for something else: take(u, v) is true when it was theirs.
+// Other parts may use a click for something else: take(u, v) returns true when it did.
 const takers = [];
 export function takeClicks(take) {
   takers.push(take);
@@ -57,7 +57,7 @@ export function move(click, u_px, v_px) {
   act({ op: "move", keypoint, scene, frame, u_px, v_px });
 }
 
-// Take the selected keypoint's mark out of this frame, or out of the only other frame of this scene.
+// Delete the selected keypoint's mark in this frame, or in the only other frame of this scene.
 export function remove() {
   const mine = clicksIn(app.scene).filter((c) => c.keypoint === app.keypoint);
   const click = mine.find((c) => c.frame === frameNow()) || (mine.length === 1 ? mine[0] : null);
@@ -92,7 +92,7 @@ export async function rename() {
   if (name && name !== old) act({ op: "keypoints", names: names().with(app.keypoint, name) });
 }
 
-// Move the selected keypoint up or down the list; its clicks stay its own.
+// Move the selected keypoint up or down the list; it keeps its clicks.
 export async function shift(by) {
   const to = app.keypoint + by, order = names().map((_, k) => k);
   if (to < 0 || to >= order.length) return;
@@ -103,7 +103,7 @@ export async function shift(by) {
 
 export async function removeFromList() {
   const marks = app.state.clicks.filter((c) => c.keypoint === app.keypoint).length;
-  const sure = await ask(`Take ${keypointTitle(app.keypoint)} out of the list, with its ${marks} clicks? Undo brings it back.`, []);
+  const sure = await ask(`Take ${keypointTitle(app.keypoint)} out of the list, with its ${marks} ${marks === 1 ? "click" : "clicks"}? Undo restores it.`, []);
   if (sure) act({ op: "order", order: names().map((_, k) => k).filter((k) => k !== app.keypoint) });
 }
 

@@ -1,4 +1,4 @@
-// Everything by keyboard, and the sheet that lists it.
+// Keyboard shortcuts, and the sheet that lists them.
 
 import { cursorOnScreen, fit, nudge, zoomBy } from "../image/canvas.js";
 import { element, show, closeDialog } from "./dom.js";
@@ -28,7 +28,7 @@ const KEYS = [
   [["Ctrl+z"], "undo", undo],
   [["Ctrl+y", "Ctrl+Shift+z"], "redo", redo],
   [[",", "."], "previous, next frame", (key) => goToRow(app.row + (key === "." ? 1 : -1))],
-  [["<", ">"], "10 frames back, on", (key) => goToRow(app.row + (key === ">" ? 10 : -10))],
+  [["<", ">"], "10 frames back, forward", (key) => goToRow(app.row + (key === ">" ? 10 : -10))],
   [["Home", "End"], "first, last frame", (key) => goToRow(key === "Home" ? 0 : poses().index.length)],
   [["[", "]"], "previous, next suggested or clicked frame", (key) => timeline.jump(key === "]" ? 1 : -1)],
   [["r"], "a frame at random", timeline.random],
@@ -42,7 +42,7 @@ const KEYS = [
   [["l"], "show or hide the mask of the labels", () => change({ showMask: !app.showMask })],
 ];
 
-// Other parts of the page add theirs.
+// Other parts of the page add their keys.
 export function addKeys(more) {
   KEYS.push(...more);
 }

@@ -1,4 +1,4 @@
-// What a keypoint looks like where it is marked already, so that it is found again in another scene.
+// Cut-outs of a keypoint where it is already marked, to help find it in another scene.
 
 import { scenePath } from "../state/api.js";
 import { element } from "./dom.js";
@@ -6,7 +6,7 @@ import { app } from "../state/store.js";
 
 const MOST = 3;
 
-// What is around some clicks; other scenes than the current one first.
+// Cut-outs around some clicks; those of other scenes come first.
 export function looks(clicks, go) {
   const chosen = [...clicks].sort((a, b) => rank(a, clicks) - rank(b, clicks)).slice(0, MOST);
   return element("div", { className: "looks" }, ...chosen.map((click) => look(click, go)));

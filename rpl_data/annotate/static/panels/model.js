@@ -1,4 +1,4 @@
-// A model that is there already: keypoints from a file, or picked on a mesh in the 3D view. Then three
+// A known model: keypoints from a file, or picked on a mesh in the 3D view. Then three
 // clicks place the object in a scene.
 
 import { get, objectPath } from "../state/api.js";
@@ -17,8 +17,8 @@ let mesh = null, asked = null;
 
 export function setUp() {
   addEntry("Load a known model", "sparse_model.txt, MeshLab's .pp, or a mesh to pick its keypoints on", load);
-  addEntry("Keep the model as it is", "further scenes are placed by three clicks and change it no more", freeze);
-  addEntry("Find the model from the clicks", "the known model is not used any longer", () => act({ op: "model", points: null }));
+  addEntry("Keep the model as it is", "three clicks then place it in further scenes, without changing it", freeze);
+  addEntry("Find the model from the clicks", "the known model is no longer used", () => act({ op: "model", points: null }));
   addEntry("Export the model", "sparse_model.txt of RapidPoseLabels, with the grasp where there is one", exportModel);
   onNews("mesh", (name) => { if (name === app.state?.object) asked = null; change({}); });
   stage.append(panel);
@@ -33,7 +33,7 @@ async function load() {
   const file = await chooseFile(ACCEPTED);
   if (!file) return;
   let unit = "1";
-  if (!/\.txt$/i.test(file.name)) [unit] = (await ask(`The unit of ${file.name}`, [{ label: "metres a unit: 1, or 0.001 for millimetres", value: "1" }])) || [];
+  if (!/\.txt$/i.test(file.name)) [unit] = (await ask(`The unit of ${file.name}`, [{ label: "metres per unit: 1, or 0.001 for millimetres", value: "1" }])) || [];
   if (!unit) return;
   const query = new URLSearchParams({ file: file.name, metres_per_unit: unit });
   try {

@@ -15,7 +15,7 @@ export async function openObject(name) {
 export async function newObject() {
   const answer = await ask("Another object in these scenes", [
     { label: "name", value: "" },
-    { label: "keypoints: how many, or their names with commas between", value: "8" },
+    { label: "keypoints: their number, or their names separated by commas", value: "8" },
   ]);
   if (!answer) return;
   const [name, wanted] = answer, count = Number(wanted);

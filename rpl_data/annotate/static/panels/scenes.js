@@ -1,4 +1,4 @@
-// The list of scenes: how far each one is, and how good.
+// The list of scenes: the progress and quality of each.
 
 import { openScene, suggestions } from "../image/frames.js";
 import { selectOpen } from "./keypoints.js";
@@ -15,7 +15,7 @@ export function setUp() {
   onChange(suggest, () => [app.state, app.result, app.scene]);
 }
 
-// Ask for frames worth marking, once a scene, and again when the object has a place in it.
+// Request suggested frames once per scene, and again when the object's pose in it is known.
 const asked = new Set();
 async function suggest() {
   if (!app.state || !app.result || app.scene === null) return;
@@ -31,7 +31,7 @@ export function step(by) {
   return open(names[(at + by + names.length) % names.length]);
 }
 
-// Open a scene to mark in it what is not marked there yet.
+// Open a scene to mark the keypoints that are not marked there yet.
 async function open(name) {
   await openScene(name);
   selectOpen();

@@ -1,4 +1,4 @@
-// The crop box: what is outside of it never becomes part of the dense model. Shown while a slider moves, saved when it rests.
+// The crop box, which the dense model is cut to. It is shown while a slider moves, and saved when it rests.
 
 import { element } from "../panels/dom.js";
 import { act } from "../state/log.js";
@@ -13,7 +13,7 @@ const add = element("button", { textContent: "Cut to a box", id: "crop-add" });
 const remove = element("button", { textContent: "Remove the box", id: "crop-remove" });
 const body = element("div", {}, ...SIDES.map(({ name }, i) => element("label", { className: "slider" }, name, sliders[i], numbers[i])), remove);
 const panel = element("details", { id: "crop" }, element("summary", { textContent: "Crop box" }),
-  element("p", { className: "note quiet", textContent: "Only when the dense model holds something that is not the object: cut it away." }), add, body);
+  element("p", { className: "note quiet", textContent: "Use this only if the dense model contains something that is not the object." }), add, body);
 const STILL_MS = 400;
 let moving = null, saving = null; // the box until it is saved; the timer that saves it
 
@@ -39,7 +39,7 @@ function move(i, value) {
   change({ cropped: (moving = moved(i, value)) });
 }
 
-// The box with one side elsewhere; it keeps some thickness.
+// The box with one side moved; it keeps some thickness.
 function moved(i, value) {
   const { axis, side } = SIDES[i], [low, high] = box().map((corner) => [...corner]);
   if (side) high[axis] = Math.max(value, low[axis] + LEAST_M); else low[axis] = Math.min(value, high[axis] - LEAST_M);

@@ -15,7 +15,7 @@ export function setUp() {
 export const bytes = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
 export const floats = (text) => new Float32Array(bytes(text).buffer);
 
-// After a build: what was fetched is old.
+// After a build, what was fetched is out of date.
 export function forget() {
   clouds.clear();
   model = asked = null;
@@ -30,7 +30,7 @@ async function loadModel() {
   const found = await get(`${objectPath(object)}/dense`).catch(() => null);
   if (asked !== object) return;
   model = found && {
-    places: found.places, points: floats(found.points),
+    sceneFromObject: found.places, points: floats(found.points),
     colors: found.colors && bytes(found.colors), triangles: new Uint16Array(bytes(found.triangles).buffer),
   };
   placedFor = undefined;
@@ -41,8 +41,8 @@ async function loadModel() {
 function placeModel() {
   if (!app.state || placedFor === app.result) return;
   placedFor = app.result;
-  const scene = Object.keys(app.result?.scene_from_object || {}).find((name) => model?.places[name]);
-  const moved = scene && multiply(invert(app.result.scene_from_object[scene]), model.places[scene]);
+  const scene = Object.keys(app.result?.scene_from_object || {}).find((name) => model?.sceneFromObject[name]);
+  const moved = scene && multiply(invert(app.result.scene_from_object[scene]), model.sceneFromObject[scene]);
   change({ dense: model && rows(model.points, moved) });
 }
 
@@ -60,13 +60,13 @@ function rows(flat, matrix) {
 // Scenes with something to show: the placed ones in the object frame; while there is none, the current
 // scene in its own frame.
 export function shownScenes() {
-  const places = app.result?.scene_from_object || {};
-  const placed = app.workspace.scenes.filter((name) => places[name]);
-  if (placed.length) return placed.map((name) => ({ name, moved: invert(places[name]) }));
+  const sceneFromObject = app.result?.scene_from_object || {};
+  const placed = app.workspace.scenes.filter((name) => sceneFromObject[name]);
+  if (placed.length) return placed.map((name) => ({ name, moved: invert(sceneFromObject[name]) }));
   return clicksIn(app.scene).length ? [{ name: app.scene, moved: null }] : [];
 }
 
-// The points of a scene, moved; null until they have come.
+// The moved points of a scene; null until they have loaded.
 export function cloud({ name, moved }) {
   const known = (app.result?.points_m || []).filter(Boolean).length;
   const key = `${app.state.object}/${moved ? `placed ${known}` : clicksIn(name).length}`;

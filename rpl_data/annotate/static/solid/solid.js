@@ -1,4 +1,4 @@
-// The 3D view: keypoints, what every scene saw around them, the dense model. It follows every click.
+// The 3D view: keypoints, the points around them from every scene, the dense model. Every click updates it.
 
 import { cloud, denseModel, shownScenes } from "./dense.js";
 import { element } from "../panels/dom.js";
@@ -24,12 +24,12 @@ export function setUp() {
   new ResizeObserver(() => plot._fullLayout && !section.hidden && window.Plotly.Plots.resize(plot)).observe(plot);
   addKeys([
     [["v"], "the next view: mark, 3D model, labels", nextView],
-    [["Arrow keys, +, - (3D view)"], "turn the model, come nearer, go away", null],
+    [["Arrow keys, +, - (3D view)"], "rotate the model, zoom in, zoom out", null],
   ]);
   onChange(draw);
 }
 
-// Other parts add traces: give() is called at every drawing, watch() says what it depends on.
+// Other parts add traces: give() is called at every drawing, watch() returns what they depend on.
 export function addTraces(give, watch) {
   extras.push({ give, watch });
 }
@@ -61,7 +61,7 @@ function loadLibrary() {
   library ||= new Promise((resolve, reject) => {
     const script = element("script", { src: "/plotly.js" });
     script.onload = resolve;
-    script.onerror = () => { library = null; reject(new Error("plotly.js did not come; is the connection there?")); };
+    script.onerror = () => { library = null; reject(new Error("plotly.js could not be loaded; check the connection")); };
     document.head.append(script);
   });
   return library;
@@ -76,7 +76,7 @@ async function draw() {
   if (app.view !== "solid" || !app.state || !app.workspace) return;
   const other = instead(), scenes = other ? [] : shownScenes();
   if (!other && !scenes.length && !denseModel() && !extras.some(({ give }) => give().length))
-    return say("Nothing to show yet: mark a keypoint (view Mark), and what the cameras saw around it appears here.");
+    return say("Nothing to show yet: mark a keypoint (view Mark), and the surfaces around it appear here.");
   if (!window.Plotly) say("loading the 3D view …");
   try {
     await loadLibrary();

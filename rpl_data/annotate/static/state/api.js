@@ -1,4 +1,4 @@
-// Talking to the server. A refusal is an Error with the server's own words and its status.
+// Requests to the server. A refusal becomes an Error with the server's message and status.
 
 export async function get(path) {
   return read(await fetch(path, { cache: "no-cache" }));

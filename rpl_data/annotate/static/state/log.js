@@ -33,7 +33,7 @@ function described({ op, keypoint, scene, frame }) {
   return `${op} ${keypointTitle(keypoint)} in scene ${scene}${frame === undefined ? "" : `, frame ${frame}`}`;
 }
 
-// Send what waits, in order.
+// Send the waiting actions, in order.
 async function send() {
   if (sending) return;
   sending = sendAll();
@@ -50,7 +50,7 @@ async function sendAll() {
   while (queue.length && (await sendFirst()));
 }
 
-// True when the queue may go on.
+// Returns true when the queue may continue.
 async function sendFirst() {
   const { object, action } = queue[0];
   try {
@@ -76,7 +76,7 @@ function notSaved(error) {
   return false;
 }
 
-// What the server will never take. After a conflict, what was done on top of it falls too.
+// Drop actions that the server will never accept. After a conflict, later actions on top of it go too.
 async function refused(error, object) {
   const gone = error.status === 409 ? waiting(object) : [queue[0]];
   for (const entry of gone) queue.splice(queue.indexOf(entry), 1);
@@ -90,7 +90,7 @@ async function refused(error, object) {
   }
 }
 
-// Take an answer of the server, with what is still waiting shown on top of it.
+// Show an answer of the server, with the waiting actions on top of it.
 function take(state, answered = 0) {
   queue.splice(0, answered);
   seen[state.object] = state.revision;
@@ -116,7 +116,7 @@ export async function sendAgain() {
   return send();
 }
 
-// Load an object, or its newer state. What still waits was done on the older one.
+// Load an object, or its newer state. Waiting actions were made on the older one.
 export async function load(name) {
   const state = await get(objectPath(name));
   const waits = waiting(name).length > 0;
@@ -129,7 +129,7 @@ export async function load(name) {
 
 const question = () => `${app.state?.object} ${app.state?.revision}`;
 
-// Ask for the result of what is saved; a newer question replaces a waiting one.
+// Request the result of the saved actions; a newer request replaces a waiting one.
 async function solve() {
   if (solving) return;
   solving = true;

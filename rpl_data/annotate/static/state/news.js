@@ -1,4 +1,4 @@
-// What happens elsewhere: other tabs and people, jobs, and whether the server is still there.
+// News from elsewhere: other tabs and people, jobs, and whether the server still responds.
 
 import { get } from "./api.js";
 import * as log from "./log.js";
@@ -40,7 +40,7 @@ export function listen() {
   };
 }
 
-// After a lost connection: send what waits, and take what others did.
+// After a lost connection: send waiting actions, and load what others did.
 async function caughtUp() {
   if (app.waiting) await log.sendAgain();
   else if (app.state) await log.load(app.state.object).catch((error) => log.alertOnce(error.message));

@@ -1,16 +1,16 @@
-// What the page knows; panels are drawn again after a change.
+// The state of the page; panels are redrawn after a change.
 
 export const app = {
   workspace: null, // {name, scenes, objects}
-  scenes: {}, // details by name, once asked for
+  scenes: {}, // details by name, once requested
   poses: {}, // by scene: {index: Int32Array, table: Float32Array of 8 a row}
-  state: null, // the object's log as the server told it, with what is on its way there
-  result: null, // of the last revision that was solved
+  state: null, // the object's log from the server, with the actions on their way there
+  result: null, // result of the last revision that was solved
   suggestions: {}, // by scene: [{frame, why}]
   next: null, // {text, scene, frame, keypoint, view, action}
   scene: null, row: 0, keypoint: 0, view: "mark",
   shown: null, // "scene/frame" of the picture on the screen
-  hurried: false, // frames rush by: while one scrubs or plays
+  hurried: false, // while the user scrubs or plays
   cursor: null, // {u, v} in image pixels
   showModel: true, showMask: false, brightness: 1,
   waiting: 0, offline: false, job: null, fresh: {},

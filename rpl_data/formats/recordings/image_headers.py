@@ -1,4 +1,4 @@
-"""What an image file is and whether it is whole, from its first and last bytes, without decoding it."""
+"""Read the header of an image file and check that it is complete, from its first and last bytes only."""
 
 from __future__ import annotations
 
@@ -28,11 +28,10 @@ class ImageHeader:
 
 
 def probe(path: Path) -> ImageHeader | None:
-    """The header of an image file; None when it is missing, cut off or no image.
+    """Read the header of an image file; None when it is missing, cut off or not an image.
 
-    PNG and JPEG are judged by their header and end mark (a recording of 10,000 frames is checked in
-    about a second); a broken file with both intact is found when it is decoded. Other formats are
-    decoded.
+    PNG and JPEG are judged by their header and end mark, so 10,000 frames are checked in about a second; a
+    file that is damaged in between is found when it is decoded. Other formats are decoded.
     """
     try:
         with path.open("rb") as file:
@@ -48,7 +47,7 @@ def probe(path: Path) -> ImageHeader | None:
 
 
 def _tail(file: BinaryIO) -> bytes:
-    """The last bytes; some cameras pad a JPEG behind its end mark."""
+    """The last bytes; some cameras pad a JPEG after its end mark."""
     size = file.seek(0, os.SEEK_END)
     file.seek(max(0, size - 64))
     return file.read()
@@ -73,7 +72,9 @@ def _jpeg(file: BinaryIO) -> ImageHeader | None:
             if len(size) < 5:
                 return None
             return ImageHeader(int.from_bytes(size[3:5]), int.from_bytes(size[1:3]), is_depth=False)
-        file.seek(int.from_bytes(segment[2:4]) - 2, os.SEEK_CUR)
+        if (length := int.from_bytes(segment[2:4])) < 2:
+            return None
+        file.seek(length - 2, os.SEEK_CUR)
 
 
 def _decoded(path: Path) -> ImageHeader | None:

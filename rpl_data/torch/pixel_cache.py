@@ -1,4 +1,4 @@
-"""Decoded pixels around boxes, kept in memory or in a file, since decoding costs most of a sample."""
+"""Cache of the decoded pixels around boxes, in memory or a file: decoding costs most of a sample's time."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from rpl_data.types import DataError
 
 
 @dataclass(frozen=True)
-class Region:
-    """A rectangle of whole pixels of an image; right and bottom are the first ones outside."""
+class Rectangle:
+    """A rectangle of whole pixels of an image; `right` and `bottom` are the first ones outside."""
 
     left: int
     top: int
@@ -28,72 +28,74 @@ class Region:
 
     @property
     def size_bytes(self) -> int:
-        """Of its pixels, three channels."""
+        """Bytes that its pixels take, three channels each."""
         return (self.right - self.left) * (self.bottom - self.top) * 3
 
 
-def region_around(square_box: Float64[np.ndarray, "3"], *, half: float, width: int, height: int) -> Region:
-    """The pixels of the image that a crop within `half` sides of the box's centre can touch."""
+def rectangle_around(
+    square_box: Float64[np.ndarray, "3"], *, half: float, width: int, height: int
+) -> Rectangle:
+    """Return the pixels of the image that a crop within `half` sides of the box's centre can touch."""
     cx, cy, side = square_box
     reach = half * side + 2  # bilinear sampling looks a pixel beyond
     left, top = (int(np.clip(np.floor(c - reach), 0, n - 1)) for c, n in ((cx, width), (cy, height)))
     right, bottom = (int(np.clip(np.ceil(c + reach), 1, n)) for c, n in ((cx, width), (cy, height)))
-    return Region(left, top, max(right, left + 1), max(bottom, top + 1))
+    return Rectangle(left, top, max(right, left + 1), max(bottom, top + 1))
 
 
-class RegionCache:
-    """Regions of images, decoded once, one behind the other in a flat array that workers share."""
+class PixelCache:
+    """Rectangles of images, decoded once and stored in one flat array that worker processes share."""
 
-    def __init__(self, files: Sequence[str], regions: Sequence[Region], place: bool | Path) -> None:
-        """Decode all regions, or take them over from an earlier run.
+    def __init__(self, files: Sequence[str], rectangles: Sequence[Rectangle], storage: bool | Path) -> None:
+        """Decode all rectangles, or reuse the file that an earlier run wrote.
 
         Args:
-            files: image of each region.
-            regions: what is kept of it.
-            place: True for memory, or a folder.
+            files: path of the image of each rectangle.
+            rectangles: the part of each image to keep.
+            storage: a folder to keep the pixels in; True keeps them in memory.
 
         Raises:
-            DataError: the folder cannot be written, or an image cannot be read that is to be kept in it. In
-                memory the others are kept, and the region of a broken image is refused when asked for.
+            DataError: the folder cannot be written, or one of its images cannot be read. In memory the
+                other images are kept, and asking for the rectangle of the unreadable one raises its error.
         """
-        self._regions = regions
+        self._rectangles = rectangles
         self._unreadable: dict[int, DataError] = {}
-        self._offsets = np.concatenate([[0], np.cumsum([region.size_bytes for region in regions])])
+        self._offsets = np.concatenate([[0], np.cumsum([rectangle.size_bytes for rectangle in rectangles])])
         self._pixels: UInt8[np.ndarray, " n"]
-        if isinstance(place, Path):
-            self._pixels = self._on_disk(files, place)
+        if isinstance(storage, Path):
+            self._pixels = self._on_disk(files, storage)
         else:
             self._pixels = np.empty(self._offsets[-1], dtype=np.uint8)
-            for row in range(len(regions)):
+            for row in range(len(rectangles)):
                 try:
                     self._fill_row(row, files[row], self._pixels)
                 except DataError as error:
                     self._unreadable[row] = error
 
-    def __getitem__(self, row: int) -> tuple[Image, Region]:
-        """The pixels of a region, and where in the image they are; DataError when it could not be read."""
+    def __getitem__(self, row: int) -> tuple[Image, Rectangle]:
+        """Return a rectangle and its pixels; DataError when its image could not be read."""
         if row in self._unreadable:
             raise self._unreadable[row]
-        region = self._regions[row]
+        rectangle = self._rectangles[row]
         flat = self._pixels[self._offsets[row] : self._offsets[row + 1]]
-        return flat.reshape(region.bottom - region.top, -1, 3), region
+        return flat.reshape(rectangle.bottom - rectangle.top, -1, 3), rectangle
 
     def _fill(self, files: Sequence[str], pixels: UInt8[np.ndarray, " n"]) -> None:
         for row, file in enumerate(files):
             self._fill_row(row, file, pixels)
 
     def _fill_row(self, row: int, file: str, pixels: UInt8[np.ndarray, " n"]) -> None:
-        region = self._regions[row]
-        cut = read_image(file)[region.top : region.bottom, region.left : region.right]
+        rectangle = self._rectangles[row]
+        cut = read_image(file)[rectangle.top : rectangle.bottom, rectangle.left : rectangle.right]
         pixels[self._offsets[row] : self._offsets[row + 1]] = cut.reshape(-1)
 
     def _on_disk(self, files: Sequence[str], folder: Path) -> UInt8[np.ndarray, " n"]:
-        """The file of exactly these images (by size and time) and regions; written when it is not there."""
-        path = folder / f"regions-{_fingerprint(files, self._regions)}.u8"
+        """Map the file of exactly these rectangles and images (by size and time); write it when missing."""
+        path = folder / f"pixels-{_fingerprint(files, self._rectangles)}.u8"
         if not path.exists():
             try:
                 folder.mkdir(parents=True, exist_ok=True)
-                handle, temporary = tempfile.mkstemp(dir=folder, prefix=".regions-")
+                handle, temporary = tempfile.mkstemp(dir=folder, prefix=".pixels-")
                 os.close(handle)
                 try:
                     pixels = np.memmap(temporary, dtype=np.uint8, mode="w+", shape=(int(self._offsets[-1]),))
@@ -109,14 +111,14 @@ class RegionCache:
         return np.memmap(path, dtype=np.uint8, mode="r")
 
 
-def _fingerprint(files: Sequence[str], regions: Sequence[Region]) -> str:
+def _fingerprint(files: Sequence[str], rectangles: Sequence[Rectangle]) -> str:
     digest = hashlib.sha256()
-    for file, region in zip(files, regions, strict=True):
+    for file, rectangle in zip(files, rectangles, strict=True):
         try:
             status = os.stat(file)
         except OSError as error:
             raise DataError(
                 f"cannot read the image {file}: {error.strerror}; export the dataset again"
             ) from error
-        digest.update(repr((str(file), status.st_size, status.st_mtime_ns, region)).encode())
+        digest.update(repr((str(file), status.st_size, status.st_mtime_ns, rectangle)).encode())
     return digest.hexdigest()[:16]

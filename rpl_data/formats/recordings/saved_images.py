@@ -1,4 +1,4 @@
-"""Images of a recording that is one file, or a live camera, written as files of their own.
+"""Save the images of a live camera, or of a recording that is a single file, as files of their own.
 
 ::
 
@@ -28,14 +28,14 @@ def write_images(
     *,
     lossless: bool = False,
 ) -> tuple[Path, Path]:
-    """Write a frame, each file whole or not at all; returns the paths of colour and depth.
+    """Write a frame, each file completely or not at all; returns the paths of colour and depth.
 
     Args:
-        folder: of the scene.
+        folder: folder of the scene.
         index: `Frame.index`.
-        color: RGB, or the bytes of a JPEG file, which are written as they are.
-        depth: in the units of the recording.
-        lossless: RGB as PNG, about five times the size.
+        color: RGB, or the bytes of a JPEG file, which are written unchanged.
+        depth: depth in the units of the recording.
+        lossless: write RGB as PNG, about five times the size.
     """
     suffix: Literal["png", "jpg"] = "png" if lossless and not isinstance(color, bytes) else "jpg"
     color_path = folder / "rgb" / f"{index:06d}.{suffix}"
@@ -46,9 +46,9 @@ def write_images(
 
 
 def encoded(image: np.ndarray, suffix: Literal["png", "jpg"]) -> bytes:
-    """The bytes of a file, colours BGR.
+    """Encode an image (colours in BGR order) to the bytes of a file.
 
-    PNG at the fastest level: depth is 10 % larger than at the best and five times quicker.
+    PNG uses the fastest level: depth is 10 % larger than at the best level and five times quicker.
     """
     options = {
         "png": [cv2.IMWRITE_PNG_COMPRESSION, 1],

@@ -1,0 +1,79 @@
+"""Work in a process of its own, for libraries that may end the process on a damaged file.
+
+Open3D and librealsense are written in C++ and trust what they read: a wrong number in a file can end the
+process with a signal, or ask for all memory. In a child they take nobody with them.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import resource
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+from rpl_data.types import DataError
+
+Result = TypeVar("Result")
+MEMORY_BYTES = 16 * 2**30
+"""Of address space; libraries map a few gigabytes of it that they never use."""
+
+
+def in_child(work: Callable[..., Result], *arguments: Any, file: Path, limit_s: int | None = None) -> Result:
+    """What `work(*arguments)` returns, worked out in a process of its own.
+
+    Args:
+        work: a function of a module; it, its arguments and its result must be picklable.
+        arguments: of it.
+        file: what it reads, for the message.
+        limit_s: seconds of CPU time it may take; None = any.
+
+    Raises:
+        DataError: that of `work`, or the child was ended by a signal, by its limits or by a fault.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        answer = Path(folder) / "answer"
+        task = pickle.dumps((work, arguments, str(answer), limit_s))
+        paths = os.pathsep.join(path for path in sys.path if path)
+        done = subprocess.run(
+            [sys.executable, "-c", "from rpl_data.child import _work; _work()"],
+            input=task,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            env={**os.environ, "PYTHONPATH": paths},
+        )
+        if done.returncode == 0 and answer.exists():
+            result, error = pickle.loads(answer.read_bytes())
+            if error is not None:
+                raise DataError(error)
+            return result  # type: ignore[no-any-return]
+    raise DataError(f"{file} is damaged: {_end(done.returncode, done.stderr)}; save or record it again")
+
+
+def _end(code: int, said: bytes) -> str:
+    """How a child ended, in words."""
+    if code < 0:
+        return f"reading it was ended by signal {signal.Signals(-code).name}"
+    lines = said.decode("utf-8", "replace").strip().splitlines()
+    return f"reading it failed: {lines[-1][:200] if lines else f'status {code}'}"
+
+
+def _work() -> None:
+    """The child: take the task from standard input, leave the answer in its file."""
+    work, arguments, answer, limit_s = pickle.loads(sys.stdin.buffer.read())  # written by our own parent
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
+    if limit_s is not None:
+        resource.setrlimit(resource.RLIMIT_CPU, (limit_s, limit_s))
+    content: tuple[Any, str | None]
+    try:
+        content = work(*arguments), None
+    except DataError as error:
+        content = None, str(error)
+    Path(answer).write_bytes(pickle.dumps(content))
+    os._exit(0)  # no destructor of a library may spoil an answer that is there

@@ -1,0 +1,62 @@
+"""`rpl_data.build`: the whole pipeline in one call, from Python."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from pathlib import Path
+
+from rpl_data.pipeline import build as pipeline
+from rpl_data.pipeline.build import STAGES, Tell
+from rpl_data.pipeline.recipe import Recipe, load_recipe
+from rpl_data.types import DataError
+from rpl_data.workspace.workspace import Workspace
+
+
+def build(
+    recipe: str | Path | Recipe,
+    workspace: str | Path | Workspace,
+    *,
+    root: str | Path | None = None,
+    until: str | None = None,
+    again: str | Collection[str] = (),
+    workers: int | None = None,
+    tell: Tell = lambda progress: None,
+) -> Workspace:
+    """Make everything that a recipe asks for; only what is out of date is run.
+
+    It may be interrupted anywhere: call it again and it goes on from there. Relative paths of a recipe file
+    start at the folder of that file, or at `root`.
+
+    Args:
+        recipe: the YAML file, or what `load_recipe` returned.
+        workspace: the folder for everything that is made; it is created when it is not there.
+        root: where the relative paths of the recipe file start.
+        until: the last stage to run, "solve" say; all of them when left out.
+        again: a stage, or several, to run although nothing they depend on has changed; "all" for all.
+        workers: number of processes; one per core when left out, 1 = this process only. More than one needs
+            a program that can be imported: keep its calls below `if __name__ == "__main__":`.
+        tell: called with the `Progress` of every step, as often as it gets on; its `state` is "ran" when
+            the step is finished.
+
+    Returns:
+        The workspace. `print` it to see what it holds; what the stages had to say is in its report.
+
+    Raises:
+        DataError: something that you can mend; the message says what, where and how. Steps that were
+            finished stay finished.
+    """
+    place = workspace if isinstance(workspace, Workspace) else Workspace(workspace)
+    chosen = tuple(STAGES) if again == "all" else (again,) if isinstance(again, str) else tuple(again)
+    unknown = [stage for stage in (*chosen, *([until] if until else [])) if stage not in STAGES]
+    if unknown:
+        raise DataError(f"there is no stage {unknown[0]!r}; the stages are {', '.join(STAGES)}")
+    pipeline.build(_recipe(recipe, root), place, until=until, again=chosen, workers=workers, tell=tell)
+    return place
+
+
+def _recipe(recipe: str | Path | Recipe, root: str | Path | None) -> Recipe:
+    if not isinstance(recipe, Recipe):
+        return load_recipe(recipe, root=root)
+    if root is not None:
+        raise DataError("root is for a recipe file; give it to `load_recipe`, which made this recipe")
+    return recipe

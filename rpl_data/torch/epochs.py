@@ -1,0 +1,129 @@
+"""Training batches that depend on the seed, the epoch and the row alone.
+
+A training that was interrupted then sees, after its resumption, exactly what an uninterrupted one sees,
+however many worker processes load the images.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence, Sized
+from typing import Any
+
+import numpy as np
+import torch
+from torch import distributed
+from torch.utils.data import DataLoader, Dataset, Sampler
+
+from rpl_data.torch.readable import Readable
+
+Collate = Callable[[Sequence[Any]], Any]
+"""Makes a batch of samples, some of which may be `Unreadable`."""
+
+
+def seed_of(*key: int) -> int:
+    """A seed for torch that is as good as random, and always the same for the same whole numbers (>= 0)."""
+    return int(np.random.SeedSequence(key).generate_state(1, np.uint64)[0] >> 1)
+
+
+class EpochOrder(Sampler[tuple[int, int]]):
+    """Every row of a dataset once per epoch, shuffled by the seed and the epoch; yields (epoch, row).
+
+    When several processes train together (DDP), each gets its share of the rows. Rows from the beginning of
+    the order fill up the last shares, so that all are equally long.
+    """
+
+    def __init__(self, dataset: Sized, seed: int) -> None:
+        """The order of epoch 0 comes first; `set_epoch` chooses another one."""
+        self._dataset, self._seed, self._epoch = dataset, seed, 0
+
+    def set_epoch(self, epoch: int) -> None:
+        """Choose the epoch, counted from 0. Without it the epochs follow one another. Lightning calls it."""
+        self._epoch = epoch
+
+    def __len__(self) -> int:
+        """How many rows this process gets per epoch."""
+        return -(-len(self._dataset) // _processes()[1])
+
+    def __iter__(self) -> Iterator[tuple[int, int]]:
+        """This epoch's rows of this process."""
+        epoch, self._epoch = self._epoch, self._epoch + 1
+        order = np.random.default_rng((self._seed, epoch)).permutation(len(self._dataset))
+        process, processes = _processes()
+        shared = np.resize(order, len(self) * processes)[process::processes]
+        return iter([(epoch, int(row)) for row in shared])
+
+
+def _processes() -> tuple[int, int]:
+    """The number of this process (from 0), and how many train together."""
+    if distributed.is_available() and distributed.is_initialized():
+        return distributed.get_rank(), distributed.get_world_size()
+    return 0, 1
+
+
+class SeededRows(Dataset[Any]):
+    """A dataset that draws from torch's random state, with that state set by seed, epoch and row.
+
+    It is indexed by what `EpochOrder` yields, and leaves the random state as it found it.
+    """
+
+    def __init__(self, dataset: Any, seed: int) -> None:
+        """`dataset` is indexed by row."""
+        self._dataset, self._seed = dataset, seed
+
+    def __len__(self) -> int:
+        """As many as the dataset has."""
+        return len(self._dataset)
+
+    def __getitem__(self, epoch_and_row: tuple[int, int]) -> Any:
+        """The sample of this row in this epoch."""
+        epoch, row = epoch_and_row
+        generator = torch.default_generator  # torch.manual_seed would reset the GPU's generator too
+        before = generator.get_state()
+        generator.manual_seed(seed_of(self._seed, epoch, row))
+        try:
+            return self._dataset[row]
+        finally:
+            generator.set_state(before)
+
+
+def training_batches(
+    dataset: Any,
+    *,
+    batch: int,
+    workers: int,
+    seed: int,
+    collate: Collate,
+    drop_last: bool = False,
+) -> DataLoader[Any]:
+    """Shuffled batches of a dataset that augments at random; unreadable samples come as `Unreadable`.
+
+    Args:
+        dataset: indexed by row.
+        batch: samples per step and process.
+        workers: processes that load samples; 0 loads them in this one.
+        seed: of the order and of everything the dataset draws.
+        collate: makes a batch of samples and `Unreadable`s.
+        drop_last: leave out the last batch of an epoch when it is smaller than the others.
+    """
+    return DataLoader(
+        Readable(SeededRows(dataset, seed)),
+        batch_size=batch,
+        sampler=EpochOrder(dataset, seed),
+        num_workers=workers,
+        persistent_workers=workers > 0,
+        collate_fn=collate,
+        drop_last=drop_last,
+        pin_memory=torch.cuda.is_available(),
+    )
+
+
+def validation_batches(dataset: Any, *, batch: int, workers: int, collate: Collate) -> DataLoader[Any]:
+    """All samples of a dataset in their order; arguments as of `training_batches`."""
+    return DataLoader(
+        Readable(dataset),
+        batch_size=batch,
+        num_workers=workers,
+        persistent_workers=workers > 0,
+        collate_fn=collate,
+        pin_memory=torch.cuda.is_available(),
+    )

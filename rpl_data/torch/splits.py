@@ -1,0 +1,63 @@
+"""Which file of an exported folder holds a split, and why there is none."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rpl_data.files import read_json
+from rpl_data.types import DataError
+
+FEWEST_SCENES = 3
+"""With fewer there is no test split: it takes whole scenes, and two are left to train on."""
+
+
+def split_file(export: str | Path, split: str | None) -> Path:
+    """The COCO file that a user means by a folder and a split, or by the file itself.
+
+    Args:
+        export: the folder of an export (my-workspace/export/coco) or one of its JSON files.
+        split: train, val or test, of a folder; None for a file.
+
+    Raises:
+        DataError: there is no such folder, file or split; the message says why and what to do.
+    """
+    path = Path(export).expanduser()
+    if path.is_file():
+        if split is not None:
+            raise DataError(f"{path} is a file, not a folder with splits; leave split={split!r} out")
+        return path
+    if not path.is_dir():
+        if split is None and path.suffix == ".json" and path.parent.is_dir():
+            return split_file(path.parent, path.stem)  # which says why it is not there
+        raise DataError(f"{path} does not exist; make it with `rpl build` or `rpl export`")
+    there = [name for name in ("train", "val", "test") if (path / f"{name}.json").exists()]
+    if not there:
+        inner = path / "export" / "coco"
+        hint = f"give {inner}" if inner.exists() else "make it with `rpl build` or `rpl export`"
+        raise DataError(f"{path} holds no exported dataset (train.json is missing); {hint}")
+    if split is None:
+        raise DataError(f"{path} is a folder; say which split, one of {', '.join(there)}: split={there[0]!r}")
+    if split not in there:
+        raise DataError(f"{path} has no {split} split{_why(path, split, there)}. It has {', '.join(there)}")
+    return path / f"{split}.json"
+
+
+def _why(folder: Path, split: str, there: list[str]) -> str:
+    """The reason a split was not exported, as far as the other files tell it."""
+    if split == "test":
+        scenes = _scenes(folder, there)
+        if len(scenes) < FEWEST_SCENES:
+            found = f"{len(scenes)} scene{'' if len(scenes) == 1 else 's'}"
+            return (
+                f": it takes whole scenes that training never saw, and the labels come from only {found}; "
+                f"record at least {FEWEST_SCENES}"
+            )
+        return ": the recipe asked for no test scene (`split: {test_scenes: 1}`), or none could be spared"
+    if split == "val":
+        return ": the recipe asked for none (`split: {val_fraction: 0.1}`), or there were too few frames"
+    return "" if split == "train" else ": the names are train, val and test"
+
+
+def _scenes(folder: Path, there: list[str]) -> set[str]:
+    """Names of the scenes that the images of these splits come from."""
+    return {image["scene"] for name in there for image in read_json(folder / f"{name}.json")["images"]}

@@ -1,0 +1,125 @@
+"""The only module that knows our folder and file names."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True, init=False)
+class Paths:
+    """Where everything is in the folder of a workspace, whether it is there yet or not.
+
+    ::
+
+        recipe.yaml                   the resolved recipe that built it
+        stages.json                   the options and inputs that each stage ran with
+        build.lock                    held while a build runs
+        recording/                    recording rendered from a twin (a synthetic scene), with truth/
+        scenes/<scene>/               scene.json  trajectory.txt  drift.json  surface.ply  cache/  images/
+                                      parts.json, where it was cut into scenes/<scene>.1/, <scene>.2/, ...
+        objects/<object>/             clicks.jsonl  solution.json  mesh.ply  cloud.ply  given.ply  grasp.json
+        labels/<scene>.jsonl          one line per frame
+        labels/<scene>.left_out.json  frames that the user excluded from exports
+        export/<format>/              coco, coco_truth, ...
+        report/index.html
+    """
+
+    root: Path
+
+    def __init__(self, root: str | Path) -> None:
+        object.__setattr__(self, "root", Path(root).expanduser())
+
+    @property
+    def recipe_file(self) -> Path:
+        """The resolved recipe."""
+        return self.root / "recipe.yaml"
+
+    @property
+    def stages_file(self) -> Path:
+        """The options and inputs that each stage ran with."""
+        return self.root / "stages.json"
+
+    @property
+    def build_lock(self) -> Path:
+        """The lock file that a running build holds."""
+        return self.root / "build.lock"
+
+    @property
+    def recording(self) -> Path:
+        """The folder that a twin writes its recording to."""
+        return self.root / "recording"
+
+    @property
+    def truth(self) -> Path:
+        """The workspace with the recording's ground truth: the twin's, or made from given true poses."""
+        return self.recording / "truth"
+
+    @property
+    def report(self) -> Path:
+        """The report: a page to read in a browser."""
+        return self.root / "report" / "index.html"
+
+    def export(self, name: str) -> Path:
+        """The folder of an export."""
+        return self.root / "export" / name
+
+    def scene_file(self, scene: str) -> Path:
+        """The file with the intrinsics and frames of a scene."""
+        return self.root / "scenes" / scene / "scene.json"
+
+    def trajectory_file(self, scene: str) -> Path:
+        """The poses `scene_from_camera`, in TUM lines."""
+        return self.root / "scenes" / scene / "trajectory.txt"
+
+    def surface_file(self, scene: str) -> Path:
+        """The surface near the objects, in the scene frame."""
+        return self.root / "scenes" / scene / "surface.ply"
+
+    def drift_file(self, scene: str) -> Path:
+        """The measured drift of a recording's poses."""
+        return self.root / "scenes" / scene / "drift.json"
+
+    def parts_file(self, scene: str) -> Path:
+        """The spans that a recording was cut into; the file is absent while the recording is whole."""
+        return self.root / "scenes" / scene / "parts.json"
+
+    def cache(self, scene: str) -> Path:
+        """The folder of decoded depth, which can be deleted and rebuilt at any time."""
+        return self.root / "scenes" / scene / "cache"
+
+    def images(self, scene: str) -> Path:
+        """The folder of images unpacked from a recording that is a single file (.klg, .bag, .db3)."""
+        return self.root / "scenes" / scene / "images"
+
+    def clicks_file(self, object_name: str) -> Path:
+        """The log of clicks on an object."""
+        return self.root / "objects" / object_name / "clicks.jsonl"
+
+    def solution_file(self, object_name: str) -> Path:
+        """The solved keypoint model and `scene_from_object` per scene."""
+        return self.root / "objects" / object_name / "solution.json"
+
+    def mesh_file(self, object_name: str) -> Path:
+        """The dense model as triangles, in the object frame, metres."""
+        return self.root / "objects" / object_name / "mesh.ply"
+
+    def cloud_file(self, object_name: str) -> Path:
+        """The dense model as points, in the object frame, metres."""
+        return self.root / "objects" / object_name / "cloud.ply"
+
+    def given_mesh_file(self, object_name: str) -> Path:
+        """The mesh that the user supplied for the object, in the frame of its known keypoints, metres."""
+        return self.root / "objects" / object_name / "given.ply"
+
+    def grasp_file(self, object_name: str) -> Path:
+        """The grasp frame in the object frame."""
+        return self.root / "objects" / object_name / "grasp.json"
+
+    def labels_file(self, scene: str) -> Path:
+        """The labels of a scene, one line per frame."""
+        return self.root / "labels" / f"{scene}.jsonl"
+
+    def left_out_file(self, scene: str) -> Path:
+        """The frames of a scene that the user excluded from exports."""
+        return self.root / "labels" / f"{scene}.left_out.json"

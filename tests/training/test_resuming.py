@@ -1,0 +1,221 @@
+"""A run that was interrupted ends with the weights of one that was not; folders are never mixed up."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from labelled_scenes import exported
+
+from rpl_data.types import DataError
+from training.runs.callbacks import Steps
+from training.runs.folder import changes, trained_epochs
+from training.runs.options import DetectorNetwork, Learning, Machine, MaskNetwork, Network, Run
+from training.runs.schedule import learning_rate, optimizer_of, set_step
+from training.train_detector import train_detector
+from training.train_keypoints import train_keypoints
+from training.train_masks import train_masks
+
+ONE = Machine(accelerator="cpu", threads=1)
+CYCLE = Learning(epochs=3, batch=2, optimizer="adam", rate=2e-3, schedule="one_cycle")
+HOURGLASS = Network(stacks=1, features=16, levels=2, input_px=32, heatmap_px=8, loss="entropy")
+MASKS = MaskNetwork(
+    backbone="resnet18", size_px=64, stages=3, channels=32, hidden=32, proposals=50, rois=16, norm="group"
+)
+STAGED = Learning(epochs=3, batch=2, optimizer="adamw", rate=1e-3, warmup_steps=2, cooldown=0.5, clip=5.0)
+
+TRAININGS: dict[str, Callable[..., Path]] = {
+    "keypoints": lambda coco, out, **more: train_keypoints(
+        coco, "box", out, **{"network": HOURGLASS, "learning": CYCLE, "machine": ONE, **more}
+    ),
+    "detector": lambda coco, out, **more: train_detector(
+        coco,
+        out,
+        **{"network": DetectorNetwork(width_px=64, features=32), "learning": CYCLE, "machine": ONE, **more},
+    ),
+    "masks": lambda coco, out, **more: train_masks(
+        coco,
+        out,
+        **{
+            "network": MASKS,
+            "learning": STAGED,
+            "weights": "scratch",
+            "head_epochs": 1,
+            "machine": ONE,
+            **more,
+        },
+    ),
+}
+
+
+@pytest.fixture(scope="module")
+def coco(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two objects in a few images, some of which are for validation."""
+    return exported(tmp_path_factory.mktemp("resuming"), frames=8, val_fraction=0.3)
+
+
+@pytest.fixture(scope="module", params=list(TRAININGS))
+def finished(request: pytest.FixtureRequest, coco: Path, tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """A training, and the folder of an uninterrupted run of it."""
+    train, out = TRAININGS[request.param], tmp_path_factory.mktemp(request.param)
+    train(coco, out)
+    return train, out
+
+
+@contextmanager
+def interruption(*, epoch: int, batch: int) -> Iterator[None]:
+    """Ctrl-C before a step."""
+    original = Steps.on_train_batch_start
+
+    def interrupt(self: Steps, trainer: Any, module: Any, samples: object, batch_idx: int) -> None:
+        if (trainer.current_epoch, batch_idx) == (epoch, batch):
+            raise KeyboardInterrupt
+        original(self, trainer, module, samples, batch_idx)
+
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(SystemExit):
+        patch.setattr(Steps, "on_train_batch_start", interrupt)
+        yield
+
+
+def weights(folder: Path, name: str = "last.ckpt") -> dict[str, torch.Tensor]:
+    content = torch.load(folder / name, weights_only=True)
+    return dict(content["state_dict"])
+
+
+def assert_same(one: dict[str, torch.Tensor], other: dict[str, torch.Tensor]) -> None:
+    assert one.keys() == other.keys()
+    assert [key for key in one if not torch.equal(one[key], other[key])] == []
+
+
+@pytest.mark.parametrize(("epoch", "batch"), [(0, 1), (1, 0), (2, 2)])
+def test_interrupted_run_ends_with_the_same_weights(finished, coco, tmp_path, capsys, epoch, batch):
+    train, straight = finished
+    with interruption(epoch=epoch, batch=batch):
+        train(coco, tmp_path, resume=True)
+    assert f"interrupted in epoch {epoch + 1}" in capsys.readouterr().err
+    assert trained_epochs(tmp_path / "last.ckpt") == epoch
+    train(coco, tmp_path, resume=True)
+    assert trained_epochs(tmp_path / "last.ckpt") == 3
+    for name in ("last.ckpt", "best.ckpt"):
+        assert_same(weights(straight, name), weights(tmp_path, name))
+
+
+def test_weights_do_not_depend_on_worker_processes(finished, coco, tmp_path):
+    train, straight = finished
+    train(coco, tmp_path, machine=replace(ONE, workers=1))
+    assert_same(weights(straight), weights(tmp_path))
+
+
+def test_a_pause_is_an_interruption_and_the_seed_matters(finished, coco, tmp_path):
+    train, straight = finished
+    train(coco, tmp_path / "paused", until=1)
+    assert trained_epochs(tmp_path / "paused" / "last.ckpt") == 1
+    train(coco, tmp_path / "paused", resume=True)
+    assert_same(weights(straight), weights(tmp_path / "paused"))
+    train(coco, tmp_path / "other", seed=1, until=1)
+    first, second = weights(tmp_path / "other"), weights(straight)
+    assert any(not torch.equal(first[key], second[key]) for key in first)
+
+
+def test_a_folder_with_a_run_is_continued_started_anew_or_refused(finished, coco, tmp_path, capsys):
+    train, straight = finished
+    with pytest.raises(
+        DataError, match="holds a run that was trained for 3 epochs.*--resume true.*--overwrite"
+    ):
+        train(coco, straight)
+    with pytest.raises(DataError, match="choose one of them"):
+        train(coco, straight, resume=True, overwrite=True)
+    (tmp_path / "notes.txt").write_text("mine")
+    train(coco, tmp_path, until=1, seed=1)
+    train(coco, tmp_path, overwrite=True)
+    assert_same(weights(straight), weights(tmp_path))
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["best.ckpt", "last.ckpt", "logs", "notes.txt"]
+    capsys.readouterr()
+    train(coco, tmp_path, resume=True)
+    assert "trained for 3 epochs already" in capsys.readouterr().out
+
+
+def test_more_epochs_go_on_where_the_run_ended(finished, coco, tmp_path, capsys):
+    train, _ = finished
+    learning = CYCLE if train is not TRAININGS["masks"] else STAGED
+    train(coco, tmp_path, learning=replace(learning, epochs=1), **_heads(train))
+    train(coco, tmp_path, learning=replace(learning, epochs=2), resume=True, **_heads(train))
+    assert trained_epochs(tmp_path / "last.ckpt") == 2
+    assert "goes on after epoch 1; learning.epochs: 1, now 2" in capsys.readouterr().out
+    rows = list(csv.DictReader((tmp_path / "logs1" / "metrics.csv").read_text().splitlines()))
+    rates = [float(row["rate"]) for row in rows if row["rate"]]
+    expected = [learning_rate(replace(learning, epochs=2), step, 3) for step in (3, 4, 5)]
+    assert rates == [pytest.approx(sum(expected) / 3)]
+
+
+def _heads(train: Callable[..., Path]) -> dict[str, int]:
+    return {"head_epochs": 0} if train is TRAININGS["masks"] else {}
+
+
+def test_another_optimizer_or_seed_is_refused(finished, coco):
+    train, straight = finished
+    with pytest.raises(DataError, match="learning.optimizer .*, asked for is sgd; resume with the options"):
+        train(coco, straight, learning=Learning(epochs=4, optimizer="sgd"), resume=True)
+    with pytest.raises(DataError, match="seed 0, asked for is 7"):
+        train(
+            coco,
+            straight,
+            learning=replace(CYCLE, epochs=4, optimizer=_optimizer(straight)),
+            seed=7,
+            resume=True,
+        )
+
+
+def _optimizer(run: Path) -> str:
+    optimizer: str = torch.load(run / "last.ckpt", weights_only=True)["run"]["learning"]["optimizer"]
+    return optimizer
+
+
+def test_checkpoints_of_version_0_1_are_compared_by_what_they_know(tmp_path):
+    torch.save(
+        {"settings": {"optimizer": "sgd", "rate": 0.1, "seed": 0, "model": {}}}, tmp_path / "masks.ckpt"
+    )
+    torch.save({"hyper_parameters": {"learning": {"rate": 0.1, "batch": 4}}}, tmp_path / "keypoints.ckpt")
+    settings = {"seed": 0, "learning": {"optimizer": "sgd", "rate": 0.2, "batch": 4, "clip": 1.0}}
+    for name in ("masks", "keypoints"):
+        assert changes(tmp_path / f"{name}.ckpt", settings) == ["learning.rate: 0.1, now 0.2"]
+    with pytest.raises(DataError, match="seed 0, asked for is 1"):
+        changes(tmp_path / "masks.ckpt", {**settings, "seed": 1})
+
+
+# Learning rates -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("optimizer", ["adam", "adamw", "rmsprop", "sgd"])
+@pytest.mark.parametrize("steps", [1, 3, 10, 37])
+def test_one_cycle_is_torchs(optimizer, steps):
+    learning = replace(CYCLE, epochs=1, optimizer=optimizer)
+    ours, torchs = (optimizer_of(torch.nn.Linear(2, 2), learning, fused=True) for _ in range(2))
+    judge = torch.optim.lr_scheduler.OneCycleLR(torchs, learning.rate, total_steps=steps)
+    for step in range(steps):
+        set_step(ours, learning, step, steps)
+        mine, wanted = ours.param_groups[0], torchs.param_groups[0]
+        momentum = "betas" if "betas" in mine else "momentum"
+        assert mine["lr"] == pytest.approx(wanted["lr"], rel=1e-9)
+        assert mine[momentum] == pytest.approx(wanted[momentum])
+        torchs.step()
+        if step < steps - 1:
+            judge.step()
+
+
+def test_options_that_contradict_themselves():
+    for wrong in ({"epochs": 0}, {"rate": 0.0}, {"cooldown": 2.0}, {"clip": -1.0}):
+        with pytest.raises(DataError, match="learning"):
+            replace(STAGED, **wrong)
+    with pytest.raises(DataError, match="rises and falls by itself"):
+        replace(STAGED, schedule="one_cycle")
+    with pytest.raises(DataError, match="--seed"):
+        Run(Path("run"), CYCLE, ONE, seed=-1)
+    with pytest.raises(DataError, match="--until"):
+        Run(Path("run"), CYCLE, ONE, until=0)

@@ -1,0 +1,134 @@
+"""One rule for the folder of a run: a run in it is continued, started anew, or left alone."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Mapping
+from dataclasses import fields
+from pathlib import Path
+from pickle import UnpicklingError
+from typing import Any
+
+import torch
+
+from rpl_data.types import DataError
+from training.runs.options import Learning, Run
+
+LAST, BEST = "last.ckpt", "best.ckpt"
+
+LOGS = re.compile(r"logs\d*|csv|tensorboard")
+"""Folders that runs write their logs into. Mask R-CNN runs of version 0.1 wrote csv and tensorboard."""
+
+
+def checkpoint_to_resume(run: Run) -> Path | None:
+    """The last checkpoint where the run goes on with an earlier one, None where it starts at the beginning.
+
+    A run that was interrupted before its first checkpoint has nothing to go on with, and starts again.
+
+    Raises:
+        DataError: the folder holds a run, and neither `resume` nor `overwrite` says what to do with it.
+    """
+    last = run.out / LAST
+    if not last.exists() or run.overwrite:
+        return None
+    if not run.resume:
+        raise DataError(
+            f"{run.out} holds a run that was trained for {trained_epochs(last)} epochs; go on with "
+            "--resume true, start anew with --overwrite true, or choose another --out"
+        )
+    return last
+
+
+def delete_run(out: Path) -> None:
+    """Delete the checkpoints and logs of the run in a folder; other files stay."""
+    if not (out / LAST).exists():
+        return
+    for path in sorted(out.iterdir()):
+        if path.is_dir() and LOGS.fullmatch(path.name):
+            shutil.rmtree(path)
+    for name in (BEST, LAST):  # the last one marks the run, so an interrupted deletion can be repeated
+        (out / name).unlink(missing_ok=True)
+
+
+def new_logs(out: Path) -> str:
+    """A name for a folder of logs that is not there yet: a resumed run keeps the logs of before."""
+    number = len(list(out.glob("logs*")))
+    return f"logs{number}" if number else "logs"
+
+
+def read_checkpoint(path: Path) -> dict[str, Any]:
+    """What `torch.save` wrote to a file, tensors and plain values only.
+
+    Raises:
+        DataError: the file is missing or holds anything else.
+    """
+    if not path.is_file():
+        raise DataError(f"{path} does not exist; expected a checkpoint or a file of weights")
+    try:
+        content = torch.load(path, map_location="cpu", weights_only=True)
+    except (UnpicklingError, RuntimeError, EOFError, KeyError, ValueError, OSError) as error:
+        raise DataError(f"cannot read {path} as weights: {str(error).splitlines()[0]}") from error
+    if not isinstance(content, dict):
+        raise DataError(f"{path} holds a {type(content).__name__}; expected a dictionary of tensors")
+    return content
+
+
+def trained_epochs(checkpoint: Path) -> int:
+    """How many epochs a checkpoint was trained for; 0 where there is none."""
+    return int(read_checkpoint(checkpoint)["epoch"]) + 1 if checkpoint.exists() else 0
+
+
+def changes(checkpoint: Path, settings: Mapping[str, Any]) -> list[str]:
+    """What differs between the settings of a checkpoint and those asked for: "rate: 0.001, now 0.0005".
+
+    Checkpoints of version 0.1 know only some of their settings; the others are not compared.
+
+    Raises:
+        DataError: the optimizer or the seed differs, without which no run can be continued.
+    """
+    before = _flat(_recorded(read_checkpoint(checkpoint)))
+    now = _flat(settings)
+    changed = {key: value for key, value in before.items() if key in now and now[key] != value}
+    for key in ("learning.optimizer", "seed"):
+        if key in changed:
+            raise DataError(
+                f"{checkpoint} was trained with {key} {changed[key]}, asked for is {now[key]}; resume with "
+                "the options it was started with, or train into another folder"
+            )
+    return [f"{key}: {value}, now {now[key]}" for key, value in changed.items()]
+
+
+def check_same_network(checkpoint: Path, found: object, wanted: object) -> None:
+    """Refuse to go on with a checkpoint of another network.
+
+    Raises:
+        DataError: `found`, of the checkpoint, is not `wanted`.
+    """
+    if found != wanted:
+        raise DataError(
+            f"{checkpoint} is of a network {found}, asked for is {wanted}; resume with the options it was "
+            "started with, or train into another folder"
+        )
+
+
+def _recorded(content: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The settings in a checkpoint; those of version 0.1 lie in other places."""
+    if "run" in content:
+        recorded: Mapping[str, Any] = content["run"]
+        return recorded
+    old = content.get("settings") or content.get("hyper_parameters", {}).get("learning", {})
+    names = {field.name for field in fields(Learning)}
+    learning = {key: value for key, value in old.items() if key in names}
+    return {"learning": learning} | ({"seed": old["seed"]} if "seed" in old else {})
+
+
+def _flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested settings with dotted names."""
+    flat: dict[str, Any] = {}
+    for key, value in settings.items():
+        if isinstance(value, Mapping):
+            flat |= _flat(value, f"{prefix}{key}.")
+        else:
+            flat[prefix + key] = value
+    return flat
