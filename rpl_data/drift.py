@@ -3,7 +3,9 @@
 Labels carry one `scene_from_object` through a whole scene (Eq. 3), so they are wrong by what the poses
 have strayed since the clicked frames. Depth images say how much that is: some frames, evenly spread, are
 moved into one another by their poses; what they disagree by beyond the disagreement of neighbours, which
-is noise, is drift. Only what changes depth is seen, about a third to a half of a drift in any direction.
+is noise, is drift. Only what changes depth is seen, about a third to a half of a drift in any direction, and
+nothing of a slide along a table. Where a corrected path is known (`reconstruct.path_correction`, which looks
+at brightness, too), what it says counts where it is more.
 """
 
 from __future__ import annotations
@@ -16,11 +18,25 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from rpl_data.geometry import Transform, back_project, inside_image, invert, project, transform
-from rpl_data.types import DepthImage, Intrinsics, ReadDepth, Scene, Span, Trajectory
+from rpl_data.geometry import (
+    Transform,
+    back_project,
+    inside_image,
+    invert,
+    project,
+    rotation_angle_rad,
+    transform,
+)
+from rpl_data.types import DepthImage, Frame, Intrinsics, ReadDepth, Scene, Span, Trajectory
 
 MAX_DRIFT_MM = 15.0
 """Poses that stray farther are cut, unless the recipe says otherwise."""
+
+SAME_SIDE_RAD = 0.87
+"""Views turned farther apart (50 degrees) see other sides of things: depth differs, whatever the poses."""
+
+FEWEST_NEIGHBOURS = 4
+"""Views as many frames apart are compared however far they turn: a sparse recording has no others."""
 
 FEWEST_PAIRS = 3
 """Fewer pairs of frames say little: one may be off by what hides between its views."""
@@ -78,6 +94,7 @@ def measure_drift(
     trajectory: Trajectory,
     read_depth: ReadDepth,
     *,
+    corrected: Trajectory | None = None,
     most_frames: int = 24,
     most_neighbours: int = 8,
     advance: Callable[[int, int], None] = lambda done, total: None,
@@ -86,6 +103,8 @@ def measure_drift(
 
     Args:
         read_depth: reads the depth images of the scene.
+        corrected: the path as the images correct it; it also says how far apart views of different sides
+            have strayed, and how far along a table.
         advance: called with the images read and how many will be.
     """
     posed = set(trajectory.frames.tolist())
@@ -98,18 +117,47 @@ def measure_drift(
         advance(number, len(wanted))
         depths_m[row] = read_depth(frames[row])
 
+    turns_rad = [_turn_rad(trajectory, frames[a], frames[b]) for a, b in pairwise(rows)]
+    widest_rad = max(SAME_SIDE_RAD, FEWEST_NEIGHBOURS * float(np.median(turns_rad))) if turns_rad else np.pi
+
     def error_m(a: int, b: int) -> float:
-        a_from_b = invert(trajectory.at(frames[a].index)) @ trajectory.at(frames[b].index)
+        if _turn_rad(trajectory, frames[a], frames[b]) > widest_rad:
+            return float("nan")
+        a_from_b = _between(trajectory, frames[a], frames[b])
         return depth_reprojection_error_m(scene.intrinsics, a_from_b, depths_m[a], depths_m[b])
+
+    known = set() if corrected is None else set(corrected.frames.tolist())
+
+    def moved_m(a: int, b: int) -> float:
+        """How far the correction moves what frame b sees in the middle of its image, seen from frame a."""
+        if corrected is None or not {frames[a].index, frames[b].index} <= known:
+            return float("nan")
+        seen_m = depths_m[b][depths_m[b] > 0]
+        middle = np.array([0.0, 0.0, float(np.median(seen_m)) if len(seen_m) else 0.0])
+        here, there = (
+            transform(_between(path, frames[a], frames[b]), middle) for path in (trajectory, corrected)
+        )
+        return float(np.linalg.norm(here - there))
 
     neighbours = np.array([error_m(row, row + 1) for row in beside], dtype=float)
     noise_m = float(np.median(neighbours[np.isfinite(neighbours)])) if np.isfinite(neighbours).any() else 0.0
     between_m = np.zeros((len(rows), len(rows)))
     for i, j in zip(*np.triu_indices(len(rows), 1), strict=True):
         excess = np.sqrt(np.maximum(error_m(rows[i], rows[j]) ** 2 - noise_m**2, 0.0))
-        between_m[i, j] = between_m[j, i] = excess
+        between_m[i, j] = between_m[j, i] = np.fmax(excess, moved_m(rows[i], rows[j]))
     indices = np.array([frames[row].index for row in rows], dtype=np.int64)
     return Drift(indices, between_m, noise_m)
+
+
+def _between(path: Trajectory, a: Frame, b: Frame) -> Transform:
+    """`a_from_b` of two frames."""
+    a_from_b: Transform = invert(path.at(a.index)) @ path.at(b.index)
+    return a_from_b
+
+
+def _turn_rad(path: Trajectory, a: Frame, b: Frame) -> float:
+    """How far the camera turned between two frames."""
+    return rotation_angle_rad(_between(path, a, b)[:3, :3])
 
 
 def _spread(count: int, most: int) -> list[int]:

@@ -21,9 +21,9 @@ Floats = Float64[np.ndarray, "n 3"]
 Colors = UInt8[np.ndarray, "n 3"]
 
 
-def save_mesh(path: Path, mesh: Mesh) -> None:
-    """Write triangles as binary PLY, completely or not at all."""
-    write_bytes(path, mesh_to_ply(mesh))
+def save_mesh(path: Path, mesh: Mesh, *, seen: Bool[np.ndarray, " m"] | None = None) -> None:
+    """Write triangles as binary PLY, completely or not at all; see `mesh_to_ply`."""
+    write_bytes(path, mesh_to_ply(mesh, seen=seen))
 
 
 READING_S = 120
@@ -98,11 +98,17 @@ def load_cloud(path: Path) -> PointCloud:
     return PointCloud(points, normals, _colors(vertices))
 
 
-def mesh_to_ply(mesh: Mesh) -> bytes:
-    """Encode vertices (with colours where known) and triangles as PLY."""
+def mesh_to_ply(mesh: Mesh, *, seen: Bool[np.ndarray, " m"] | None = None) -> bytes:
+    """Encode vertices (with colours where known) and triangles as PLY.
+
+    Args:
+        seen: whether a camera saw each triangle; written as the property `seen` (1 or 0) of the faces.
+    """
     header, vertices = _vertices([("xyz", mesh.vertices)], mesh.colors)
     faces = f"element face {len(mesh.triangles)}\nproperty list uchar int vertex_indices\n"
-    return _file(header + faces, vertices + _faces(mesh.triangles))
+    if seen is not None:
+        faces += "property uchar seen\n"
+    return _file(header + faces, vertices + _faces(mesh.triangles, seen))
 
 
 def cloud_to_ply(cloud: PointCloud) -> bytes:
@@ -128,9 +134,14 @@ def _vertices(columns: Sequence[tuple[Sequence[str], Floats]], colors: Colors | 
     return f"element vertex {len(table)}\n{properties}", table.tobytes()
 
 
-def _faces(triangles: Int64[np.ndarray, "m 3"]) -> bytes:
-    table = np.empty(len(triangles), dtype=[("count", "u1"), ("corners", "<i4", 3)])
+def _faces(triangles: Int64[np.ndarray, "m 3"], seen: Bool[np.ndarray, " m"] | None) -> bytes:
+    fields: list[tuple[str, str] | tuple[str, str, int]] = [("count", "u1"), ("corners", "<i4", 3)]
+    if seen is not None:
+        fields.append(("seen", "u1"))
+    table = np.empty(len(triangles), dtype=fields)
     table["count"], table["corners"] = 3, triangles
+    if seen is not None:
+        table["seen"] = seen
     return table.tobytes()
 
 

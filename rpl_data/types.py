@@ -184,8 +184,10 @@ class Observation:
             depth d is ``d * ray_camera`` in the camera frame.
         scene_from_camera: pose of the clicked frame.
         depths_m: candidate depths from the neighbourhood, nearest surface first; may be empty.
-        depth_sigmas_m: standard deviation of each candidate, as the depth of the clicked point.
-        pixel_rad: angle of one pixel, 1 / focal length.
+        depth_sigmas_m: standard deviation of each candidate as the depth of the clicked point.
+        pixel_rad: angle of one pixel there, 1 / focal length.
+        depth_slopes_m: how each candidate's surface is tilted: the derivative of its depth by x and y of
+            the ray, in metres per unit; None = every surface faces the camera.
     """
 
     click: Click
@@ -194,6 +196,7 @@ class Observation:
     depths_m: Float64[np.ndarray, " candidates"]
     depth_sigmas_m: Float64[np.ndarray, " candidates"]
     pixel_rad: float
+    depth_slopes_m: Float64[np.ndarray, "candidates 2"] | None = None
 
 
 @dataclass(frozen=True)
@@ -300,13 +303,19 @@ class Solution:
     Attributes:
         model: the sparse model in the object frame (centroid of the keypoints, axes of the first
             scene).
-        covariance: one 3x3 covariance per keypoint, in m^2, in the object frame; NaN where never clicked.
+        covariance: one 3x3 covariance per keypoint, in m^2, in the object frame: how well the shape is
+            known. NaN where the keypoint was never clicked.
         scene_from_object: one rigid transform per scene, by scene name. The paper's T_s.
         residuals: one per click, in the order of the clicks.
         warnings: lines for the user.
+        covariance_in_scene: one 3x3 covariance per keypoint of its position in each scene, in m^2, in that
+            scene's frame: shape and pose together, so it is what a label can be off by. A scene is absent
+            in solutions written before this was computed.
+        click_sigma_px: standard deviation of a click per axis, estimated from the residuals; None when
+            it was not.
+        depth_sigma_ratio: by how much the errors of the depths exceed what was stated for them; None
+            when it was not estimated.
         statements: which clicks contradict the others or are checked by none, the worst first.
-        expected_mm: by scene, the expected error of its keypoints in space (root mean square over the
-            keypoints; from the clicks' noise and geometry alone, so without what their errors share).
         next_clicks: further clicks in frames that have some, the most useful first.
     """
 
@@ -315,9 +324,31 @@ class Solution:
     scene_from_object: Mapping[str, Float64[np.ndarray, "4 4"]]
     residuals: tuple[ClickResidual, ...] = ()
     warnings: tuple[str, ...] = ()
+    covariance_in_scene: Mapping[str, Float64[np.ndarray, "k 3 3"]] = field(default_factory=dict)
+    click_sigma_px: float | None = None
+    depth_sigma_ratio: float | None = None
     statements: tuple[Statement, ...] = ()
-    expected_mm: Mapping[str, float] = field(default_factory=dict)
     next_clicks: tuple[NextClick, ...] = ()
+
+    @property
+    def expected_mm(self) -> dict[str, float]:
+        """Expected error of the keypoints in each scene, in space: root mean square over the keypoints."""
+        return {
+            name: 1e3 * float(np.sqrt(np.nanmean(np.trace(found, axis1=1, axis2=2))))
+            for name, found in self.covariance_in_scene.items()
+        }
+
+    def covariance_at(self, scene: str) -> Float64[np.ndarray, "k 3 3"]:
+        """Covariance of each keypoint's position in that scene, in m^2, along the axes of the object frame.
+
+        Where it was not computed, that of the shape alone.
+        """
+        found = self.covariance_in_scene.get(scene)
+        if found is None:
+            return self.covariance
+        turn = self.scene_from_object[scene][:3, :3]
+        turned: Float64[np.ndarray, "k 3 3"] = turn.T @ found @ turn
+        return turned
 
 
 @dataclass(frozen=True)

@@ -94,4 +94,4 @@ class ContactSheet:
 
     def _read_models(self, stamp: tuple[int, int]) -> Mapping[str, KeypointModel]:
         names = [n for n in self._session.objects() if self._workspace.solution_file(n).exists()]
-        return {name: self._workspace.load_solution(name).model for name in names}
+        return {name: self._workspace.load_placed(name).model for name in names}

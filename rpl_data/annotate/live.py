@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float64
@@ -61,7 +61,7 @@ class Lifter:
         for click in sorted(clicks, key=lambda c: (c.scene, c.frame)):  # so that each file is read once
             found[self._key(click)] = self._kept.get(self._key(click)) or self._lift(click)
         self._kept = {**found} if len(found) > 5000 else self._kept | found
-        return [_of(found[self._key(click)], click) for click in clicks]
+        return [replace(found[self._key(click)], click=click) for click in clicks]
 
     def _lift(self, click: Click) -> Observation:
         posed = self.scenes.get(click.scene)
@@ -72,17 +72,6 @@ class Lifter:
 
     def _key(self, click: Click) -> tuple[str, int, float, float]:
         return click.scene, click.frame, click.u_px, click.v_px
-
-
-def _of(observation: Observation, click: Click) -> Observation:
-    return Observation(
-        click,
-        observation.ray_camera,
-        observation.scene_from_camera,
-        observation.depths_m,
-        observation.depth_sigmas_m,
-        observation.pixel_rad,
-    )
 
 
 def solve_live(annotation: Annotation, observations: Sequence[Observation], solve: Solve) -> Live:

@@ -132,7 +132,7 @@ def dense_payload(workspace: Workspace, object_name: str) -> Json | None:
     path = workspace.mesh_file(object_name)
     if not path.exists() or not workspace.solution_file(object_name).exists():
         return None
-    scene_from_object = workspace.load_solution(object_name).scene_from_object
+    scene_from_object = workspace.load_placed(object_name).scene_from_object
     if not scene_from_object:
         raise DataError(f"the solution of {object_name} places it in no scene; run the solve stage again")
     mesh = simplified(load_mesh(path), most_triangles=MOST_TRIANGLES)

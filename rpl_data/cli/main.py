@@ -19,6 +19,7 @@ from rpl_data.cli.stages import (  # noqa: E402
     export,
     label,
     quality,
+    refine,
     report,
     run_build,
     segment,
@@ -53,8 +54,8 @@ def build(
 ) -> None:
     """Make everything a recipe asks for; only what is out of date is run.
 
-    Stages, in order: twin, import, track, clicks, drift, cut, solve, surface, segment, label, export,
-    quality, report. Interrupt it whenever you like: run it again and it goes on from there.
+    Stages, in order: twin, import, track, clicks, drift, cut, solve, surface, refine, segment, label,
+    export, quality, report. Interrupt it whenever you like: run it again and it goes on from there.
 
     Example: rpl build datasets/demo.yaml --workspace workspaces/demo
 
@@ -335,6 +336,7 @@ COMMANDS: dict[str, Any] = {
     "solve": solve,
     "register": register,
     "surface": surface,
+    "refine": refine,
     "segment": segment,
     "label": label,
     "export": export,

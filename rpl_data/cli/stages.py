@@ -14,10 +14,11 @@ HERE = Path(".")
 
 
 def track(workspace: Path = HERE, again: bool = False) -> None:
-    """Camera poses from the images, for a recipe with `reconstruct: {method: track}`.
+    """Camera poses from the images: computed where the recording has none, questioned where it has some.
 
-    Every frame is aligned to keyframes by brightness and depth. Frames that cannot be aligned are left out of
-    `trajectory.txt` and named.
+    Frames are aligned to frames with a similar view by brightness and depth. Poses of the recording are kept
+    where that moves the image by less than half a pixel; otherwise both paths are compared on corners and
+    depth, and the better one becomes `trajectory.txt`. Frames that cannot be tracked are left out and named.
 
     Example: rpl track --workspace workspaces/demo
 
@@ -76,6 +77,21 @@ def surface(workspace: Path = HERE, again: bool = False) -> None:
         again: run the stage even if nothing it depends on has changed.
     """
     run_stage(workspace, "surface", again)
+
+
+def refine(workspace: Path = HERE, again: bool = False) -> None:
+    """Register the scenes of each object on one another: their surfaces and print, together with the clicks.
+
+    A scene keeps the pose of its clicks where parts of its surface that were left out of the registration do
+    not agree better with the other scenes afterwards; that is said.
+
+    Example: rpl refine --workspace workspaces/demo
+
+    Args:
+        workspace: a folder made by `rpl build` or `rpl import`.
+        again: run the stage even if nothing it depends on has changed.
+    """
+    run_stage(workspace, "refine", again)
 
 
 def segment(workspace: Path = HERE, again: bool = False) -> None:

@@ -20,8 +20,18 @@ RADIUS_PX = 14.0
 """A D435 loses 5-10 px at depth edges, and a hand is off by 2-3 px."""
 NEAR_PX = 5.0
 """Pixels at this distance count half as much as those at the click."""
-LIFT_SIGMA_M = 0.006
-"""The depth next to a corner is not the depth of the corner: the faces fall away from it."""
+NEAREST_DEPTH_M = 0.05
+"""Nothing is nearer to a camera than this."""
+LIFT_SIGMA_M = 0.002
+"""A plane through the pixels around a keypoint misses the keypoint by about this much, beyond the noise of
+the sensor: edges are round, and a corner has more than one face."""
+EDGE_SIGMA_M = 0.005
+"""Where the surface fills at most half of the neighbourhood, the rest being other surfaces or holes, there
+is an edge of the object, and a sensor blurs what is on both sides of it by about this much."""
+SLOPE_SIGMA_PX = 2.2
+"""On a surface seen at a grazing angle, the depth is off by as much as it changes over this many pixels."""
+STEEPEST = 4.0
+"""Tangent of the angle between line of sight and normal beyond which a fitted slope is not believed."""
 
 
 def lift_clicks(
@@ -76,7 +86,7 @@ def _pose(click: Click, trajectory: Trajectory) -> Float64[np.ndarray, "4 4"]:
 def lift(
     click: Click, intrinsics: Intrinsics, scene_from_camera: Float64[np.ndarray, "4 4"], depth_m: DepthImage
 ) -> Observation:
-    """One click as a ray with candidate depths.
+    """One click as a ray with candidate surfaces.
 
     Raises:
         DataError: the click lies outside the image.
@@ -89,15 +99,30 @@ def lift(
         )
     uv = np.array([[click.u_px, click.v_px]])
     pixel_rad = 2 / (intrinsics.fx + intrinsics.fy)
-    depths_m, sigmas_m = candidate_depths_m(depth_m, click.u_px, click.v_px, pixel_rad=pixel_rad)
+    found = candidate_surfaces(depth_m, click.u_px, click.v_px, pixel_rad=pixel_rad)
     return Observation(
         click=click,
         ray_camera=rays(intrinsics, uv)[0],
         scene_from_camera=scene_from_camera,
-        depths_m=depths_m,
-        depth_sigmas_m=sigmas_m,
+        depths_m=found.depths_m,
+        depth_sigmas_m=found.sigmas_m,
         pixel_rad=pixel_rad,
+        depth_slopes_m=found.slopes_m,
     )
+
+
+class Candidates(NamedTuple):
+    """The surfaces around a click, nearest first.
+
+    Attributes:
+        depths_m: depth of each at the click.
+        sigmas_m: standard deviation of the keypoint's distance from the surface, along the line of sight.
+        slopes_m: derivative of the depth by x and y of the ray, metres per unit.
+    """
+
+    depths_m: Float64[np.ndarray, " candidates"]
+    sigmas_m: Float64[np.ndarray, " candidates"]
+    slopes_m: Float64[np.ndarray, "candidates 2"]
 
 
 class _Piece(NamedTuple):
@@ -111,20 +136,35 @@ class _Piece(NamedTuple):
 def candidate_depths_m(
     depth_m: DepthImage, u_px: float, v_px: float, *, pixel_rad: float
 ) -> tuple[Float64[np.ndarray, " candidates"], Float64[np.ndarray, " candidates"]]:
-    """Depths of the surfaces within `RADIUS_PX` of a position, nearest first, and their deviations.
+    """Depths of the surfaces within `RADIUS_PX` of a position, nearest first, and their deviations."""
+    found = candidate_surfaces(depth_m, u_px, v_px, pixel_rad=pixel_rad)
+    return found.depths_m, found.sigmas_m
+
+
+def candidate_surfaces(depth_m: DepthImage, u_px: float, v_px: float, *, pixel_rad: float) -> Candidates:
+    """The surfaces within `RADIUS_PX` of a position.
 
     The depths of the neighbourhood are sorted and cut where they jump by more than a sensor's noise;
     each piece is continued to the click as a plane.
     """
     pieces = _surfaces(depth_m, u_px, v_px)
-    depths = np.array([_continued_depth_m(piece) for piece in pieces], dtype=float)
+    planes = np.array([_plane_at_click(piece) for piece in pieces], dtype=float).reshape(-1, 3)
+    depths, slopes = planes[:, 0], planes[:, 1:] / pixel_rad
+    steepness = np.hypot(*slopes.T) / np.maximum(depths, NEAREST_DEPTH_M)
+    slopes = slopes * np.minimum(1, STEEPEST / np.maximum(steepness, 1e-9))[:, None]
     nearest_px = np.array([np.hypot(piece.du_px, piece.dv_px).min() for piece in pieces], dtype=float)
-    # Between the click and the nearest measured pixel the surface may slope by 45 degrees.
-    gap_m = np.maximum(nearest_px - 1, 0) * pixel_rad * depths
-    sensor_m = np.asarray(depth_sigma_m(depths))
-    sigmas = np.sqrt(sensor_m**2 + LIFT_SIGMA_M**2 + gap_m**2)
+    pixel_m = pixel_rad * depths
+    filled = np.array([len(piece.depth_m) for piece in pieces], dtype=float) / (np.pi * RADIUS_PX**2)
+    sigmas = np.sqrt(
+        np.asarray(depth_sigma_m(depths)) ** 2
+        + LIFT_SIGMA_M**2
+        + (EDGE_SIGMA_M * np.clip(2 * (1 - filled), 0, 1)) ** 2
+        + (SLOPE_SIGMA_PX * pixel_m * np.minimum(steepness, STEEPEST)) ** 2
+        # Between the click and the nearest measured pixel the surface may bend by 45 degrees.
+        + (np.maximum(nearest_px - 1, 0) * pixel_m) ** 2
+    )
     order = np.argsort(depths, kind="stable")
-    return depths[order], sigmas[order]
+    return Candidates(depths[order], sigmas[order], slopes[order])
 
 
 def _surfaces(depth_m: DepthImage, u_px: float, v_px: float) -> list[_Piece]:
@@ -143,11 +183,11 @@ def _surfaces(depth_m: DepthImage, u_px: float, v_px: float) -> list[_Piece]:
     return [_Piece(depths[cut], du[cut], dv[cut]) for cut in cuts if len(cut) >= 4]
 
 
-def _continued_depth_m(piece: _Piece) -> float:
-    """Depth of the piece's plane at the click, by a robust fit that prefers near pixels.
+def _plane_at_click(piece: _Piece) -> tuple[float, float, float]:
+    """Depth of the piece's plane at the click and its derivatives per pixel, in metres.
 
-    The inverse depth of a plane is linear in the pixel. The small ridge on the slope keeps a thin
-    piece from being continued wildly.
+    A robust fit that prefers near pixels. The inverse depth of a plane is linear in the pixel. The small
+    ridge on the slope keeps a thin piece from being continued wildly.
     """
     columns = np.column_stack([np.ones_like(piece.du_px), piece.du_px, piece.dv_px])
     near = np.exp2(-((piece.du_px**2 + piece.dv_px**2) / NEAR_PX**2))
@@ -158,4 +198,5 @@ def _continued_depth_m(piece: _Piece) -> float:
         inverse = np.linalg.solve(normal, (columns * weights[:, None]).T @ (1 / piece.depth_m))
         errors_m = np.abs(columns @ inverse - 1 / piece.depth_m) * piece.depth_m**2
         weights = near / (1 + (errors_m / 0.006) ** 2)
-    return float(np.clip(1 / inverse[0], 0.9 * piece.depth_m[0], 1.1 * piece.depth_m[-1]))
+    depth = float(np.clip(1 / inverse[0], 0.9 * piece.depth_m[0], 1.1 * piece.depth_m[-1]))
+    return depth, float(-inverse[1] * depth**2), float(-inverse[2] * depth**2)

@@ -220,7 +220,7 @@ def compare_workspaces(workspace: Workspace, truth: Workspace) -> list[QualityRo
             f"{truth.root} has no truth for {', '.join(workspace.object_names()) or 'any object'}; "
             f"it has {', '.join(truth.object_names()) or 'no objects'}; objects must have the same names"
         )
-    models = {name: workspace.load_solution(name).model for name in shared}
+    models = {name: workspace.load_placed(name).model for name in shared}
     errors = {name: model_error(models[name], truth.load_solution(name).model) for name in shared}
     alignments = {name: error.truth_from_object for name, error in errors.items()}
     by_scene = [

@@ -19,6 +19,7 @@ from rpl_data.label.masks import MaskPatch, Window, box_of, cleaned, encode, ove
 from rpl_data.label.occlusion import (
     FAR_M,
     DepthPatch,
+    KeypointSurface,
     Tolerances,
     depth_agreement,
     hidden_pixels,
@@ -49,7 +50,8 @@ class SceneObject:
     """An object as it stands in one scene.
 
     Attributes:
-        covariance: a 3x3 matrix a keypoint, m^2, object frame; NaN where never clicked.
+        covariance: one 3x3 covariance per keypoint of its position in the scene (shape and pose together),
+            in m^2, along the axes of the object frame; NaN where never clicked.
         mesh: triangles in the object frame.
     """
 
@@ -134,11 +136,12 @@ def _label_frames(
 
 @dataclass(frozen=True)
 class _Body:
-    """An object with its rays and the vertices that bound it."""
+    """An object with its rays, the vertices that bound it, and the surface around its keypoints."""
 
     item: SceneObject
     rays: RayScene
     hull: Points
+    around: KeypointSurface
 
     @staticmethod
     def of(item: SceneObject) -> _Body:
@@ -146,7 +149,8 @@ class _Body:
 
         rays = RayScene([item.mesh], threads=1)
         corners = ConvexHull(item.mesh.vertices, qhull_options="QJ").vertices  # QJ: flat meshes too
-        return _Body(item, rays, item.mesh.vertices[corners])
+        around = KeypointSurface.around(rays, item.model.points_object)
+        return _Body(item, rays, item.mesh.vertices[corners], around)
 
 
 # One object in one frame, as if nothing else were there -------------------------------------------
@@ -245,9 +249,9 @@ def _visibility(
     visibility = np.zeros(len(view.keypoints_px), dtype=np.int64)
     inside = inside_image(camera.intrinsics, view.keypoints_px)
     z_m = transform(view.camera_from_object, view.body.item.model.points_object)[inside, 2]
-    seen = keypoints_seen(
-        view.keypoints_px[inside], z_m, view.window, view.depth_m, others, measured, tolerances
-    )
+    body = view.body
+    seen = body.around.faces(body.rays, view.camera_from_object, keypoints=len(inside))[inside]
+    seen &= keypoints_seen(view.keypoints_px[inside], z_m, view.window, others, measured, tolerances)
     visibility[inside] = np.where(seen, 2, 1)
     return visibility
 

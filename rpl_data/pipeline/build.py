@@ -23,6 +23,7 @@ from rpl_data.pipeline.stages import (
     import_,
     label,
     quality,
+    refine,
     report,
     segment,
     solve,
@@ -36,12 +37,13 @@ from rpl_data.workspace.workspace import Workspace
 STAGES: dict[str, Callable[[Context], list[Step]]] = {
     "twin": twin.twin_steps,
     "import": import_.import_steps,
-    "track": track.track_steps,
     "clicks": clicks.clicks_steps,
+    "track": track.track_steps,
     "drift": drift.drift_steps,
     "cut": drift.cut_steps,
     "solve": solve.solve_steps,
     "surface": surface.surface_steps,
+    "refine": refine.refine_steps,
     "segment": segment.segment_steps,
     "label": label.label_steps,
     "export": export.export_steps,
@@ -142,7 +144,7 @@ def stale_steps(recipe: Recipe, workspace: Workspace) -> dict[str, list[tuple[st
 
 def run_step(recipe: Recipe, workspace: Workspace, make: Callable[[Context], Step]) -> Entry:
     """Bring recordings and clicks up to date, then run one step regardless of the ledger."""
-    ledger = build(recipe, workspace, until="clicks")
+    ledger = build(recipe, workspace, until="track")
     return ledger.run(make(Context(recipe, workspace, Pool(1))), lambda done, total: None)
 
 

@@ -48,8 +48,13 @@ class Context:
 
     @property
     def tracks(self) -> bool:
-        """Whether camera poses are computed from the images."""
-        return self.recipe.reconstruct.method == "track"
+        """The images have a say in the camera poses: the recording's are not taken as they are."""
+        return self.recipe.reconstruct.method != "given"
+
+    @property
+    def wants_given(self) -> bool:
+        """The recording's own poses are looked at, where it has some."""
+        return self.recipe.reconstruct.method != "track"
 
     def poses_of(self, *scenes: str) -> list[str]:
         """Names of the steps that yield the poses of these scenes (of all scenes when none is named)."""
@@ -62,6 +67,10 @@ class Context:
         """Solutions of the objects that have a pose in a scene."""
         solutions = [self.workspace.load_solution(name) for name in self.object_names]
         return [solution for solution in solutions if scene in solution.scene_from_object]
+
+    def placed_by(self, object_name: str) -> str:
+        """Name of the step whose solution the labels of an object follow."""
+        return f"refine/{object_name}" if self.recipe.refine.scenes else f"solve/{object_name}"
 
     def placed_videos(self) -> list[str]:
         """Recordings in which at least one object has a pose."""

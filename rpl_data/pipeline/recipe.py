@@ -97,14 +97,15 @@ class Reconstruct:
     """Source of the camera's trajectory.
 
     Attributes:
-        method: `given` uses the poses of the recording; `track` computes them from its images, and
-            leaves out the frames where that fails.
+        method: `auto` keeps the poses of the recording where its images agree with them, corrects them where
+            they do not, and computes them where there are none; `given` takes them as they are; `track`
+            computes them from the images, and leaves out the frames where that fails.
         voxel_m: size of a voxel of the fused surface.
         max_drift_mm: a recording whose poses drift farther than this over time, as its depth images show,
             is cut into several scenes, each placed by its own clicks.
     """
 
-    method: Literal["given", "track"] = "given"
+    method: Literal["auto", "given", "track"] = "auto"
     voxel_m: float = 0.003
     max_drift_mm: float = MAX_DRIFT_MM
 
@@ -119,6 +120,18 @@ class Solve:
     """
 
     method: Literal["robust", "slsqp"] = "robust"
+
+
+@dataclass(frozen=True)
+class RefineRecipe:
+    """What the depth and colour of the recording may correct of the solution of the clicks.
+
+    Attributes:
+        scenes: register the surfaces of an object's scenes on one another, together with the clicks; a
+            scene keeps the pose of its clicks where parts of the surface left out of that do not gain.
+    """
+
+    scenes: bool = True
 
 
 @dataclass(frozen=True)
@@ -147,7 +160,7 @@ class Recipe:
         objects: the objects to label.
         twin: first make a synthetic recording with exact ground truth, in `recording/` of the workspace;
             scenes, objects, clicks and truth then default to those of this recording.
-        reconstruct, solve, label, split: options of the stages.
+        reconstruct, solve, refine, label, split: options of the stages.
         export: formats to write: `coco`, and `yolo`, `bop` and `okt` (ObjectKeypointTrainer), made from it.
         truth: the ground truth of these scenes, if it is known: a workspace folder, or a JSON file
             `{points_<object>: K x 3, camera_from_<object>: {scene: [4x4 per frame]}}`. The quality
@@ -160,6 +173,7 @@ class Recipe:
     twin: TwinSpec | None = None
     reconstruct: Reconstruct = Reconstruct()
     solve: Solve = Solve()
+    refine: RefineRecipe = RefineRecipe()
     label: LabelRecipe = LabelRecipe()
     split: SplitRule = SplitRule()
     export: tuple[str, ...] = ("coco",)

@@ -51,6 +51,12 @@ class Keyframe:
     landmarks: Landmarks
 
 
+def keyframe_of(index: int, view: View, scene_from_camera: Transform) -> Keyframe:
+    """A frame with what other frames need to be aligned to it."""
+    slopes = tuple(_slopes(level) for level in view.levels)
+    return Keyframe(index, scene_from_camera, view.levels, slopes, landmarks_of(view.levels[0]))
+
+
 class ModelMap:
     """Keyframes, and Gaussians in voxels for VGICP (Koide et al., ICRA 2021).
 
@@ -68,9 +74,7 @@ class ModelMap:
     def add(self, index: int, view: View, scene_from_camera: Transform) -> Keyframe:
         """Make a keyframe of a frame."""
         self._gaussians.insert(view.cloud, scene_from_camera)
-        slopes = tuple(_slopes(level) for level in view.levels)
-        landmarks = landmarks_of(view.levels[0])
-        self.keyframes.append(Keyframe(index, scene_from_camera, view.levels, slopes, landmarks))
+        self.keyframes.append(keyframe_of(index, view, scene_from_camera))
         return self.keyframes[-1]
 
     def by_distance(self, scene_from_camera: Transform) -> Sequence[tuple[float, Keyframe]]:

@@ -24,7 +24,9 @@ from rpl_data.types import (
 )
 
 BLOCK_VOXELS = 8  # 8^3 blocks cost half of Open3D's default 16^3 here: fewer voxels far from the surface
-TRUNCATION_VOXELS = 4.0
+TRUNCATION_VOXELS = 2.0
+"""Half the thickness of the band around a surface that its voxels know of: walls thinner than this are seen
+from both sides by the same voxels, and come out too thick."""
 
 
 def fuse_surface(

@@ -41,7 +41,7 @@ def write_report(
     """
     scenes = [summarise_scene(workspace, name) for name in workspace.video_names()]
     solutions = [
-        workspace.load_solution(name)
+        workspace.load_placed(name)
         for name in workspace.object_names()
         if workspace.solution_file(name).exists()
     ]

@@ -1,7 +1,9 @@
-"""Points of an object seen from some sides -> a closed mesh that has the object's outline."""
+"""Points of an object seen from some sides to a closed mesh that has the object's outline."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -9,20 +11,40 @@ from jaxtyping import Bool, Float64
 from scipy.spatial import ConvexHull, cKDTree
 
 from rpl_data.geometry import Points
-from rpl_data.meshes import joined
+from rpl_data.meshes import joined, select
+from rpl_data.segment.free_space import DepthView, unseen_border
 from rpl_data.types import DataError, Mesh, PointCloud
 
 
-def closed_mesh(cloud: PointCloud, anchors: Points, *, voxel_m: float) -> Mesh:
-    """A watertight mesh through the cloud; sides nobody saw are closed by the convex hull.
+@dataclass(frozen=True)
+class ClosedMesh:
+    """A surface around the whole object.
 
-    The convex hull of the cloud and the anchors is added as points wherever no surface was seen
-    below it (the bottom, a side no camera went to), so that Poisson reconstruction has no hole to
-    bulge out of; the result is then clamped to the hull.
+    Attributes:
+        seen: whether a triangle lies on surface that some scene saw; the others close unseen sides.
+        open_edges: edges without exactly two triangles; 0 = the mesh is watertight. It may touch or cross
+            itself where it was pressed onto the convex hull.
+    """
+
+    mesh: Mesh
+    seen: Bool[np.ndarray, " m"]
+    open_edges: int
+
+
+def closed_mesh(
+    cloud: PointCloud, anchors: Points, *, voxel_m: float, views: Sequence[DepthView] = ()
+) -> ClosedMesh:
+    """A mesh through the cloud; sides nobody saw are closed as far out as the evidence allows.
+
+    Where no surface was seen (the bottom, a side no camera went to), the object may fill all space within
+    the convex hull of the cloud and the anchors that no depth image saw through. The border of that space is
+    added as points, so that Poisson reconstruction has no hole to bulge out of; the result is then pressed
+    into the hull.
 
     Args:
-        anchors: points known to be on the object but not in the cloud: keypoints on corners, the
-            foot of the object on what it stands on.
+        anchors: points known to be on the object but not in the cloud: keypoints on corners, the points
+            where the object touches what it stands on.
+        views: depth images; without them unseen sides are closed by the convex hull.
 
     Returns:
         A mesh in the cloud's frame, coloured by the nearest point of the cloud when that has colours.
@@ -37,33 +59,32 @@ def closed_mesh(cloud: PointCloud, anchors: Points, *, voxel_m: float) -> Mesh:
             "object; record the object from more sides or click more keypoints"
         )
     hull = ConvexHull(every)
-    unseen = _unseen_hull(hull, cloud, voxel_m)
+    unseen = _away_from(unseen_border(hull.equations, hull.points[hull.vertices], views), cloud, voxel_m)
     mesh = _poisson(joined([PointCloud(cloud.points, cloud.normals), unseen]), voxel_m)
-    return _colored(Mesh(_clamped(mesh.vertices, hull), mesh.triangles), cloud)
+    mesh = _colored(Mesh(_clamped(mesh.vertices, hull), mesh.triangles), cloud)
+    return ClosedMesh(mesh, _seen(mesh, cloud, voxel_m), open_edges(mesh))
 
 
-def _unseen_hull(hull: Any, cloud: PointCloud, voxel_m: float) -> PointCloud:
-    """Points on the convex hull, away from the cloud, under which no surface was seen."""
-    samples = _hull_samples(hull, spacing_m=voxel_m)
-    tree = cKDTree(cloud.points)
-    distance = tree.query(samples.points)[0]
-    _, nearest = tree.query(samples.points)
-    offset = samples.points - cloud.points[nearest]
+def open_edges(mesh: Mesh) -> int:
+    """Number of edges that do not have exactly two triangles."""
+    sides = mesh.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    _, count = np.unique(np.sort(sides, axis=1), axis=0, return_counts=True)
+    return int((count != 2).sum())
+
+
+def _seen(mesh: Mesh, cloud: PointCloud, voxel_m: float) -> Bool[np.ndarray, " m"]:
+    """Triangles whose centre is near a seen point."""
+    centres = mesh.vertices[mesh.triangles].mean(axis=1)
+    near: Bool[np.ndarray, " m"] = cKDTree(cloud.points).query(centres)[0] < 2 * voxel_m
+    return near
+
+
+def _away_from(border: PointCloud, cloud: PointCloud, voxel_m: float) -> PointCloud:
+    """The border where no surface was seen: neither near it, nor below it."""
+    distance, nearest = cKDTree(cloud.points).query(border.points)
+    offset = border.points - cloud.points[nearest]
     floating = (offset * cloud.normals[nearest]).sum(axis=1) > 0.5 * distance
-    chosen: Bool[np.ndarray, " n"] = (distance > 2 * voxel_m) & ~floating
-    return PointCloud(samples.points[chosen], samples.normals[chosen])
-
-
-def _hull_samples(hull: Any, *, spacing_m: float) -> PointCloud:
-    """Points all over the convex hull with outward normals."""
-    generator = np.random.default_rng(0)
-    corners = hull.points[hull.simplices]
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
-    counts = generator.poisson(area / spacing_m**2)
-    facet = np.repeat(np.arange(len(corners)), counts)
-    weights = generator.dirichlet(np.ones(3), len(facet))
-    points = np.einsum("nc,ncx->nx", weights, corners[facet])
-    return PointCloud(points, hull.equations[facet, :3])
+    return select(border, (distance > 2.5 * voxel_m) & ~floating)
 
 
 def _poisson(cloud: PointCloud, voxel_m: float) -> Mesh:

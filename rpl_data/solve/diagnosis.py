@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from rpl_data.solve.bundle_adjustment import rays_of
+from rpl_data.solve.bundle_adjustment import State
+from rpl_data.solve.click_rays import Noise, Rays
 from rpl_data.solve.explanations import Explanation, Fault, Trial, find_faults, first_trial
-from rpl_data.solve.precision import expected_errors_m, next_clicks
+from rpl_data.solve.precision import next_clicks
 from rpl_data.types import Click, NextClick, Observation, Statement, StatementKind
 
 WEAK_MM = 10.0
@@ -21,79 +22,107 @@ TOO_MANY = 1 / 3
 """With more than this share of the keypoints of all scenes in doubt, none of the clicks can be trusted."""
 
 
+class Placed(NamedTuple):
+    """What the solver found, and how well it is known.
+
+    Attributes:
+        joint: covariance of all unknowns (`noise.joint_covariance`).
+        covariance_in_scene: of each keypoint's position in each scene, from the clicks alone, in m^2.
+        ties: lines about the scenes in which the object could stand elsewhere just as well, by scene.
+    """
+
+    scenes: Sequence[str]
+    rays: Rays
+    state: State
+    noise: Noise
+    joint: Float64[np.ndarray, "u u"]
+    covariance_in_scene: Mapping[str, Float64[np.ndarray, "k 3 3"]]
+    known: Bool[np.ndarray, " k"]
+    ties: Mapping[str, str]
+
+
 class Diagnosis(NamedTuple):
-    """What the clicks say about one another, and how good their answer should be (see `Solution`)."""
+    """What the clicks say about one another, and which further clicks would help (see `Solution`)."""
 
     statements: tuple[Statement, ...]
-    expected_mm: dict[str, float]
     next_clicks: tuple[NextClick, ...]
 
 
 def diagnose(
     observations: Sequence[Observation],
-    scenes: Sequence[str],
     keypoints: Sequence[str],
-    scene_from_model: Float64[np.ndarray, "s 4 4"],
-    points_model: Float64[np.ndarray, "k 3"],
+    placed: Placed,
     *,
-    known: Bool[np.ndarray, " k"],
     hold_points: bool = False,
 ) -> Diagnosis:
     """Statements about clicks, the strongest contradiction first, and the clicks that would help most.
 
     Args:
-        scenes: names, in the order of `scene_from_model`.
-        scene_from_model, points_model: a solution to start from.
-        known: the keypoints that have a position.
-        hold_points: the model is known; only scenes are placed.
+        observations: in the order of `placed.rays`.
+        hold_points: the model is known; only scenes were placed.
     """
     clicks = [o.click for o in observations]
-    trial = first_trial(
-        rays_of(observations, scenes), scene_from_model, points_model, hold_points=hold_points
-    )
+    trial = first_trial(placed.rays, *placed.state, hold_points=hold_points)
     faults, mended = find_faults(trial)
-    words = _Words(scenes, keypoints, clicks, mended)
+    words = _Words(placed.scenes, keypoints, clicks, mended)
     statements = [
         Statement(_kind(fault), _clicks(fault, clicks), words.of(fault), round(fault.best.gain, 1))
         for fault in faults
     ]
-    positions = np.flatnonzero(known).tolist()
-    errors_m = expected_errors_m(mended, positions)
-    expected_mm = dict(zip(scenes, (1e3 * np.sqrt((errors_m**2).mean(axis=1))).tolist(), strict=True))
-    helpful = next_clicks(mended, observations, positions, most=MOST_NEXT)
     contradictions = (*_everything(trial, faults, clicks), *statements)
     contradicted = {c.scene for s in contradictions if s.kind == "whole scene" for c in s.clicks}
-    weak = _weak(
-        clicks, {s: mm for s, mm in expected_mm.items() if s not in contradicted}, helpful, keypoints
+    helpful = next_clicks(
+        placed.rays,
+        placed.state,
+        placed.noise,
+        placed.joint,
+        np.stack([placed.covariance_in_scene[name] for name in placed.scenes]),
+        [o.click for o in observations],
+        np.flatnonzero(placed.known).tolist(),
+        most=MOST_NEXT,
     )
+    weak = _weak(clicks, placed, contradicted, helpful, keypoints)
     unchecked = () if hold_points else _unchecked(clicks, keypoints)
-    return Diagnosis((*contradictions, *weak, *unchecked), expected_mm, helpful)
+    return Diagnosis((*contradictions, *weak, *unchecked), helpful)
 
 
 def _weak(
     clicks: Sequence[Click],
-    expected_mm: Mapping[str, float],
+    placed: Placed,
+    contradicted: Collection[str],
     helpful: Sequence[NextClick],
     keypoints: Sequence[str],
 ) -> Iterator[Statement]:
     """Scenes that their clicks place badly, such as three on a line; and what would help there."""
-    for scene, mm in expected_mm.items():
-        if mm <= WEAK_MM:
-            continue
+    for scene in placed.scenes:
+        covariance = placed.covariance_in_scene[scene][placed.known]
+        mm = 1e3 * float(np.sqrt(np.trace(covariance, axis1=1, axis2=2).mean()))
         own = tuple(click for click in clicks if click.scene == scene)
-        best = next((n for n in helpful if n.scene == scene), None)
-        advice = (
-            "mark one more keypoint away from the line through these"
-            if best is None
-            else f"marking keypoint {keypoints[best.keypoint]} in frame {best.frame} should leave "
-            f"{best.left_mm:.0f} mm"
-        )
-        names = ", ".join(keypoints[k] for k in sorted({click.keypoint for click in own}))
-        text = (
-            f"scene {scene}: its clicks (keypoints {names}) place the object badly, keypoints should be "
-            f"{mm:.0f} mm off there; {advice}"
-        )
-        yield Statement("weak scene", own, text, round(mm, 1))
+        if scene in contradicted:
+            continue
+        if scene in placed.ties:
+            yield Statement("weak scene", own, placed.ties[scene], round(mm, 1))
+        elif mm > WEAK_MM:
+            yield Statement(
+                "weak scene", own, _placed_badly(scene, own, mm, helpful, keypoints), round(mm, 1)
+            )
+
+
+def _placed_badly(
+    scene: str, own: Sequence[Click], mm: float, helpful: Sequence[NextClick], keypoints: Sequence[str]
+) -> str:
+    best = next((n for n in helpful if n.scene == scene), None)
+    advice = (
+        "mark one more keypoint away from the line through these"
+        if best is None
+        else f"marking keypoint {keypoints[best.keypoint]} in frame {best.frame} should leave "
+        f"{best.left_mm:.0f} mm"
+    )
+    names = ", ".join(keypoints[k] for k in sorted({click.keypoint for click in own}))
+    return (
+        f"scene {scene}: its clicks (keypoints {names}) place the object badly, keypoints should be "
+        f"{mm:.0f} mm off there; {advice}"
+    )
 
 
 def _kind(fault: Fault) -> StatementKind:

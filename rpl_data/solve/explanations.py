@@ -17,11 +17,10 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from rpl_data.geometry import invert, transform
-from rpl_data.solve.bundle_adjustment import Rays
+from rpl_data.solve.click_rays import NEAREST_DEPTH_M, Rays
 from rpl_data.solve.initial_guess import match
 from rpl_data.solve.procrustes import kabsch_stack
 from rpl_data.solve.refit import (
-    NEAREST_DEPTH_M,
     Fit,
     Reading,
     costs_without,
@@ -297,7 +296,7 @@ def _own_cost(trial: Trial, clicks: Clicks) -> float:
     """What clicks of one keypoint and scene cost by themselves, with a point of their own."""
     if len(clicks) == 1:
         return 0.0
-    rays = Rays(*(column[clicks] for column in trial.rays))._replace(
+    rays = trial.rays.of(np.isin(np.arange(len(trial.rays.scene)), clicks))._replace(
         scene=np.zeros(len(clicks), dtype=np.int64), keypoint=np.zeros(len(clicks), dtype=np.int64)
     )
     reading = read_as_named(rays)._replace(depth_used=np.zeros(len(clicks), dtype=bool))

@@ -1,7 +1,7 @@
 """Where a keypoint may be in a scene, from all its clicks there.
 
-Each candidate depth of each click is a place. The places are ranked by how many of the scene's other
-clicks on the same keypoint support them: their rays pass close by, and they measured that depth too.
+Each candidate depth of each click gives a candidate position. They are ranked by how many of the scene's
+other clicks on the same keypoint support them: their rays pass close by, and they measured that depth too.
 """
 
 from __future__ import annotations
@@ -16,39 +16,39 @@ from rpl_data.solve.initial_guess import AGREE_M, Hypotheses
 from rpl_data.types import Observation
 
 RAY_PX = 8.0
-"""A ray supports a place it passes within this many pixels of (hand, eye and trajectory together)."""
+"""A ray supports a position that it passes within this many pixels of (hand, eye and trajectory together)."""
 MOST = 4
-"""Hypotheses kept a keypoint and scene."""
+"""Candidate positions kept for each keypoint of a scene."""
 
 
 def hypotheses_of_scene(observations: Sequence[Observation]) -> Hypotheses:
-    """Ranked hypotheses of every keypoint clicked in one scene, scene frame.
+    """Ranked candidate positions of every keypoint clicked in one scene, scene frame.
 
-    A keypoint with rays but without any depth is placed by triangulation when the rays allow it.
+    A keypoint with rays but without any depth is located by triangulation when the rays allow it.
     """
     by_keypoint: dict[int, list[Observation]] = {}
     for observation in observations:
         by_keypoint.setdefault(observation.click.keypoint, []).append(observation)
     hypotheses = {}
     for keypoint, group in by_keypoint.items():
-        places = _places(group)
-        if len(places):
-            scores = np.array([_support(place, group) for place in places])
-            hypotheses[keypoint] = _distinct(places[np.argsort(-scores, kind="stable")])
+        positions = _positions(group)
+        if len(positions):
+            scores = np.array([_support(position, group) for position in positions])
+            hypotheses[keypoint] = _distinct(positions[np.argsort(-scores, kind="stable")])
     return hypotheses
 
 
-def _places(group: Sequence[Observation]) -> Float64[np.ndarray, "n 3"]:
-    """All candidate places, scene frame; nearest surfaces first, then the triangulated one."""
+def _positions(group: Sequence[Observation]) -> Float64[np.ndarray, "n 3"]:
+    """All candidate positions, scene frame; nearest surfaces first, then the triangulated one."""
     lifted = [
         (rank, transform(o.scene_from_camera, depth_m * o.ray_camera))
         for o in group
         for rank, depth_m in enumerate(o.depths_m)
     ]
-    lifted.sort(key=lambda place: place[0])
-    places = [place for _, place in lifted]
+    lifted.sort(key=lambda position: position[0])
+    positions = [position for _, position in lifted]
     met = triangulate(group)
-    return np.array([*places, *([] if met is None else [met])]).reshape(-1, 3)
+    return np.array([*positions, *([] if met is None else [met])]).reshape(-1, 3)
 
 
 def triangulate(group: Sequence[Observation]) -> Float64[np.ndarray, "3"] | None:
@@ -67,11 +67,11 @@ def triangulate(group: Sequence[Observation]) -> Float64[np.ndarray, "3"] | None
     return point if ahead else None
 
 
-def _support(place: Float64[np.ndarray, "3"], group: Sequence[Observation]) -> float:
+def _support(position: Float64[np.ndarray, "3"], group: Sequence[Observation]) -> float:
     """Clicks whose ray passes by count 1, and 1 more when they measured that depth; far rays 0."""
     score = 0.0
     for o in group:
-        in_camera = transform(invert(o.scene_from_camera), place)
+        in_camera = transform(invert(o.scene_from_camera), position)
         if in_camera[2] <= 0:
             continue
         miss_px = float(np.linalg.norm(in_camera[:2] / in_camera[2] - o.ray_camera[:2])) / o.pixel_rad
@@ -83,10 +83,10 @@ def _support(place: Float64[np.ndarray, "3"], group: Sequence[Observation]) -> f
     return score
 
 
-def _distinct(places: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "m 3"]:
-    """The first of every group of near places, in order, at most `MOST`."""
+def _distinct(positions: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "m 3"]:
+    """The first of every group of near positions, in order, at most `MOST`."""
     kept: list[np.ndarray] = []
-    for place in places:
-        if all(np.linalg.norm(place - other) > AGREE_M / 2 for other in kept):
-            kept.append(place)
+    for position in positions:
+        if all(np.linalg.norm(position - other) > AGREE_M / 2 for other in kept):
+            kept.append(position)
     return np.array(kept[:MOST])

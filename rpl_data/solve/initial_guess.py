@@ -14,20 +14,20 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64
 
-from rpl_data.geometry import fit_rigid, invert, spread_m, transform
+from rpl_data.geometry import fit_rigid, invert, is_collinear, transform
 from rpl_data.solve.procrustes import Fragments, kabsch_stack
 
 Hypotheses = dict[int, Float64[np.ndarray, "_ 3"]]
-"""Keypoint -> places where it may be, most likely first."""
+"""By keypoint, candidate positions of it, most likely first."""
 
 AGREE_M = 0.015
-"""Two hypotheses closer than this are the same place."""
+"""Two hypotheses closer than this are the same position."""
 LINE_M = 0.004
 """Points whose spread across their main direction is less lie on a line."""
 
 
 class Start(NamedTuple):
-    """What the start found: a transform a joined scene, and one point per scene and keypoint.
+    """What the start found: one transform per joined scene, and one point per scene and keypoint.
 
     Attributes:
         scene_from_model: None for a scene that could not be joined by itself.
@@ -37,10 +37,17 @@ class Start(NamedTuple):
     fragments: Fragments
 
 
-def join_scenes(scenes: Sequence[Hypotheses], keypoints: int, *, samples: int = 400) -> Start:
-    """Join all scenes that share at least three keypoints with the model grown so far."""
+def join_scenes(
+    scenes: Sequence[Hypotheses], keypoints: int, *, samples: int = 400, first_rank: int = 0
+) -> Start:
+    """Join all scenes that share at least three keypoints with the model grown so far.
+
+    Args:
+        samples: triples of keypoints drawn for each scene.
+        first_rank: which scene to begin with: 0 the best connected, 1 the next, ...
+    """
     random = np.random.default_rng(0)
-    first = max(range(len(scenes)), key=lambda s: _connectedness(scenes, s))
+    first = sorted(range(len(scenes)), key=lambda s: _connectedness(scenes, s), reverse=True)[first_rank]
     model: Hypotheses = dict(scenes[first])
     transforms: list[Float64[np.ndarray, "4 4"] | None] = [None] * len(scenes)
     transforms[first] = np.eye(4)
@@ -69,7 +76,7 @@ def join_clean(fragments: Fragments) -> list[Float64[np.ndarray, "4 4"] | None]:
         scene = max(waiting, key=lambda s: int((seen[s] & known).sum()))
         waiting.remove(scene)
         both = seen[scene] & known
-        if both.sum() < 3 or spread_m(points[scene][both])[1] < LINE_M:
+        if both.sum() < 3 or is_collinear(points[scene][both], tolerance_m=LINE_M):
             continue
         joined = fit_rigid(points[scene][both], model[both])
         transforms[scene] = joined
@@ -91,17 +98,30 @@ def match(
     if len(shared) < 3:
         return None
     padded_model, padded_scene = _padded(model, shared), _padded(scene, shared)
+    poses = kabsch_of_triples(model, scene, shared, samples=samples, random=random)
+    if not len(poses):
+        return None
+    distances = _best_pair_distances(poses, padded_model, padded_scene)
+    best = int(np.minimum(distances / AGREE_M, 1).sum(axis=1).argmin())
+    return _polish(poses[best], padded_model, padded_scene)
+
+
+def kabsch_of_triples(
+    model: Hypotheses,
+    scene: Hypotheses,
+    shared: list[int],
+    *,
+    samples: int,
+    random: np.random.Generator,
+) -> Float64[np.ndarray, "b 4 4"]:
+    """`scene_from_model` of random triples of shared keypoints whose triangles are congruent."""
+    padded_model, padded_scene = _padded(model, shared), _padded(scene, shared)
     triples, picks_model, picks_scene = _draw_triples(padded_model, padded_scene, samples, random)
     corners_model = padded_model[triples, picks_model]
     corners_scene = padded_scene[triples, picks_scene]
     usable = _congruent(corners_model, corners_scene)
-    if not usable.any():
-        return None
     corners_model, corners_scene = corners_model[usable], corners_scene[usable]
-    candidates = kabsch_stack(corners_model, corners_scene, np.ones(corners_model.shape[:2]))
-    distances = _best_pair_distances(candidates, padded_model, padded_scene)
-    best = int(np.minimum(distances / AGREE_M, 1).sum(axis=1).argmin())
-    return _polish(candidates[best], padded_model, padded_scene)
+    return kabsch_stack(corners_model, corners_scene, np.ones(corners_model.shape[:2]))
 
 
 def _padded(hypotheses: Hypotheses, shared: list[int]) -> Float64[np.ndarray, "_ _ 3"]:
@@ -162,7 +182,7 @@ def _polish(
         agree = flat[np.arange(len(flat)), best] < AGREE_M
         pairs_model = model[np.arange(len(flat)), best // scene.shape[1]][agree]
         pairs_scene = scene[np.arange(len(flat)), best % scene.shape[1]][agree]
-        if len(pairs_model) < 3 or spread_m(pairs_scene)[1] < LINE_M:
+        if len(pairs_model) < 3 or is_collinear(pairs_scene, tolerance_m=LINE_M):
             return None
         scene_from_model = fit_rigid(pairs_scene, pairs_model)
     return scene_from_model
@@ -171,8 +191,8 @@ def _polish(
 def _merge(model: Hypotheses, scene: Hypotheses, model_from_scene: Float64[np.ndarray, "4 4"]) -> Hypotheses:
     """Where both agree, their mean comes first; all other hypotheses are kept behind."""
     merged = dict(model)
-    for keypoint, places in scene.items():
-        moved = transform(model_from_scene, places)
+    for keypoint, positions in scene.items():
+        moved = transform(model_from_scene, positions)
         if keypoint not in model:
             merged[keypoint] = moved
             continue
@@ -196,11 +216,11 @@ def choose_fragments(
     points = np.zeros((len(scenes), keypoints, 3))
     clicked = np.zeros((len(scenes), keypoints))
     for s, (scene, scene_from_model) in enumerate(zip(scenes, transforms, strict=True)):
-        for keypoint, places in scene.items():
+        for keypoint, positions in scene.items():
             choice = 0
             if scene_from_model is not None and keypoint in model:
                 expected = transform(scene_from_model, model[keypoint][0])
-                choice = int(np.linalg.norm(places - expected, axis=1).argmin())
-            points[s, keypoint] = places[choice]
+                choice = int(np.linalg.norm(positions - expected, axis=1).argmin())
+            points[s, keypoint] = positions[choice]
             clicked[s, keypoint] = 1
     return Fragments(points, clicked)

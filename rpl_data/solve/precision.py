@@ -1,4 +1,4 @@
-"""How far off the keypoints of a scene should be, and which further click would lower that most.
+"""Which further click would lower the expected error of the keypoints in the scenes most.
 
 Everything follows from the covariance of scenes and keypoints that the clicks so far give: a keypoint in
 a scene is T_s Q_k, whose error does not depend on the frame the model is in, and one more click lowers the
@@ -12,103 +12,109 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from jaxtyping import Float64
 
-from rpl_data.geometry import depth_sigma_m
-from rpl_data.solve.explanations import Trial
-from rpl_data.solve.refit import NEAREST_DEPTH_M, unknowns_covariance
-from rpl_data.types import NextClick, Observation
+from rpl_data.geometry import transform
+from rpl_data.solve.bundle_adjustment import State, cross_matrices
+from rpl_data.solve.click_rays import NEAREST_DEPTH_M, Noise, Rays
+from rpl_data.types import Click, NextClick
 
-LIFTED_SIGMA_M = 0.008
-"""Standard deviation of a depth beside a click, besides the sensor's: corners fall away, edges bleed."""
+USUAL_DEPTH_SIGMA_M = 0.008
+"""Standard deviation of a depth beside a click, where no click so far has one."""
 FARTHEST_OFF_AXIS = 0.45
 """Tangent of the angle from the optical axis up to which a keypoint is taken to be in the picture."""
 
 
-def expected_errors_m(trial: Trial, known: Sequence[int]) -> Float64[np.ndarray, "s k"]:
-    """Standard deviation in space of each known keypoint in each scene, metres."""
-    places = _places_by_unknowns(trial, known)
-    return _deviations_m(places, places @ unknowns_covariance(trial.fit), len(known))
-
-
 def next_clicks(
-    trial: Trial, observations: Sequence[Observation], known: Sequence[int], *, most: int
+    rays: Rays,
+    state: State,
+    noise: Noise,
+    joint: Float64[np.ndarray, "u u"],
+    covariance_in_scene: Float64[np.ndarray, "s k 3 3"],
+    clicks: Sequence[Click],
+    known: Sequence[int],
+    *,
+    most: int,
 ) -> tuple[NextClick, ...]:
-    """Further clicks in frames that have some, those that lower the expected error most first."""
-    covariance = unknowns_covariance(trial.fit)
-    places = _places_by_unknowns(trial, known)
-    spread = places @ covariance
-    before = _deviations_m(places, spread, len(known))
+    """Further clicks in frames that have some, those that lower the expected error most first.
+
+    Args:
+        joint: covariance of all unknowns, from the clicks so far.
+        covariance_in_scene: of the keypoints' positions; it may hold more than follows from `joint`,
+            which a click does not lower.
+        clicks: in the order of `rays`.
+        known: keypoints that have a position.
+    """
+    places = _places_by_unknowns(state, known)
+    spread = places @ joint
+    before = np.trace(covariance_in_scene[:, known], axis1=2, axis2=3)
+    depth_sigma_m = noise.depth_ratio * _usual_depth_sigma_m(rays)
     found = []
-    for m, s, k in _unclicked(trial, observations, known):
-        seen = _seen_by(trial, m, s, k)
+    for m, k in _unclicked(clicks, known):
+        s = int(rays.scene[m])
+        seen = _seen_by(rays, state, m, k, rays.pixel_rad[m] * noise.click_px, depth_sigma_m)
         if seen is None:
             continue
         rows, columns = seen
         shared = spread[:, columns] @ rows.T
-        gain = np.linalg.inv(np.eye(3) + rows @ covariance[np.ix_(columns, columns)] @ rows.T)
+        gain = np.linalg.inv(np.eye(3) + rows @ joint[np.ix_(columns, columns)] @ rows.T)
         falls = ((shared @ gain) * shared).reshape(len(before), len(known), 9).sum(axis=2)
-        after = np.sqrt(np.maximum(before**2 - falls, 0))
-        click = observations[m].click
-        gain_mm, left_mm = 1e3 * float((before - after).mean()), 1e3 * float(after[s].mean())
-        found.append(NextClick(click.scene, click.frame, k, gain_mm, left_mm))
+        after_mm = 1e3 * np.sqrt(np.maximum(before - falls, 0))
+        gain_mm = float((1e3 * np.sqrt(before) - after_mm).mean())
+        left_mm = float(np.sqrt((after_mm[s] ** 2).mean()))
+        found.append(NextClick(clicks[m].scene, clicks[m].frame, k, gain_mm, left_mm))
     return tuple(sorted(found, key=lambda f: -f.gain_mm)[:most])
 
 
-def _places_by_unknowns(trial: Trial, known: Sequence[int]) -> Float64[np.ndarray, "p u"]:
+def _usual_depth_sigma_m(rays: Rays) -> float:
+    """Stated deviation of the depths of the clicks so far."""
+    stated = rays.depth_sigmas_m[:, 0] / rays.widening
+    stated = stated[np.isfinite(stated)]
+    return float(np.median(stated)) if len(stated) else USUAL_DEPTH_SIGMA_M
+
+
+def _places_by_unknowns(state: State, known: Sequence[int]) -> Float64[np.ndarray, "p u"]:
     """Derivative of all keypoints in all scenes, three rows each, by all unknowns."""
-    scenes = len(trial.fit.scene_from_model)
-    places = np.zeros((scenes * len(known), 3, trial.fit.unknowns))
+    scenes = len(state.scene_from_model)
+    unknowns = 6 * scenes + state.points_model.size
+    places = np.zeros((scenes * len(known), 3, unknowns))
     for n, (s, k) in enumerate((s, k) for s in range(scenes) for k in known):
-        rows, columns = _by_unknowns(trial, s, k)
+        rows, columns = _by_unknowns(state, s, k)
         places[n][:, columns] = rows
-    return places.reshape(-1, trial.fit.unknowns)
+    return places.reshape(-1, unknowns)
 
 
-def _deviations_m(
-    places: Float64[np.ndarray, "p u"], spread: Float64[np.ndarray, "p u"], known: int
-) -> Float64[np.ndarray, "s k"]:
-    """Root of the trace of each place's covariance."""
-    variances = (places * spread).sum(axis=1).reshape(-1, known, 3).sum(axis=2)
-    deviations: Float64[np.ndarray, "s k"] = np.sqrt(np.maximum(variances, 0))
-    return deviations
-
-
-def _unclicked(
-    trial: Trial, observations: Sequence[Observation], known: Sequence[int]
-) -> Iterator[tuple[int, int, int]]:
-    """(a click in a frame, its scene, a keypoint that has no click in that frame)."""
+def _unclicked(clicks: Sequence[Click], known: Sequence[int]) -> Iterator[tuple[int, int]]:
+    """(a click in a frame, a keypoint that has no click in that frame)."""
     frames: dict[tuple[str, int], int] = {}
-    for m, o in enumerate(observations):
-        frames.setdefault((o.click.scene, o.click.frame), m)
-    clicked = {(o.click.scene, o.click.frame, o.click.keypoint) for o in observations}
+    for m, click in enumerate(clicks):
+        frames.setdefault((click.scene, click.frame), m)
+    clicked = {(click.scene, click.frame, click.keypoint) for click in clicks}
     for (scene, frame), m in frames.items():
         for k in known:
             if (scene, frame, k) not in clicked:
-                yield m, int(trial.rays.scene[m]), k
+                yield m, k
 
 
-def _by_unknowns(trial: Trial, scene: int, keypoint: int) -> tuple[np.ndarray, np.ndarray]:
+def _by_unknowns(state: State, scene: int, keypoint: int) -> tuple[np.ndarray, np.ndarray]:
     """Derivative of a keypoint in a scene (3, 9) by that scene's turn and shift and by the keypoint."""
-    fit = trial.fit
-    pose = fit.scene_from_model[scene]
-    x, y, z = pose[:3, :3] @ fit.points_model[keypoint] + pose[:3, 3]
-    turn = -np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    by_point = pose[:3, :3] * (not fit.hold_points)
-    first = 6 * len(fit.scene_from_model) + 3 * keypoint
+    pose = state.scene_from_model[scene]
+    in_scene = transform(pose, state.points_model[keypoint])
+    first = 6 * len(state.scene_from_model) + 3 * keypoint
     columns = np.concatenate([6 * scene + np.arange(6), first + np.arange(3)])
-    return np.hstack([turn, np.eye(3), by_point]), columns
+    return np.hstack([-cross_matrices(in_scene), np.eye(3), pose[:3, :3]]), columns
 
 
-def _seen_by(trial: Trial, m: int, scene: int, keypoint: int) -> tuple[np.ndarray, np.ndarray] | None:
+def _seen_by(
+    rays: Rays, state: State, m: int, keypoint: int, click_rad: float, depth_sigma_m: float
+) -> tuple[np.ndarray, np.ndarray] | None:
     """What one more click in the frame of click m would measure, in standard deviations; None out of view."""
-    fit, rays = trial.fit, trial.rays
-    rows, columns = _by_unknowns(trial, scene, keypoint)
-    pose = fit.scene_from_model[scene]
-    in_scene = pose[:3, :3] @ fit.points_model[keypoint] + pose[:3, 3]
-    camera_from_scene = rays.camera_from_scene[m]
-    x, y, z = camera_from_scene[:3, :3] @ in_scene + camera_from_scene[:3, 3]
+    scene = int(rays.scene[m])
+    rows, columns = _by_unknowns(state, scene, keypoint)
+    camera_from_model = rays.camera_from_scene[m] @ state.scene_from_model[scene]
+    x, y, z = transform(camera_from_model, state.points_model[keypoint])
     if z < NEAREST_DEPTH_M or max(abs(x), abs(y)) > FARTHEST_OFF_AXIS * z:
         return None
-    unit = z * rays.pixel_rad[m] * fit.sigma_px
-    depth_m = float(np.hypot(float(np.asarray(depth_sigma_m(np.array(z)))), LIFTED_SIGMA_M))
-    measured = np.array([[1 / unit, 0, -x / (z * unit)], [0, 1 / unit, -y / (z * unit)], [0, 0, 1 / depth_m]])
-    return measured @ camera_from_scene[:3, :3] @ rows, columns
+    unit = z * click_rad
+    measured = np.array(
+        [[1 / unit, 0, -x / (z * unit)], [0, 1 / unit, -y / (z * unit)], [0, 0, 1 / depth_sigma_m]]
+    )
+    return measured @ rays.camera_from_scene[m][:3, :3] @ rows, columns

@@ -13,9 +13,15 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
-from scipy.spatial.transform import Rotation
 
-from rpl_data.solve.bundle_adjustment import Rays
+from rpl_data.solve.bundle_adjustment import (
+    State,
+    camera_gradient,
+    cross_matrices,
+    moved,
+    points_in_cameras,
+)
+from rpl_data.solve.click_rays import FARTHER_SURFACE_PENALTY, Rays, misfit, robust
 
 HAND_SIGMA_PX = 2.0
 """Standard deviation of a careful click in each axis, believed until the clicks show another."""
@@ -25,10 +31,6 @@ CLICK_KERNEL_SIGMAS = 10.0
 """Geman-McClure's scale for clicks: a click costs at most 100."""
 DEPTH_KERNEL_SIGMAS = 2.5
 """The same for depths: a wrong depth costs about 6, so that it is believed before a wrong click."""
-FARTHER_SURFACE_PENALTY = 3.0
-"""Extra cost of a candidate depth that is not the nearest surface."""
-NEAREST_DEPTH_M = 0.05
-"""Points nearer to the camera are treated as if they were there."""
 
 
 class Reading(NamedTuple):
@@ -103,14 +105,15 @@ def refit(
     for _ in range(most_steps):
         floor = 1e-9 * np.trace(normal) / len(normal) * np.eye(len(normal))
         step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)) + floor, -gradient)
-        moved = _evaluate(rays, reading, *_moved(fit, step), sigma_px, hold_points)
-        if moved.cost >= fit.cost:
+        there = moved(State(fit.scene_from_model, fit.points_model), step)
+        tried = _evaluate(rays, reading, *there, sigma_px, hold_points)
+        if tried.cost >= fit.cost:
             damping *= 10
             if damping > 1e5:
                 break
             continue
-        finished = fit.cost - moved.cost < 1e-3
-        fit, damping = moved, max(damping / 5, 1e-9)
+        finished = fit.cost - tried.cost < 1e-3
+        fit, damping = tried, max(damping / 5, 1e-9)
         normal, gradient = normal_matrix(fit)
         if finished:
             break
@@ -178,36 +181,32 @@ def _evaluate(
     sigma_px: float,
     hold_points: bool,
 ) -> Fit:
+    named = rays._replace(keypoint=reading.keypoint)
+    in_camera = points_in_cameras(named, State(scene_from_model, points_model))
+    found = misfit(rays, in_camera)
+    measured = reading.depth_used & (found.surface >= 0)
+    depth_sigma_m = np.where(measured, found.depth_sigma_m, np.inf)
+    lateral, depth = found.error_px / sigma_px, found.depth_error_m / depth_sigma_m
+    squared = np.column_stack([(lateral**2).sum(axis=1), depth**2])
+    scales = np.array([CLICK_KERNEL_SIGMAS, DEPTH_KERNEL_SIGMAS])
+    click_cost = robust(squared[:, 0], scales[0]) * reading.ray_used
+    depth_cost = robust(squared[:, 1], scales[1]) + FARTHER_SURFACE_PENALTY * (measured & (found.surface > 0))
+    weight = 1 / (1 + squared / scales**2) * np.column_stack([reading.ray_used, measured])
+    root_weight = weight[:, [0, 0, 1], None]
+
+    gradient = root_weight * camera_gradient(in_camera, found, rays.pixel_rad * sigma_px, depth_sigma_m)
     poses = scene_from_model[rays.scene]
     in_scene = np.einsum("mij,mj->mi", poses[:, :3, :3], points_model[reading.keypoint]) + poses[:, :3, 3]
-    in_camera = (
-        np.einsum("mij,mj->mi", rays.camera_from_scene[:, :3, :3], in_scene)
-        + rays.camera_from_scene[:, :3, 3]
-    )
-    z = np.maximum(in_camera[:, 2], NEAREST_DEPTH_M)
-    unit = rays.pixel_rad * sigma_px
-    lateral = (in_camera[:, :2] / z[:, None] - rays.xy) / unit[:, None]
-    depth_error, depth_sigma_m, depth_penalty = _depth_residuals(rays, reading, in_camera[:, 2])
-    squared = np.column_stack([(lateral**2).sum(axis=1), depth_error**2])
-    weight = 1 / (1 + squared / [CLICK_KERNEL_SIGMAS**2, DEPTH_KERNEL_SIGMAS**2])
-    costs = squared * weight
-    costs[:, 0] *= reading.ray_used
-    root_weight = weight * np.column_stack([reading.ray_used, np.isfinite(depth_sigma_m)])
-
-    gradient = np.zeros((len(z), 3, 3))
-    gradient[:, 0, 0] = gradient[:, 1, 1] = 1 / (z * unit)
-    gradient[:, :2, 2] = -in_camera[:, :2] / (z**2 * unit)[:, None]
-    gradient[:, 2, 2] = 1 / depth_sigma_m
-    by_scene_point = gradient * root_weight[:, [0, 0, 1], None] @ rays.camera_from_scene[:, :3, :3]
-    by_turn = np.cross(in_scene[:, None, :], by_scene_point)
+    by_scene_point = gradient @ rays.camera_from_scene[:, :3, :3]
+    by_turn = -by_scene_point @ cross_matrices(in_scene)
     by_point = by_scene_point @ poses[:, :3, :3] * (not hold_points)
     return Fit(
-        cost=float(costs.sum() + depth_penalty.sum()),
+        cost=float((click_cost + depth_cost).sum()),
         scene_from_model=scene_from_model,
         points_model=points_model,
-        click_cost=costs[:, 0],
+        click_cost=click_cost,
         rows=np.concatenate([by_turn, by_scene_point, by_point], axis=2),
-        residuals=np.column_stack([lateral, depth_error]) * root_weight[:, [0, 0, 1]],
+        residuals=np.column_stack([lateral, depth]) * root_weight[:, :, 0],
         columns=np.concatenate(
             [
                 6 * rays.scene[:, None] + np.arange(6),
@@ -219,27 +218,3 @@ def _evaluate(
         sigma_px=sigma_px,
         hold_points=hold_points,
     )
-
-
-def _depth_residuals(
-    rays: Rays, reading: Reading, z_m: Float64[np.ndarray, " m"]
-) -> tuple[Float64[np.ndarray, " m"], Float64[np.ndarray, " m"], Float64[np.ndarray, " m"]]:
-    """Residual of the candidate that costs least, its sigma (infinite where unused) and its penalty."""
-    squared = ((rays.depths_m - z_m[:, None]) / rays.depth_sigmas_m) ** 2
-    penalty = FARTHER_SURFACE_PENALTY * (np.arange(squared.shape[1]) > 0)
-    cost = squared / (1 + squared / DEPTH_KERNEL_SIGMAS**2) + penalty
-    clicks = np.arange(len(z_m))
-    choice = np.where(np.isfinite(squared), cost, np.inf).argmin(axis=1)
-    used = reading.depth_used & np.isfinite(rays.depths_m[clicks, choice])
-    sigma_m = np.where(used, rays.depth_sigmas_m[clicks, choice], np.inf)
-    error = np.where(used, z_m - rays.depths_m[clicks, choice], 0.0) / sigma_m
-    return error, sigma_m, np.where(used, penalty[choice], 0.0)
-
-
-def _moved(fit: Fit, step: Float64[np.ndarray, " u"]) -> tuple[np.ndarray, np.ndarray]:
-    scenes = len(fit.scene_from_model)
-    poses = step[: 6 * scenes].reshape(scenes, 6)
-    moves = np.tile(np.eye(4), (scenes, 1, 1))
-    moves[:, :3, :3] = Rotation.from_rotvec(poses[:, :3]).as_matrix()
-    moves[:, :3, 3] = poses[:, 3:]
-    return moves @ fit.scene_from_model, fit.points_model + step[6 * scenes :].reshape(-1, 3)

@@ -1,41 +1,54 @@
-"""Clicks to the sparse model and the scene transforms (paper section III-C), and new scenes (III-F).
+"""Clicks to the sparse model and the scene transforms (paper section III-C).
 
-Eq. 2 asks for the keypoints Q and a rigid transform a scene that explain all lifted clicks. Here
+Eq. 2 asks for the keypoints Q and one rigid transform per scene that explain all lifted clicks. Here
 
-1. every click keeps the candidate depths of its neighbourhood (`lift`), and every keypoint of a
-   scene the places they allow (`adjustment.hypotheses`);
-2. scenes are joined one after another by closed-form rigid transforms that most keypoints agree
-   with (`adjustment.start`);
-3. Eq. 2 is minimised on the chosen points (`adjustment.procrustes`; the paper's SLSQP beside it);
-4. rays and depths are adjusted together, robustly, which gives the covariance (`adjustment.bundle`);
-5. every click is told what became of it.
+1. every click keeps the candidate depths of its neighbourhood (`clicks.lift`), and every keypoint of a
+   scene the candidate positions they allow (`hypotheses`);
+2. scenes are joined one after another by closed-form rigid transforms that most keypoints agree with,
+   from several first scenes (`initial_guess`), and Eq. 2 is minimised on the chosen points (`procrustes`;
+   the paper's SLSQP beside it);
+3. rays and depths are adjusted together, robustly (`bundle_adjustment`), and scenes and keypoints may
+   jump to where the others would rather have them (`search`);
+4. the noise of clicks and depths is estimated, and with it the covariance (`noise`);
+5. the clicks are diagnosed (`diagnosis`), and every click is told what became of it (`residuals`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Bool, Float64
 from scipy.spatial.transform import Rotation
 
-from rpl_data.clicks.rigidity import describe_loose, generic_points, loose_scenes
-from rpl_data.geometry import invert, rigid, spread_m, transform
-from rpl_data.solve.bundle_adjustment import Bundle, adjust_rays, choose_places, model_covariance, rays_of
-from rpl_data.solve.diagnosis import Diagnosis, diagnose
+from rpl_data.geometry import invert, rigid, transform
+from rpl_data.solve.bundle_adjustment import State
+from rpl_data.solve.click_rays import Noise, Rays, rays_of
+from rpl_data.solve.diagnosis import Placed, diagnose
 from rpl_data.solve.hypotheses import hypotheses_of_scene
-from rpl_data.solve.initial_guess import Hypotheses, Start, join_clean, join_scenes, match
+from rpl_data.solve.initial_guess import Hypotheses, Start, join_clean, join_scenes
+from rpl_data.solve.near_ties import describe_near_ties, widened_for_near_ties
+from rpl_data.solve.noise import (
+    adjust_with_noise,
+    estimate_noise,
+    joint_covariance,
+    points_in_scene_covariance,
+    shape_covariance,
+)
 from rpl_data.solve.procrustes import Adjusted, Fragments, Loss, adjust_points, eq2_cost
-from rpl_data.solve.residuals import click_residuals, describe_keypoints
+from rpl_data.solve.refusals import refuse_bad, refuse_loose, refuse_untied
+from rpl_data.solve.register import register, register_scene
+from rpl_data.solve.residuals import click_fit, click_residuals, describe_keypoints
+from rpl_data.solve.search import Alternative, Found, search
 from rpl_data.solve.slsqp import adjust_points_slsqp
-from rpl_data.types import ClickResidual, DataError, KeypointModel, Observation, Solution
+from rpl_data.types import KeypointModel, Observation, Solution
+
+__all__ = ["Method", "first_fragments", "register", "register_scene", "solve", "solve_points"]
 
 Method = Literal["robust", "slsqp"]
-ROUNDS = 5
-"""How often keypoints may jump to another of their places before the answer stands."""
-SAME_START_M = 1e-3
-"""Keypoints that jump back to where the last adjustment began would come to the same answer again."""
+STARTS = 2
+"""How many scenes the joining begins with in turn, best connected first."""
 
 
 def solve(
@@ -45,6 +58,8 @@ def solve(
     *,
     method: Method = "robust",
     skeleton: Sequence[tuple[int, int]] = (),
+    compare: Callable[[Mapping[str, Float64[np.ndarray, "4 4"]]], float] | None = None,
+    trajectory_sigma_m: Mapping[str, float] | None = None,
 ) -> Solution:
     """The sparse model and the scene transforms of one object.
 
@@ -53,6 +68,10 @@ def solve(
         observations: lifted clicks of all scenes.
         method: `robust`, or `slsqp`, the paper's own way: each click's depth is what the sensor
             measured nearest to it, the solver SciPy's SLSQP on Eq. 2.
+        compare: given `scene_from_object` of every scene, an extra cost in squared standard deviations
+            by which answers are compared besides their clicks: how badly surfaces agree, say.
+        trajectory_sigma_m: how far the poses of each scene stray, standard deviation per axis; it
+            widens `covariance_in_scene`.
 
     Raises:
         DataError: the clicks do not tie the scenes together; the message names scenes and keypoints.
@@ -61,27 +80,21 @@ def solve(
     refuse_bad(object_name, observations)
     groups = [hypotheses_of_scene([o for o in observations if o.click.scene == s]) for s in scenes]
     refuse_untied(object_name, groups, scenes, keypoints)
-    if method == "slsqp":
-        fragments = first_fragments(groups, len(keypoints))
-        adjusted = adjust_points_slsqp(fragments)
-    else:
-        adjusted, fragments = _start(groups, len(keypoints))
-    refuse_loose(object_name, adjusted.points_model, fragments.clicked > 0, scenes, keypoints)
-    known: np.ndarray = fragments.clicked.sum(axis=0) > 0
+    clicked = np.array([[k in group for k in range(len(keypoints))] for group in groups])
     rays = rays_of(observations, scenes)
-    bundle = adjust_rays(rays, adjusted.scene_from_model, adjusted.points_model)
-    before: np.ndarray = bundle.points_model
-    for _ in range(ROUNDS):
-        places = _places_in_model(groups, bundle.scene_from_model, len(keypoints))
-        points = choose_places(rays, bundle.scene_from_model, bundle.points_model, places)
-        if np.array_equal(points, bundle.points_model) or np.abs(points - before).max() < SAME_START_M:
-            break
-        bundle, before = adjust_rays(rays, bundle.scene_from_model, points), points
-    if method == "slsqp":  # the paper's answer, with our description of how well it fits
-        bundle = bundle._replace(
-            scene_from_model=adjusted.scene_from_model, points_model=adjusted.points_model
-        )
-    return _solution(object_name, keypoints, skeleton, scenes, observations, bundle, known)
+    if method == "slsqp":
+        adjusted = adjust_points_slsqp(first_fragments(groups, len(keypoints)))
+        state = State(adjusted.scene_from_model, adjusted.points_model)
+        refuse_loose(object_name, state.points_model, clicked, scenes, keypoints)
+        found, noise = Found(state, 0.0, ()), estimate_noise(rays, state, noise=Noise())
+    else:
+        starts = _starts(groups, len(keypoints))
+        refuse_loose(object_name, starts[0].points_model, clicked, scenes, keypoints)
+        found = search(rays, groups, starts, compare=_by_state(compare, scenes))
+        state, noise = adjust_with_noise(rays, found.state)
+    known: Bool[np.ndarray, " k"] = np.array(clicked.any(axis=0))
+    answer = _Answer(scenes, rays, state, noise, known, found.alternatives)
+    return _solution(object_name, keypoints, skeleton, observations, answer, trajectory_sigma_m or {})
 
 
 def solve_points(fragments: Fragments, *, method: Method = "robust", loss: Loss = "robust") -> Adjusted:
@@ -104,147 +117,37 @@ def solve_points(fragments: Fragments, *, method: Method = "robust", loss: Loss 
     return _in_first_scene(adjust_points(fragments, _complete(start), loss=loss))
 
 
-class Placement(NamedTuple):
-    """A known object in a new scene, what became of its clicks, and what they say about themselves."""
-
-    scene_from_object: Float64[np.ndarray, "4 4"]
-    residuals: tuple[ClickResidual, ...]
-    diagnosis: Diagnosis
-
-
-def register(
-    model: KeypointModel, observations: Sequence[Observation]
-) -> tuple[Float64[np.ndarray, "4 4"], tuple[ClickResidual, ...]]:
-    """`scene_from_object` of a new scene and the residuals of its clicks: `place` without the diagnosis."""
-    placement = place(model, observations)
-    return placement.scene_from_object, placement.residuals
-
-
-def place(model: KeypointModel, observations: Sequence[Observation]) -> Placement:
-    """Place a known model in a new scene by clicks (paper III-F).
-
-    Horn's closed form on the best-agreeing depths, then the same adjustment as `solve` with the model
-    held fixed. Clicks on keypoints that the model has no position of are not used.
-
-    Raises:
-        DataError: fewer than three usable keypoints, or all on a line.
-    """
-    name = model.name
-    refuse_bad(name, observations)
-    scene = observations[0].click.scene
-    places = {k: p for k, p in hypotheses_of_scene(observations).items() if model.known[k]}
-    clicked = sorted(places)
-    if len(clicked) < 3:
-        raise DataError(
-            f"object {name}, scene {scene}: {len(clicked)} usable keypoints clicked, at least 3 needed; "
-            "click more of the model's keypoints, where there is depth"
-        )
-    if spread_m(model.points_object[clicked])[1] < 0.004:
-        raise DataError(
-            f"object {name}, scene {scene}: keypoints {', '.join(model.keypoints[k] for k in clicked)} lie "
-            "on a line, about which the object could turn; click one more keypoint off that line"
-        )
-    known = {int(k): model.points_object[k][None] for k in np.flatnonzero(model.known)}
-    scene_from_object = match(known, places, samples=600, random=np.random.default_rng(0))
-    if scene_from_object is None:
-        raise DataError(
-            f"object {name}, scene {scene}: no three clicks fit the model within 15 mm; check that every "
-            "keypoint was clicked where the model has it"
-        )
-    usable = [o for o in observations if model.known[o.click.keypoint]]
-    points = np.nan_to_num(model.points_object)
-    bundle = adjust_rays(rays_of(usable, [scene]), scene_from_object[None], points, hold_points=True)
-    diagnosis = diagnose(
-        usable,
-        [scene],
-        model.keypoints,
-        bundle.scene_from_model,
-        points,
-        known=model.known,
-        hold_points=True,
-    )
-    explained = iter(click_residuals(usable, bundle, diagnosis.statements))
-    residuals = (
-        next(explained) if model.known[o.click.keypoint] else _not_in_model(o, model) for o in observations
-    )
-    return Placement(bundle.scene_from_model[0], tuple(residuals), diagnosis)
-
-
-def _not_in_model(observation: Observation, model: KeypointModel) -> ClickResidual:
-    """Of a click that could not be used."""
-    reason = f"the model has no position of keypoint {model.keypoints[observation.click.keypoint]}"
-    return ClickResidual(observation.click, 0.0, None, None, "none", outlier=False, reason=reason)
-
-
-# Refusals -----------------------------------------------------------------------------------------
-
-
-def refuse_bad(object_name: str, observations: Sequence[Observation]) -> None:
-    """DataError for no clicks at all, or numbers that are not finite."""
-    if not observations:
-        raise DataError(f"object {object_name} has no clicks; mark its keypoints first (`rpl clicks import`)")
-    for o in observations:
-        if not (np.isfinite(o.ray_camera).all() and np.isfinite(o.scene_from_camera).all()):
-            raise DataError(
-                f"object {object_name}, scene {o.click.scene}, frame {o.click.frame}: the click on keypoint "
-                f"{o.click.keypoint} or the camera pose is not a finite number; delete the click or "
-                "mend the pose"
-            )
-
-
-def refuse_untied(
-    object_name: str, groups: Sequence[Hypotheses], scenes: Sequence[str], keypoints: Sequence[str]
-) -> None:
-    """DataError when the pattern of clicks cannot tie the scenes, wherever the keypoints are."""
-    refuse_loose(
-        object_name, generic_points(len(keypoints)), _clicked(groups, len(keypoints)), scenes, keypoints
-    )
-
-
-def refuse_loose(
-    object_name: str,
-    points_model: Float64[np.ndarray, "k 3"],
-    clicked: np.ndarray,
-    scenes: Sequence[str],
-    keypoints: Sequence[str],
-) -> None:
-    """DataError when the keypoints where they are do not tie the scenes."""
-    loose = loose_scenes(points_model, clicked)
-    if loose:
-        raise DataError(f"object {object_name}: " + describe_loose(loose, clicked, scenes, keypoints))
-
-
-def _clicked(groups: Sequence[Hypotheses], keypoints: int) -> np.ndarray:
-    return np.array([[k in group for k in range(keypoints)] for group in groups])
-
-
 # The start ----------------------------------------------------------------------------------------
 
 
 def first_fragments(groups: Sequence[Hypotheses], keypoints: int) -> Fragments:
-    """The paper's W from the most likely place of every keypoint in every scene."""
+    """The paper's W from the most likely position of every keypoint in every scene."""
     points, clicked = np.zeros((len(groups), keypoints, 3)), np.zeros((len(groups), keypoints))
     for s, group in enumerate(groups):
-        for k, places in group.items():
-            points[s, k], clicked[s, k] = places[0], 1
+        for k, positions in group.items():
+            points[s, k], clicked[s, k] = positions[0], 1
     return Fragments(points, clicked)
 
 
-def _start(groups: Sequence[Hypotheses], keypoints: int) -> tuple[Adjusted, Fragments]:
-    start = join_scenes(groups, keypoints)
-    adjusted = adjust_points(start.fragments, _complete(start))
-    return adjusted, start.fragments
+def _starts(groups: Sequence[Hypotheses], keypoints: int) -> list[State]:
+    """Starts that differ in the scene with which the joining begins; those that end the same only once."""
+    found: list[tuple[Fragments, State]] = []
+    for rank in range(min(STARTS, len(groups))):
+        start = join_scenes(groups, keypoints, first_rank=rank)
+        if any(np.array_equal(start.fragments.points_scene, other.points_scene) for other, _ in found):
+            continue
+        adjusted = adjust_points(start.fragments, _complete(start))
+        found.append((start.fragments, State(adjusted.scene_from_model, adjusted.points_model)))
+    return [state for _, state in found]
 
 
-def _places_in_model(
-    groups: Sequence[Hypotheses], scene_from_model: Float64[np.ndarray, "s 4 4"], keypoints: int
-) -> list[Float64[np.ndarray, "_ 3"]]:
-    """All hypotheses of each keypoint, brought to the model frame by the scenes as they stand."""
-    places: list[list[np.ndarray]] = [[] for _ in range(keypoints)]
-    for group, model_from_scene in zip(groups, invert(scene_from_model), strict=True):
-        for k, hypotheses in group.items():
-            places[k].extend(transform(model_from_scene, hypotheses))
-    return [np.array(p).reshape(-1, 3) for p in places]
+def _by_state(
+    compare: Callable[[Mapping[str, Float64[np.ndarray, "4 4"]]], float] | None, scenes: Sequence[str]
+) -> Callable[[State], float] | None:
+    """The comparison by scene names as one by states."""
+    if compare is None:
+        return None
+    return lambda state: compare(dict(zip(scenes, state.scene_from_model, strict=True)))
 
 
 def _complete(start: Start) -> Float64[np.ndarray, "s 4 4"]:
@@ -282,34 +185,59 @@ def _in_first_scene(adjusted: Adjusted) -> Adjusted:
 # The answer ---------------------------------------------------------------------------------------
 
 
+class _Answer(NamedTuple):
+    """What the adjustment ended with."""
+
+    scenes: Sequence[str]
+    rays: Rays
+    state: State
+    noise: Noise
+    known: Bool[np.ndarray, " k"]
+    alternatives: Sequence[Alternative]
+
+
 def _solution(
     object_name: str,
     keypoints: Sequence[str],
     skeleton: Sequence[tuple[int, int]],
-    scenes: Sequence[str],
     observations: Sequence[Observation],
-    bundle: Bundle,
-    known: np.ndarray,
+    answer: _Answer,
+    trajectory_sigma_m: Mapping[str, float],
 ) -> Solution:
     """Moved to the object frame: the first scene's axes, at the centroid of the keypoints."""
-    diagnosis = diagnose(
-        observations, scenes, keypoints, bundle.scene_from_model, bundle.points_model, known=known
-    )
-    in_first = transform(bundle.scene_from_model[0], bundle.points_model)
+    state, known = answer.state, answer.known
+    in_first = transform(state.scene_from_model[0], state.points_model)
     first_from_object = rigid(np.eye(3), in_first[known].mean(axis=0))
-    model_from_object = invert(bundle.scene_from_model[0]) @ first_from_object
+    model_from_object = invert(state.scene_from_model[0]) @ first_from_object
     points = np.where(known[:, None], transform(invert(first_from_object), in_first), np.nan)
     turn = model_from_object[:3, :3]
+    joint = joint_covariance(answer.rays, state, noise=answer.noise)
+    in_scene = {
+        name: widened_for_near_ties(
+            points_in_scene_covariance(joint, state, s, known), answer.alternatives, state, s
+        )
+        for s, name in enumerate(answer.scenes)
+    }
+    ties = describe_near_ties(answer.alternatives, state, answer.scenes, known)
+    placed = Placed(answer.scenes, answer.rays, state, answer.noise, joint, in_scene, known, ties)
+    diagnosis = diagnose(observations, keypoints, placed)
     return Solution(
         model=KeypointModel(object_name, tuple(keypoints), points, tuple(skeleton)),
-        covariance=turn.T @ model_covariance(bundle, known) @ turn,
+        covariance=turn.T @ shape_covariance(joint, state, known) @ turn,
         scene_from_object={
             name: scene_from_model @ model_from_object
-            for name, scene_from_model in zip(scenes, bundle.scene_from_model, strict=True)
+            for name, scene_from_model in zip(answer.scenes, state.scene_from_model, strict=True)
         },
-        residuals=click_residuals(observations, bundle, diagnosis.statements),
+        residuals=click_residuals(
+            observations, click_fit(answer.rays, state, answer.noise), diagnosis.statements
+        ),
         warnings=describe_keypoints(keypoints, observations, known),
+        covariance_in_scene={
+            name: covariance + trajectory_sigma_m.get(name, 0.0) ** 2 * np.eye(3)
+            for name, covariance in in_scene.items()
+        },
+        click_sigma_px=answer.noise.click_px,
+        depth_sigma_ratio=answer.noise.depth_ratio,
         statements=diagnosis.statements,
-        expected_mm=diagnosis.expected_mm,
         next_clicks=diagnosis.next_clicks,
     )

@@ -16,9 +16,11 @@ class Paths:
         stages.json                   the options and inputs that each stage ran with
         build.lock                    held while a build runs
         recording/                    recording rendered from a twin (a synthetic scene), with truth/
-        scenes/<scene>/               scene.json  trajectory.txt  drift.json  surface.ply  cache/  images/
+        scenes/<scene>/               scene.json  trajectory.txt  given.txt  corrected.txt  drift.json
+                                      surface.ply  cache/  images/
                                       parts.json, where it was cut into scenes/<scene>.1/, <scene>.2/, ...
-        objects/<object>/             clicks.jsonl  solution.json  mesh.ply  cloud.ply  given.ply  grasp.json
+        objects/<object>/             clicks.jsonl  solution.json  refined.json  mesh.ply  cloud.ply
+                                      given.ply  grasp.json
         labels/<scene>.jsonl          one line per frame
         labels/<scene>.left_out.json  frames that the user excluded from exports
         export/<format>/              coco, coco_truth, ...
@@ -72,6 +74,14 @@ class Paths:
         """The poses `scene_from_camera`, in TUM lines."""
         return self.root / "scenes" / scene / "trajectory.txt"
 
+    def given_file(self, scene: str) -> Path:
+        """The poses that the recording came with, as `trajectory_file`; none where it had none."""
+        return self.root / "scenes" / scene / "given.txt"
+
+    def corrected_file(self, scene: str) -> Path:
+        """The poses as the images correct them, as `trajectory_file`, whether they are used or not."""
+        return self.root / "scenes" / scene / "corrected.txt"
+
     def surface_file(self, scene: str) -> Path:
         """The surface near the objects, in the scene frame."""
         return self.root / "scenes" / scene / "surface.ply"
@@ -99,6 +109,10 @@ class Paths:
     def solution_file(self, object_name: str) -> Path:
         """The solved keypoint model and `scene_from_object` per scene."""
         return self.root / "objects" / object_name / "solution.json"
+
+    def refined_file(self, object_name: str) -> Path:
+        """The solution after its scenes were registered on one another."""
+        return self.root / "objects" / object_name / "refined.json"
 
     def mesh_file(self, object_name: str) -> Path:
         """The dense model as triangles, in the object frame, metres."""

@@ -94,14 +94,21 @@ def solution_to_json(solution: Solution) -> Json:
         "scene_from_object": {name: numbers(matrix) for name, matrix in solution.scene_from_object.items()},
         "residuals": [asdict(residual) for residual in solution.residuals],
         "warnings": list(solution.warnings),
-        "expected_mm": {name: round(mm, 3) for name, mm in solution.expected_mm.items()},
+        "covariance_in_scene": {
+            name: rows_to_json(found.reshape(-1, 9)) for name, found in solution.covariance_in_scene.items()
+        },
+        "click_sigma_px": solution.click_sigma_px,
+        "depth_sigma_ratio": solution.depth_sigma_ratio,
         "next_clicks": [asdict(click) for click in solution.next_clicks],
         "statements": [asdict(statement) for statement in solution.statements],
     }
 
 
 def solution_from_json(data: Json) -> Solution:
-    """Convert what `solution_to_json` returned back to a solution."""
+    """Convert what `solution_to_json` returned back to a solution.
+
+    Files of older versions lack the noise and what follows from it.
+    """
     model = KeypointModel(
         name=data["object"],
         keypoints=tuple(data["keypoints"]),
@@ -115,11 +122,16 @@ def solution_from_json(data: Json) -> Solution:
         scene_from_object={name: matrix_from_json(m) for name, m in data["scene_from_object"].items()},
         residuals=residuals,
         warnings=tuple(data["warnings"]),
+        covariance_in_scene={
+            name: rows_from_json(rows, 9).reshape(-1, 3, 3)
+            for name, rows in data.get("covariance_in_scene", {}).items()
+        },
+        click_sigma_px=data.get("click_sigma_px"),
+        depth_sigma_ratio=data.get("depth_sigma_ratio"),
         statements=tuple(
             Statement(s["kind"], tuple(Click(**c) for c in s["clicks"]), s["text"], s["evidence"])
             for s in data.get("statements", ())
         ),
-        expected_mm=data.get("expected_mm", {}),
         next_clicks=tuple(NextClick(**click) for click in data.get("next_clicks", ())),
     )
 

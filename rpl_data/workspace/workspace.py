@@ -127,6 +127,35 @@ class Workspace(Paths):
         """Write the poses `scene_from_camera` as TUM lines `t tx ty tz qx qy qz qw`, in full precision."""
         write_text(self.trajectory_file(scene.name), trajectory_to_text(scene, trajectory))
 
+    def save_given(self, recording: Recording) -> None:
+        """Keep the poses that a recording came with, for the day its trajectory is made of something else."""
+        path, scene = self.given_file(recording.scene.name), recording.scene
+        if recording.trajectory is None:
+            remove(path)
+        else:
+            write_text(path, trajectory_to_text(scene, recording.trajectory))
+
+    def load_given(self, scene: Scene) -> Trajectory | None:
+        """The poses that the recording came with; None when it had none.
+
+        Workspaces made before these were kept have them in trajectory.txt.
+        """
+        path = self.given_file(scene.name)
+        path = path if path.exists() else self.trajectory_file(scene.name)
+        return trajectory_from_text(scene, read_text(path)) if path.exists() else None
+
+    def save_corrected(self, scene: Scene, corrected: Trajectory | None) -> None:
+        """Keep the poses as the images correct them, by which the used ones are judged; None removes them."""
+        if corrected is None:
+            remove(self.corrected_file(scene.name))
+            return
+        write_text(self.corrected_file(scene.name), trajectory_to_text(scene, corrected))
+
+    def load_corrected(self, scene: Scene) -> Trajectory | None:
+        """The poses as the images correct them; None where nobody asked them."""
+        path = self.corrected_file(scene.name)
+        return trajectory_from_text(scene, read_text(path)) if path.exists() else None
+
     def load_trajectory(self, scene: Scene) -> Trajectory:
         """Load the poses of a scene; DataError when it has none yet."""
         path = self.trajectory_file(scene.name)
@@ -162,7 +191,8 @@ class Workspace(Paths):
         return replay(object_name, self.load_events(object_name))
 
     def save_solution(self, solution: Solution) -> None:
-        """Write `solution.json`."""
+        """Write `solution.json`; what was refined of an earlier solution is out of date and removed."""
+        self.remove_refined(solution.model.name)
         write_json(self.solution_file(solution.model.name), records.solution_to_json(solution))
 
     def load_solution(self, object_name: str) -> Solution:
@@ -170,6 +200,20 @@ class Workspace(Paths):
         if not self.solution_file(object_name).exists():
             raise DataError(f"object {object_name} has no solution yet; run `rpl solve` on {self.root}")
         return records.solution_from_json(read_json(self.solution_file(object_name)))
+
+    def save_refined(self, solution: Solution) -> None:
+        """Write refined.json."""
+        write_json(self.refined_file(solution.model.name), records.solution_to_json(solution))
+
+    def remove_refined(self, object_name: str) -> None:
+        """From now on the solution of the clicks is the one that counts."""
+        remove(self.refined_file(object_name))
+
+    def load_placed(self, object_name: str) -> Solution:
+        """The solution that labels follow: refined where that was done, else that of the clicks."""
+        if not self.refined_file(object_name).exists():
+            return self.load_solution(object_name)
+        return records.solution_from_json(read_json(self.refined_file(object_name)))
 
     def save_grasp(self, object_name: str, object_from_grasp: Transform | None) -> None:
         """Write `grasp.json`; None deletes it."""
@@ -238,7 +282,7 @@ class Workspace(Paths):
 
     def model(self, object_name: str) -> KeypointModel:
         """The sparse model: names of the keypoints and their positions in the object frame, metres."""
-        return self.load_solution(object_name).model
+        return self.load_placed(object_name).model
 
     def mesh(self, object_name: str) -> Mesh:
         """The dense model in the object frame, metres."""

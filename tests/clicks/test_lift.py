@@ -5,7 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rpl_data.clicks.lift import candidate_depths_m, lift, lift_clicks
+from rpl_data.clicks.lift import (
+    EDGE_SIGMA_M,
+    LIFT_SIGMA_M,
+    SLOPE_SIGMA_PX,
+    STEEPEST,
+    candidate_depths_m,
+    candidate_surfaces,
+    lift,
+    lift_clicks,
+)
 from rpl_data.geometry import project
 from rpl_data.types import Click, DataError, Frame, Intrinsics, Scene, Trajectory
 
@@ -117,4 +126,43 @@ def test_a_far_surface_is_less_sure_and_continued_as_a_plane():
     image = np.where(columns >= 206, 1 / inverse, 0).astype(np.float32)
     depths, sigmas = candidate_depths_m(image, 200.0, 50.0, pixel_rad=1 / 600)
     assert depths == pytest.approx([0.7], abs=1e-3)
-    assert sigmas[0] == pytest.approx(np.sqrt(0.0015**2 + 0.006**2 + (5 * 0.7 / 600) ** 2), rel=0.01)
+    slope_m = SLOPE_SIGMA_PX * 0.0005 * 0.7**2  # metres over so many pixels
+    assert sigmas[0] == pytest.approx(
+        np.sqrt(0.0015**2 + LIFT_SIGMA_M**2 + EDGE_SIGMA_M**2 + slope_m**2 + (5 * 0.7 / 600) ** 2), rel=0.01
+    )
+
+
+@pytest.mark.parametrize("angle_deg", [0.0, 45.0, 65.0])
+def test_the_slope_of_a_tilted_plane_is_found(angle_deg):
+    """A plane through (0, 0, 0.7) turned about the v axis: depth changes by tan(angle) per metre across."""
+    across = (np.mgrid[0:480, 0:640][1] - 320) / 600
+    image = (0.7 / (1 - np.tan(np.radians(angle_deg)) * across)).astype(np.float32)
+    found = candidate_surfaces(image, 320.0, 240.0, pixel_rad=1 / 600)
+    assert found.depths_m == pytest.approx([0.7], abs=1e-3)
+    assert found.slopes_m[0] == pytest.approx([0.7 * np.tan(np.radians(angle_deg)), 0], rel=0.08, abs=1e-3)
+
+
+def test_a_steep_surface_is_less_sure_than_one_that_faces_the_camera():
+    across = (np.mgrid[0:480, 0:640][1] - 320) / 600
+    sigmas = [
+        candidate_surfaces(
+            (0.7 / (1 - tan * across)).astype(np.float32), 320.0, 240.0, pixel_rad=1 / 600
+        ).sigmas_m[0]
+        for tan in (0.0, 0.7, 1.4)
+    ]
+    assert sigmas[0] < sigmas[1] < sigmas[2]
+
+
+def test_slopes_that_cannot_be_are_cut_off():
+    columns = np.mgrid[0:480, 0:640][1]
+    image = (0.7 + 0.006 * (columns - 320)).astype(np.float32)  # 6 mm per pixel: 79 degrees
+    slopes = candidate_surfaces(image, 320.0, 240.0, pixel_rad=1 / 600).slopes_m
+    assert np.hypot(*slopes[0]) <= STEEPEST * 0.7 * (1 + 1e-6)
+
+
+def test_a_surface_that_ends_near_the_click_is_less_sure():
+    sigmas = [
+        candidate_surfaces(edge_image(0.9, 0.7), u_px, 50.0, pixel_rad=1 / 600).sigmas_m[0]
+        for u_px in (130.0, 110.0, 100.0)
+    ]
+    assert sigmas[0] < sigmas[1] < sigmas[2]

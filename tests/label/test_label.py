@@ -7,12 +7,15 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import open3d as o3d
 import pytest
 from pycocotools import mask as coco
 
 from rpl_data.geometry import from_rotvec, transform
 from rpl_data.label.label import SceneObject, label_frames, sample_frames
 from rpl_data.label.masks import box_of, encode
+from rpl_data.label.occlusion import KeypointSurface
+from rpl_data.raycast import RayScene
 from rpl_data.types import (
     DataError,
     Frame,
@@ -299,3 +302,21 @@ def test_a_rigid_motion_of_the_scene_changes_nothing() -> None:
         answers.append(found.instances[0])
     np.testing.assert_allclose(answers[0].keypoints_px, answers[1].keypoints_px, atol=1e-9)
     assert iou(decoded(answers[0].mask), decoded(answers[1].mask)) > 0.999
+
+
+def test_points_behind_the_horizon_of_a_ball_are_hidden() -> None:
+    ball = o3d.geometry.TriangleMesh.create_sphere(0.05, resolution=40)
+    mesh = Mesh(np.asarray(ball.vertices), np.asarray(ball.triangles).astype(np.int64))
+    angles = np.deg2rad([0, 45, 70, 110, 135, 180])  # from the direction of the camera
+    points = 0.05 * np.column_stack([np.sin(angles), np.zeros(6), -np.cos(angles)])
+    rays, pose = RayScene([mesh]), from_rotvec(np.zeros(3), np.array([0.0, 0.0, 0.7]))
+    around = KeypointSurface.around(rays, points)
+    assert around.faces(rays, pose, keypoints=6).tolist() == [True, True, True, False, False, False]
+
+
+def test_a_keypoint_without_a_position_is_not_seen() -> None:
+    points = np.array([[np.nan] * 3, [0.0, 0.0, -0.05]])
+    ball = o3d.geometry.TriangleMesh.create_sphere(0.05)
+    mesh = Mesh(np.asarray(ball.vertices), np.asarray(ball.triangles).astype(np.int64))
+    rays, pose = RayScene([mesh]), from_rotvec(np.zeros(3), np.array([0.0, 0.0, 0.7]))
+    assert KeypointSurface.around(rays, points).faces(rays, pose, keypoints=2).tolist() == [False, True]

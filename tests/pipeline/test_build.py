@@ -74,7 +74,12 @@ def test_everything_is_there(tiny_workspace: Workspace) -> None:
     }  # fmt: skip
     assert len(list(tiny_workspace.load_labels("00"))) == 6
     table = timings(Ledger(tiny_workspace.stages_file))
-    assert list(table) == [stage for stage in module.STAGES if stage != "track"]  # a twin brings its poses
+    assert list(table) == list(module.STAGES)
+    for scene in ("00", "01", "02"):  # a twin brings its poses, and the images agree with them
+        kept = tiny_workspace.load_trajectory(tiny_workspace.load_scene(scene)).scene_from_camera
+        given = tiny_workspace.load_given(tiny_workspace.load_scene(scene))
+        assert given is not None
+        np.testing.assert_array_equal(kept, given.scene_from_camera)
     assert table["label"]["frames"] == 18
     assert all(row["seconds"] >= 0 for row in table.values())
     report = tiny_workspace.report.read_text()
@@ -106,7 +111,8 @@ def test_only_what_depends_on_a_change_runs(built: tuple[Recipe, Workspace], rec
     watcher = Watcher()
     build(recipe, workspace, until="solve", workers=1, tell=watcher)
     assert watcher.ran == [
-        "import", "clicks/carton", "drift/00", "drift/01", "drift/02", "cut", "solve/carton"
+        "import", "clicks/carton", "track/00", "track/01", "track/02",
+        "drift/00", "drift/01", "drift/02", "cut", "solve/carton",
     ]  # fmt: skip
 
 

@@ -15,7 +15,7 @@ from rpl_data.formats.recordings.rpl import write_poses
 from rpl_data.geometry import from_rotvec, rays, rigid
 from rpl_data.images import depth_reader
 from rpl_data.pipeline.build import build, context_of
-from rpl_data.pipeline.recipe import SceneSource
+from rpl_data.pipeline.recipe import ObjectRecipe, Recipe, SceneSource
 from rpl_data.pipeline.stages.drift import choose_cut
 from rpl_data.pipeline.stages.quality import quality_rows
 from rpl_data.types import Click, DataError, Frame, Intrinsics, Recording, Scene, Trajectory
@@ -240,13 +240,14 @@ def test_a_build_cuts_what_strays_and_its_labels_are_better(
     tiny_workspace: Workspace, strayed: Path, tmp_path: Path
 ) -> None:
     errors_px = {}
+    context = context_of(tiny_workspace)
+    recipe = replace(
+        context.recipe, twin=None, objects=context.objects, truth=tiny_workspace.truth,
+        scenes=(SceneSource(strayed, metres_per_unit=0.001),),
+    )  # fmt: skip
     for limit_mm in (1000.0, 15.0):
-        context = context_of(tiny_workspace)
-        recipe = replace(
-            context.recipe, twin=None, objects=context.objects, truth=tiny_workspace.truth,
-            scenes=(SceneSource(strayed, metres_per_unit=0.001),),
-            reconstruct=replace(context.recipe.reconstruct, max_drift_mm=limit_mm),
-        )  # fmt: skip
+        options = replace(context.recipe.reconstruct, method="given", max_drift_mm=limit_mm)
+        recipe = replace(recipe, reconstruct=options)
         workspace = Workspace(tmp_path)
         ledger = build(recipe, workspace, until="quality", workers=1)
         errors_px[limit_mm] = quality_rows(ledger)[0].error_2d_mean_px
@@ -256,3 +257,18 @@ def test_a_build_cuts_what_strays_and_its_labels_are_better(
     assert {"00.1", "00.2"} <= set(workspace.load_solution("carton").scene_from_object)
     assert [label.frame for label in workspace.load_labels("00")] == list(range(6))
     assert errors_px[15.0] < 0.75 * errors_px[1000.0]  # one scene of three strayed
+    ledger = build(replace(recipe, reconstruct=replace(options, method="auto")), workspace, until="track")
+    assert "too few of its frames see the same" in ledger.entries["track/00"].outcome.messages[0]
+    assert not ledger.entries["track/01"].outcome.messages  # its images agree with its poses
+
+
+def test_poses_of_the_real_desk_are_put_right_by_its_images(real_data: Path, tmp_path: Path) -> None:
+    objects = (ObjectRecipe("cube", 8, real_data / "desk/clicks.csv"),)
+    recipe = Recipe("desk", (SceneSource(real_data / "desk"),), objects)
+    ledger = build(recipe, Workspace(tmp_path), until="track", workers=1)
+    for scene in ("00", "01"):
+        details = ledger.entries[f"track/{scene}"].outcome.details
+        assert details["path"] == "ours"
+        (given_px, ours_px), (given_m, ours_m) = details["color_px"], details["depth_m"]
+        assert ours_px < 1 < 3 < given_px
+        assert ours_m < 0.006 < given_m

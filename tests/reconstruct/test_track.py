@@ -103,11 +103,12 @@ def test_a_build_from_a_recording_without_poses(tmp_path: Path) -> None:
         "name": "raw",
         "scenes": [{"path": str(tmp_path / "raw")}],
         "objects": [{"name": "thing", "keypoints": 4}],
+        "reconstruct": {"method": "given"},
     }
     workspace = Workspace(tmp_path / "workspace")
     with pytest.raises(DataError, match="no camera poses; write `reconstruct: {method: track}`"):
         build(parse_recipe(recipe, source="raw"), workspace)
-    recipe["reconstruct"] = {"method": "track"}
+    del recipe["reconstruct"]  # auto: what has no poses is tracked
     ledger = build(parse_recipe(recipe, source="raw"), workspace, until="track")
     assert ledger.entries["track/00"].outcome.details == {"lost": 0}
     assert ledger.entries["track/00"].outcome.frames == 8

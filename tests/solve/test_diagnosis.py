@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rpl_data.geometry import invert, rays, rigid, transform
-from rpl_data.solve.bundle_adjustment import rays_of
+from rpl_data.solve.click_rays import rays_of
 from rpl_data.solve.explanations import contradiction
 from rpl_data.solve.refit import costs_without, read_as_named, refit
 from rpl_data.solve.solve import register, solve

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rpl_data.geometry import rays, rigid, transform
-from rpl_data.solve.solve import place, solve
+from rpl_data.solve.solve import register_scene, solve
 from rpl_data.types import Click, Intrinsics, KeypointModel, Observation
 
 CAMERA = Intrinsics(600.0, 600.0, 320.0, 240.0, 640, 480)
@@ -43,10 +43,10 @@ def test_the_expected_error_is_the_error():
     ratios = []
     for _ in range(40):
         at = pose(random)
-        found = place(model, clicked("new", at, range(5), random))
+        found = register_scene(model, clicked("new", at, range(5), random))
         errors = transform(found.scene_from_object, POINTS) - transform(at, POINTS)
-        expected_m = found.diagnosis.expected_mm["new"] / 1e3
-        ratios.append((errors**2).sum(axis=1).mean() / expected_m**2)
+        variance = np.trace(found.covariance_in_scene, axis1=1, axis2=2).mean()
+        ratios.append((errors**2).sum(axis=1).mean() / variance)
     assert np.sqrt(np.mean(ratios)) == pytest.approx(1, abs=0.25)
 
 

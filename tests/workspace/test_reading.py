@@ -66,7 +66,7 @@ def test_model_and_mesh_are_in_the_frame_of_the_poses(tiny_workspace: Workspace)
     np.testing.assert_allclose(projected[:, :2] / projected[:, 2:], arrays.keypoints_px[2], atol=0.01)
     low, high = (f(tiny_workspace.mesh("carton").vertices, axis=0) for f in (np.min, np.max))
     assert (model.points_object > low - 0.02).all() and (model.points_object < high + 0.02).all()
-    scene_from_object = tiny_workspace.load_solution("carton").scene_from_object["00"]
+    scene_from_object = tiny_workspace.load_placed("carton").scene_from_object["00"]
     scene_from_camera = tiny_workspace.load_trajectory(scene).at(int(arrays.frames[2]))
     np.testing.assert_allclose(camera_from_object, invert(scene_from_camera) @ scene_from_object, atol=1e-8)
 

@@ -57,15 +57,30 @@ def test_solution_round_trip() -> None:
         ClickResidual(click, 1.25, 0.002, 0.7, "agrees"),
         ClickResidual(click, 9.0, None, None, "none", outlier=True, reason="far off"),
     )
-    solution = Solution(model, covariance, transforms, residuals, ("keypoint b was never clicked",))
+    in_scene = {"01": 2 * covariance}
+    solution = Solution(
+        model, covariance, transforms, residuals, ("keypoint b was never clicked",), in_scene, 1.5, 1.25
+    )
     back = records.solution_from_json(through_json(records.solution_to_json(solution)))
     np.testing.assert_array_equal(back.model.points_object, model.points_object)
     np.testing.assert_array_equal(back.covariance, covariance)
     assert (back.model.keypoints, back.model.skeleton) == (model.keypoints, model.skeleton)
     assert (back.residuals, back.warnings) == (residuals, solution.warnings)
+    assert (back.click_sigma_px, back.depth_sigma_ratio) == (1.5, 1.25)
+    np.testing.assert_array_equal(back.covariance_in_scene["01"], in_scene["01"])
     assert list(back.scene_from_object) == ["00", "01"]
     for name, matrix in transforms.items():
         np.testing.assert_array_equal(back.scene_from_object[name], matrix)
+
+
+def test_solutions_of_older_versions_are_read() -> None:
+    model = KeypointModel("cube", ("a",), np.array([[0.1, 0.2, 0.3]]))
+    written = records.solution_to_json(Solution(model, np.eye(3)[None], {"00": np.eye(4)}))
+    for new in ("covariance_in_scene", "click_sigma_px", "depth_sigma_ratio"):
+        del written[new]
+    back = records.solution_from_json(through_json(written))
+    assert (back.covariance_in_scene, back.click_sigma_px, back.depth_sigma_ratio) == ({}, None, None)
+    np.testing.assert_array_equal(back.covariance_at("00"), np.eye(3)[None])
 
 
 def test_frame_label_round_trip() -> None:

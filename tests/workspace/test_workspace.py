@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -149,6 +150,20 @@ def test_clicks_that_cannot_be_saved_say_so(tmp_path: Path) -> None:
 
 
 # Solutions and labels
+
+
+def test_labels_follow_the_refined_solution_until_it_is_solved_again(tmp_path: Path) -> None:
+    workspace = ws.Workspace(tmp_path)
+    clicked = Solution(CUBE, np.zeros((1, 3, 3)), {"00": np.eye(4)})
+    nudged = from_rotvec(np.zeros(3), np.array([0.0, 0.0, 0.002]))
+    refined = replace(clicked, scene_from_object={"00": nudged})
+    workspace.save_solution(clicked)
+    assert workspace.load_placed("cube").scene_from_object["00"][2, 3] == 0
+    workspace.save_refined(refined)
+    assert workspace.load_placed("cube").scene_from_object["00"][2, 3] == 0.002
+    assert workspace.load_solution("cube").scene_from_object["00"][2, 3] == 0
+    workspace.save_solution(clicked)
+    assert workspace.load_placed("cube").scene_from_object["00"][2, 3] == 0
 
 
 def test_solution_round_trip(workspace: ws.Workspace) -> None:

@@ -9,9 +9,10 @@ from rpl_data.drift import Drift, cut, drift_from_json, drift_to_json, measure_d
 from rpl_data.files import read_json, write_json
 from rpl_data.pipeline.context import Context, step
 from rpl_data.pipeline.ledger import Advance, Outcome, Step
+from rpl_data.pipeline.stages.track import LEAST_TIED, correct
 from rpl_data.types import Click, DataError, Span
 
-VERSION = 1
+VERSION = 2
 """Raised when the stage writes something else for the same input; its steps then run again."""
 
 CUT_VERSION = 1
@@ -31,8 +32,13 @@ def _drift_step(context: Context, name: str) -> Step:
 
     def run(advance: Advance) -> Outcome:
         scene = workspace.load_scene(name)
+        trajectory = workspace.load_trajectory(scene)
+        if not context.tracks:  # else the stage before has asked the images
+            found = correct(workspace, scene, trajectory, advance)
+            workspace.save_corrected(scene, found.trajectory if found.share_tied >= LEAST_TIED else None)
+        corrected = workspace.load_corrected(scene)
         drift = measure_drift(
-            scene, workspace.load_trajectory(scene), workspace.depth_reader(scene), advance=advance
+            scene, trajectory, workspace.depth_reader(scene), corrected=corrected, advance=advance
         )
         write_json(workspace.drift_file(name), drift_to_json(drift))
         return Outcome(len(drift.frames), details={"drift_mm": 1000 * drift.whole_m})

@@ -106,7 +106,7 @@ def _export_coco(context: Context, labels: Workspace, name: str, options: Json) 
         scene = workspace.load_scene(scene_name)
         lines = _kept(labels.load_labels(scene_name), workspace.load_left_out(scene_name))
         scenes.append(ExportScene(scene, workspace.load_trajectory(scene), lines))
-    models = [labels.load_solution(item).model for item in context.object_names]
+    models = [labels.load_placed(item).model for item in context.object_names]
     meshes = {
         item: labels.mesh_file(item) for item in context.object_names if labels.mesh_file(item).exists()
     }

@@ -38,9 +38,7 @@ def save_grasps(workspace: Workspace, names: list[str]) -> dict[str, Transform]:
     found = {}
     for name in names:
         clicks = workspace.load_annotation(name).grasp
-        grasp = (
-            None if clicks is None else object_from_grasp(workspace, clicks, workspace.load_solution(name))
-        )
+        grasp = None if clicks is None else object_from_grasp(workspace, clicks, workspace.load_placed(name))
         workspace.save_grasp(name, grasp)
         if grasp is not None:
             found[name] = grasp

@@ -33,7 +33,9 @@ def import_steps(context: Context) -> list[Step]:
             remove(workspace.labels_file(gone))
         for recording in recordings:
             remove(workspace.cache(recording.scene.name))
-            workspace.save_recording(replace(recording, trajectory=None) if context.tracks else recording)
+            given = recording if context.wants_given else replace(recording, trajectory=None)
+            workspace.save_recording(given)
+            workspace.save_given(given)
         lines = [
             f"scene {recording.scene.name}: {line}"
             for recording in recordings
@@ -46,7 +48,7 @@ def import_steps(context: Context) -> list[Step]:
     for source in sources:
         seen |= stamps(source.path, but_not=not_here, names=source.names)
     options: Json = {"scenes": [asdict(source) | {"path": str(source.path)} for source in sources]}
-    if context.tracks:
+    if not context.wants_given:
         options |= {"poses": "tracked"}
     outputs = [workspace.scene_file(name) for name in workspace.video_names()]
     return [

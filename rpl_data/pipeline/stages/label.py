@@ -16,7 +16,7 @@ from rpl_data.pipeline.ledger import Advance, Outcome, Step
 from rpl_data.types import FrameLabel
 from rpl_data.workspace.workspace import Workspace
 
-VERSION = 1
+VERSION = 2
 """Raised when the stage writes something else for the same input; its steps then run again."""
 
 
@@ -62,7 +62,7 @@ def _label_step(context: Context, video: str) -> Step:
         workspace.save_labels(video, counted())
         return Outcome(total, details={"instances": {item: counts[item] for item in names}})
 
-    before = [f"{stage}/{item}" for item in names for stage in ("solve", "segment")]
+    before = [step for item in names for step in (context.placed_by(item), f"segment/{item}")]
     options = {"rate_hz": rate_hz} | {name: context.frames_of(name) for name in placed if name != video}
     output = workspace.labels_file(video)
     return step(
@@ -93,7 +93,7 @@ def label_range(
 
 def scene_object(workspace: Workspace, object_name: str, scene: str) -> SceneObject:
     """An object as it stands in a scene."""
-    solution = workspace.load_solution(object_name)
-    place: Transform = solution.scene_from_object[scene]
+    solution = workspace.load_placed(object_name)
+    scene_from_object: Transform = solution.scene_from_object[scene]
     mesh = load_mesh(workspace.mesh_file(object_name))
-    return SceneObject(solution.model, solution.covariance, mesh, place)
+    return SceneObject(solution.model, solution.covariance_at(scene), mesh, scene_from_object)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from rpl_data.meshes import load_mesh, oriented_points, save_cloud, save_mesh
@@ -9,11 +11,19 @@ from rpl_data.pipeline.context import Context, step
 from rpl_data.pipeline.ledger import Advance, Outcome, Step, stamps
 from rpl_data.pipeline.recipe import ObjectRecipe
 from rpl_data.pipeline.stages.solve import known_points
-from rpl_data.types import Mesh
+from rpl_data.types import Mesh, Solution
 from rpl_data.workspace.workspace import Workspace
 
-VERSION = 1
+VIEWS_PER_SCENE = 8
+"""Depth images per scene that say where the object is not."""
+MOST_FALSE_AREA = 0.03
+"""Share of a mesh's area in free space above which a person is told."""
+VERSION = 2
 """Raised when the stage writes something else for the same input; its steps then run again."""
+
+if TYPE_CHECKING:
+    from rpl_data.segment.free_space import DepthView
+    from rpl_data.segment.segment import DenseModel
 
 Box3 = tuple[tuple[float, float, float], tuple[float, float, float]]
 """Lowest and highest corner, metres."""
@@ -35,13 +45,22 @@ def _segment_step(context: Context, item: ObjectRecipe) -> Step:
             return _keep_given(workspace, item.name, given)
         from rpl_data.segment.segment import segment_object
 
+        solution = workspace.load_placed(item.name)
         surfaces = {name: load_mesh(workspace.surface_file(name)) for name in scenes}
-        dense = segment_object(surfaces, workspace.load_solution(item.name), voxel_m=voxel_m, crop_m=crop)
-        save_mesh(workspace.mesh_file(item.name), dense.mesh)
+        views = [view for name in scenes for view in depth_views(workspace, name, solution)]
+        dense = segment_object(surfaces, solution, voxel_m=voxel_m, crop_m=crop, depth_views=views)
+        save_mesh(workspace.mesh_file(item.name), dense.mesh, seen=dense.seen)
         save_cloud(workspace.cloud_file(item.name), dense.cloud)
+        lines = (*dense.warnings, *mesh_remarks(dense))
         return Outcome(
-            messages=tuple(f"{item.name}: {line}" for line in dense.warnings),
-            details={"triangles": len(dense.mesh.triangles), "points": len(dense.cloud.points)},
+            messages=tuple(f"{item.name}: {line}" for line in lines),
+            details={
+                "triangles": len(dense.mesh.triangles),
+                "points": len(dense.cloud.points),
+                "unseen_triangles": int((~dense.seen).sum()),
+                "open_edges": dense.open_edges,
+                "false_area": None if np.isnan(dense.free_share) else round(dense.free_share, 4),
+            },
         )
 
     return step(
@@ -51,9 +70,40 @@ def _segment_step(context: Context, item: ObjectRecipe) -> Step:
         version=VERSION,
         options={"voxel_m": voxel_m, "crop": crop},
         sources={} if given is None else stamps(workspace.given_mesh_file(item.name)),
-        after=[f"solve/{item.name}", *(f"surface/{name}" for name in scenes)],
+        after=[context.placed_by(item.name), *(f"surface/{name}" for name in scenes)],
         outputs=[workspace.mesh_file(item.name), workspace.cloud_file(item.name)],
     )
+
+
+def depth_views(workspace: Workspace, scene_name: str, solution: Solution) -> list[DepthView]:
+    """Some depth images of a scene, spread over its steady frames, as views of an object."""
+    from rpl_data.reconstruct.surface import steady_frames
+    from rpl_data.segment.free_space import view_of
+
+    scene = workspace.load_scene(scene_name)
+    trajectory, read = workspace.load_trajectory(scene), workspace.depth_reader(scene)
+    pose = solution.scene_from_object[scene_name]
+    steady = steady_frames(scene, trajectory, centre_scene=pose[:3, 3])
+    frames = [frame for frame in scene.frames if frame.index in steady and frame.depth is not None]
+    spread = np.linspace(0, len(frames) - 1, VIEWS_PER_SCENE).astype(int) if frames else np.empty(0, int)
+    chosen = [frames[n] for n in np.unique(spread)]
+    return [
+        view_of(scene_name, scene.intrinsics, trajectory.at(frame.index), pose, read(frame))
+        for frame in chosen
+    ]
+
+
+def mesh_remarks(dense: DenseModel) -> list[str]:
+    """What a person should know of a mesh before using it."""
+    lines = []
+    if dense.free_share > MOST_FALSE_AREA:
+        lines.append(
+            f"{dense.free_share:.0%} of the area of its mesh lies in space that the cameras saw through, so "
+            "it is too large there; check the clicks and the trajectories, or crop the mesh"
+        )
+    if dense.open_edges:
+        lines.append(f"its mesh is not watertight: {dense.open_edges} edges do not have two triangles each")
+    return lines
 
 
 def given_mesh(workspace: Workspace, object_name: str) -> Mesh | None:

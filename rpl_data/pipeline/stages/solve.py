@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, replace
 
 import numpy as np
@@ -10,16 +10,17 @@ from jaxtyping import Float64
 
 from rpl_data.clicks.lift import lift_clicks
 from rpl_data.clicks.log import Annotation
-from rpl_data.geometry import Transform, transform
+from rpl_data.drift import drift_from_json
+from rpl_data.files import read_json
+from rpl_data.geometry import transform
 from rpl_data.pipeline.context import Context, step
 from rpl_data.pipeline.ledger import Advance, Outcome, Step
 from rpl_data.pipeline.recipe import ObjectRecipe
-from rpl_data.solve.diagnosis import Diagnosis
+from rpl_data.solve.register import Registration, register_scene
 from rpl_data.solve.residuals import click_spreads_m
-from rpl_data.solve.solve import place, solve
+from rpl_data.solve.solve import solve
 from rpl_data.types import (
     Click,
-    ClickResidual,
     DataError,
     KeypointModel,
     Observation,
@@ -29,8 +30,10 @@ from rpl_data.types import (
 )
 from rpl_data.workspace.workspace import Workspace
 
-VERSION = 2
+VERSION = 3
 """Raised when the stage writes something else for the same input; its steps then run again."""
+STRAYED_SHARE = 0.35
+"""Standard deviation of drifting poses about their middle, per axis, as a share of what the meter reads."""
 
 
 def solve_steps(context: Context) -> list[Step]:
@@ -112,7 +115,31 @@ def solve_annotation(
     skeleton = _by_name(item, names)
     if annotation.known_points is not None:
         return place_known(annotation, observations, skeleton)
-    return solve(item.name, names, observations, method=context.recipe.solve.method, skeleton=skeleton)
+    return solve(
+        item.name,
+        names,
+        observations,
+        method=context.recipe.solve.method,
+        skeleton=skeleton,
+        trajectory_sigma_m=trajectory_sigmas_m(context.workspace, {o.click.scene for o in observations}),
+    )
+
+
+def trajectory_sigmas_m(workspace: Workspace, scenes: Iterable[str]) -> dict[str, float]:
+    """How far the poses of each scene stray, standard deviation per axis, where drift was measured.
+
+    What neighbouring frames disagree by is the depth camera's noise, not the poses'. Poses that stray by so
+    much from end to end scatter about their middle by a third of it (measured on twins that drift by 5 mm and
+    on a real desk whose poses are known to stray: 0.3 to 0.5).
+    """
+    parts, found = workspace.parts(), {}
+    for scene in scenes:
+        file = workspace.drift_file(parts.video_of(scene))
+        if file.exists():
+            drift = drift_from_json(read_json(file))
+            strayed_m = float(np.sqrt(max(drift.whole_m**2 - drift.noise_m**2, 0.0)))
+            found[scene] = STRAYED_SHARE * strayed_m
+    return found
 
 
 def _by_name(item: ObjectRecipe, names: Sequence[str]) -> list[tuple[int, int]]:
@@ -137,27 +164,24 @@ def place_known(
     model = KeypointModel(
         annotation.object, annotation.keypoints, points - np.nanmean(points, axis=0), tuple(skeleton)
     )
-    places: dict[str, Transform] = {}
-    residuals: dict[tuple[int, str, int], ClickResidual] = {}
-    diagnoses: list[Diagnosis] = []
-    for scene in sorted({o.click.scene for o in observations}):
-        mine = [o for o in observations if o.click.scene == scene]
-        places[scene], found, said = place(model, mine)
-        diagnoses.append(said)
-        residuals |= {(r.click.keypoint, r.click.scene, r.click.frame): r for r in found}
+    found = {
+        scene: register_scene(model, [o for o in observations if o.click.scene == scene])
+        for scene in sorted({o.click.scene for o in observations})
+    }
+    residuals = {
+        (r.click.keypoint, r.click.scene, r.click.frame): r for one in found.values() for r in one.residuals
+    }
     errors_m = [r.error_m for r in residuals.values() if r.error_m is not None and not r.outlier]
     sigma_m = max(float(np.sqrt(np.mean(np.square(errors_m)))) if errors_m else 0.0, 1e-3)
-    covariance = np.where(model.known[:, None, None], sigma_m**2 * np.eye(3), np.nan)
-    ordered = [residuals[o.click.keypoint, o.click.scene, o.click.frame] for o in observations]
     return Solution(
-        model,
-        covariance,
-        places,
-        tuple(ordered),
-        statements=tuple(statement for said in diagnoses for statement in said.statements),
-        expected_mm={scene: mm for said in diagnoses for scene, mm in said.expected_mm.items()},
+        model=model,
+        covariance=np.where(model.known[:, None, None], sigma_m**2 * np.eye(3), np.nan),
+        scene_from_object={scene: one.scene_from_object for scene, one in found.items()},
+        residuals=tuple(residuals[o.click.keypoint, o.click.scene, o.click.frame] for o in observations),
+        covariance_in_scene={scene: one.covariance_in_scene for scene, one in found.items()},
+        statements=tuple(statement for one in found.values() for statement in one.statements),
         next_clicks=tuple(
-            sorted((c for said in diagnoses for c in said.next_clicks), key=lambda c: -c.gain_mm)
+            sorted((c for one in found.values() for c in one.next_clicks), key=lambda c: -c.gain_mm)
         ),
     )
 
@@ -185,42 +209,47 @@ def register_step(context: Context, object_name: str, scene: str) -> Step:
     def run(advance: Advance) -> Outcome:
         solution = context.workspace.load_solution(object_name)
         observations = observe(context.workspace, object_name, scene=scene)
-        scene_from_object, residuals, said = place(solution.model, observations)
+        strayed_m = trajectory_sigmas_m(context.workspace, [scene])
+        found = register_scene(
+            solution.model,
+            observations,
+            covariance=solution.covariance,
+            click_sigma_px=solution.click_sigma_px,
+            depth_sigma_ratio=solution.depth_sigma_ratio,
+            trajectory_sigma_m=strayed_m.get(scene, 0.0),
+        )
+        kept = tuple(r for r in solution.residuals if r.click.scene != scene)
+        covariances = {**solution.covariance_in_scene, scene: found.covariance_in_scene}
         context.workspace.save_solution(
             replace(
                 solution,
-                scene_from_object={**solution.scene_from_object, scene: scene_from_object},
-                residuals=(*_elsewhere(solution.residuals, scene), *residuals),
+                scene_from_object={**solution.scene_from_object, scene: found.scene_from_object},
+                residuals=(*kept, *found.residuals),
+                covariance_in_scene=covariances,
                 statements=(
-                    *said.statements,
+                    *found.statements,
                     *(s for s in solution.statements if all(click.scene != scene for click in s.clicks)),
                 ),
-                expected_mm={**solution.expected_mm, **said.expected_mm},
-                next_clicks=said.next_clicks,
+                next_clicks=found.next_clicks,
             )
         )
-        return Outcome(messages=tuple(_placed(solution.model, scene, residuals, said)))
+        return Outcome(messages=tuple(_placed(solution.model, scene, found)))
 
     # It takes the place of the solve in the ledger, so that a build goes on from it and does not solve again.
     return replace(_solve_step(context, item), run=run)
 
 
-def _elsewhere(residuals: Sequence[ClickResidual], scene: str) -> list[ClickResidual]:
-    return [residual for residual in residuals if residual.click.scene != scene]
-
-
-def _placed(
-    model: KeypointModel, scene: str, residuals: Sequence[ClickResidual], said: Diagnosis
-) -> Iterator[str]:
+def _placed(model: KeypointModel, scene: str, found: Registration) -> Iterator[str]:
     """How well a new scene's clicks place the object, what they contradict, and what to click next."""
-    mean_px = float(np.mean([residual.error_px for residual in residuals]))
+    mean_px = float(np.mean([residual.error_px for residual in found.residuals]))
+    expected_mm = 1e3 * float(np.sqrt(np.nanmean(np.trace(found.covariance_in_scene, axis1=1, axis2=2))))
     yield (
-        f"{model.name} stands in scene {scene}; its {len(residuals)} clicks fit to {mean_px:.1f} px, and its "
-        f"keypoints should be {said.expected_mm[scene]:.1f} mm off"
+        f"{model.name} stands in scene {scene}; its {len(found.residuals)} clicks fit to {mean_px:.1f} px, "
+        f"and its keypoints should be {expected_mm:.1f} mm off"
     )
-    yield from (statement.text for statement in said.statements)
-    if said.next_clicks:
-        best = said.next_clicks[0]
+    yield from (f"{model.name}: {statement.text}" for statement in found.statements)
+    if found.next_clicks:
+        best = found.next_clicks[0]
         yield (
             f"the click that would help most: keypoint {model.keypoints[best.keypoint]} in frame "
             f"{best.frame}, which should leave {best.left_mm:.1f} mm"

@@ -1,20 +1,46 @@
-"""Stage `track`: compute camera poses from the images, if the recipe does not use the recording's."""
+"""Images -> camera poses: computed where there are none, questioned where there are."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from typing import Any
 
-from rpl_data.images import read_grey
+import numpy as np
+
+from rpl_data.geometry import rays, transform
+from rpl_data.images import read_depth_m, read_grey
 from rpl_data.pipeline.context import Context, step
 from rpl_data.pipeline.ledger import Advance, Outcome, Step
-from rpl_data.types import DepthImage, Frame, GreyImage, ReadDepth
+from rpl_data.types import (
+    Click,
+    DataError,
+    DepthImage,
+    Frame,
+    GreyImage,
+    ReadDepth,
+    Recording,
+    Scene,
+    Trajectory,
+)
+from rpl_data.workspace.workspace import Workspace
 
-VERSION = 1
+VERSION = 2
 """Raised when the stage writes something else for the same input; its steps then run again."""
 
 AHEAD = 8
 """Number of frames that are decoded ahead while others are tracked."""
+
+HOLDS_PX = 0.5
+"""Given poses that the images would move by less than this are kept as they are."""
+
+LEAST_TIED = 0.9
+"""Share of the frames that must be joined by pairs whose images could be aligned, or tracked, for a path of
+ours to be one: between pieces it knows nothing."""
+
+AROUND, SMALLEST_REGION_M = 1.8, 0.12
+"""Paths are judged within this many times the extent of the clicked keypoints, and this radius at least."""
 
 
 def track_steps(context: Context) -> list[Step]:
@@ -23,23 +49,159 @@ def track_steps(context: Context) -> list[Step]:
 
 
 def _track_step(context: Context, name: str) -> Step:
-    workspace = context.workspace
+    workspace, wants_given = context.workspace, context.wants_given
 
     def run(advance: Advance) -> Outcome:
-        from rpl_data.reconstruct.path import collected, losses
-        from rpl_data.reconstruct.tracking import track
-
         scene = workspace.load_scene(name)
-        frames = [frame for frame in scene.frames if frame.depth is not None]
-        images = decoded(frames, workspace.depth_reader(scene, keep=True), advance)
-        found = collected(scene, track(scene, images))
+        given = workspace.load_given(scene) if wants_given else None
+        clicks = [c for item in context.object_names for c in workspace.load_annotation(item).clicks]
+        if given is None:
+            found = compute_path(workspace, scene, advance)
+        else:
+            found = question_path(workspace, scene, given, clicks, advance)
+        workspace.save_given(Recording(scene, given))
+        workspace.save_corrected(scene, found.corrected)
         workspace.save_trajectory(scene, found.trajectory)
-        lines = [f"scene {name}: {line}" for line in losses(scene, found)]
-        return Outcome(len(frames), tuple(lines), {"lost": len(found.lost)})
+        return Outcome(
+            len(scene.frames), tuple(f"scene {name}: {line}" for line in found.lines), found.details
+        )
 
+    options = {"method": context.recipe.reconstruct.method}
     return step(
-        "track", name, run, version=VERSION, after=["import"], outputs=[workspace.trajectory_file(name)]
+        "track",
+        name,
+        run,
+        version=VERSION,
+        options=options,
+        after=["import"],
+        outputs=[workspace.trajectory_file(name)],
     )
+
+
+@dataclass(frozen=True)
+class Found:
+    """The path of a scene.
+
+    Attributes:
+        trajectory: the path to use.
+        corrected: the path as its images have it; None where they do not join it.
+        lines: for a person.
+        details: figures for the ledger.
+    """
+
+    trajectory: Trajectory
+    corrected: Trajectory | None
+    lines: tuple[str, ...] = ()
+    details: dict[str, Any] = field(default_factory=dict)
+
+
+def compute_path(workspace: Workspace, scene: Scene, advance: Advance) -> Found:
+    """The path from the images alone: tracked, then corrected by pairs of frames that see the same."""
+    from rpl_data.reconstruct.path import collected, losses
+    from rpl_data.reconstruct.tracking import track
+
+    frames = [frame for frame in scene.frames if frame.depth is not None]
+    images = decoded(frames, workspace.depth_reader(scene, keep=True), advance)
+    found = collected(scene, track(scene, images))
+    corrected = correct(workspace, scene, found.trajectory, advance)
+    path = corrected.trajectory
+    return Found(path, path, tuple(losses(scene, found)), {"lost": len(found.lost)})
+
+
+def question_path(
+    workspace: Workspace, scene: Scene, given: Trajectory, clicks: Sequence[Click], advance: Advance
+) -> Found:
+    """The given path where the images agree with it; else the better of it and the one they say."""
+    from rpl_data.reconstruct.path_judge import compare_paths, is_better
+
+    corrected = correct(workspace, scene, given, advance)
+    tied = corrected.share_tied
+    details: dict[str, Any] = {"moved_px": round(corrected.most_px, 2), "tied": round(tied, 2)}
+    if tied >= LEAST_TIED and corrected.most_px < HOLDS_PX:
+        return Found(given, corrected.trajectory, (), details | {"path": "given"})
+    try:
+        other = (
+            Found(corrected.trajectory, corrected.trajectory)
+            if tied >= LEAST_TIED
+            else compute_path(workspace, scene, advance)
+        )
+    except DataError:
+        other = Found(given, given)
+    if len(other.trajectory.frames) < LEAST_TIED * len(given.frames) or other.trajectory is given:
+        line = "too few of its frames see the same to say whether its own poses are right: they are kept"
+        return Found(given, None, (line,), details | {"path": "given"})
+    read = workspace.depth_reader(scene)
+    errors = compare_paths(
+        scene,
+        {"given": given, "ours": other.trajectory},
+        lambda frame: (read_grey(frame, reduce=1), read(frame)),
+        regions=clicked_regions(scene, given, clicks),
+    )
+    ours, theirs = errors["ours"], errors["given"]
+    details |= {"color_px": [theirs.color_px, ours.color_px], "depth_m": [theirs.depth_m, ours.depth_m]}
+    details = {key: _finite(value) for key, value in details.items()}
+    figures = (
+        f"its own poses are off by {theirs.color_px:.1f} px in colour and {1000 * theirs.depth_m:.1f} mm in "
+        f"depth between frames, those from its images by {ours.color_px:.1f} px and "
+        f"{1000 * ours.depth_m:.1f} mm"
+    )
+    if is_better(ours, theirs):
+        taken = f"{figures}: the latter are used (`reconstruct: {{method: given}}` keeps its own)"
+        return Found(other.trajectory, other.corrected, (taken, *other.lines), details | {"path": "ours"})
+    return Found(given, other.corrected, (f"{figures}: its own are kept",), details | {"path": "given"})
+
+
+def _finite(value: Any) -> Any:
+    """Numbers that are not, as None: JSON has no NaN."""
+    if isinstance(value, list):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+def correct(workspace: Workspace, scene: Scene, trajectory: Trajectory, advance: Advance) -> Any:
+    """The path as pairs of frames correct it (`CorrectedPath`)."""
+    from rpl_data.reconstruct.path_correction import correct_path
+    from rpl_data.reconstruct.view import REDUCE, Viewer
+
+    viewer, read = Viewer(scene.intrinsics), workspace.depth_reader(scene, keep=True)
+    return correct_path(
+        scene,
+        trajectory,
+        lambda frame: viewer.look(read_grey(frame, reduce=REDUCE), read(frame)),
+        advance=advance,
+    )
+
+
+def clicked_regions(
+    scene: Scene, trajectory: Trajectory, clicks: Sequence[Click]
+) -> list[tuple[np.ndarray, float]]:
+    """Spheres (centre in the scene frame, radius in metres) around what was clicked; none without clicks.
+
+    They come from one frame per object, the one with most clicks: other frames may have other errors.
+    """
+    found = []
+    here = [c for c in clicks if c.scene == scene.name and c.frame in trajectory.frames]
+    for name in dict.fromkeys(click.object for click in here):
+        mine = [click for click in here if click.object == name]
+        frames = [click.frame for click in mine]
+        most = max(sorted(set(frames)), key=frames.count)
+        frame = next((f for f in scene.frames if f.index == most and f.depth is not None), None)
+        if frame is None:
+            continue
+        depth_m = read_depth_m(scene, frame)
+        uv_px = np.array([(c.u_px, c.v_px) for c in mine if c.frame == most])
+        column, row = np.rint(uv_px).astype(int).T
+        lifted_m = depth_m[row.clip(0, depth_m.shape[0] - 1), column.clip(0, depth_m.shape[1] - 1)].astype(
+            float
+        )
+        if not (lifted_m > 0).any():
+            continue
+        # Clicks on edges often hit the background: all are put at the depth of the middle one.
+        points = rays(scene.intrinsics, uv_px) * np.median(lifted_m[lifted_m > 0])
+        centre = points.mean(axis=0)
+        radius_m = AROUND * float(np.linalg.norm(points - centre, axis=1).max())
+        found.append((transform(trajectory.at(most), centre), max(radius_m, SMALLEST_REGION_M)))
+    return found
 
 
 def decoded(

@@ -55,7 +55,7 @@ def true_cads(truth: Workspace, names: Sequence[str], *, seed: int) -> dict[str,
 
 def by_cad(workspace: Workspace, cads: Mapping[str, Cad]) -> dict[str, CadResult]:
     """Judge every object that has a CAD by the paper's protocol."""
-    solutions = {name: workspace.load_solution(name) for name in cads}
+    solutions = {name: workspace.load_placed(name) for name in cads}
     sparse = {name: align_sparse(cad, solutions[name].model) for name, cad in cads.items()}
     places: dict[str, dict[str, tuple[CadInScene, str]]] = {name: {} for name in cads}
     left_out: dict[str, dict[str, str]] = {name: {} for name in cads}
@@ -132,5 +132,5 @@ def errors_in(
 
 
 def _gt_sparse(workspace: Workspace, name: str, sparse: SparseOnCad) -> KeypointModel:
-    model = workspace.load_solution(name).model
+    model = workspace.load_placed(name).model
     return KeypointModel(name, model.keypoints, sparse.gt_sparse, model.skeleton)

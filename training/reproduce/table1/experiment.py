@@ -149,7 +149,7 @@ def _cads(
 def _row(
     workspace: Workspace, name: str, labels: int, strict: QualityRow | None, aligned: CadResult | None
 ) -> Row:
-    solution = workspace.load_solution(name)
+    solution = workspace.load_placed(name)
     places = list(aligned.scenes.values()) if aligned else []
     return Row(
         workspace=workspace.root.name,

@@ -38,7 +38,7 @@ class WorstScene:
 
 def worst_scenes(workspace: Workspace, truth: Workspace) -> dict[str, WorstScene]:
     """The worst scene of each object that has labels with truth, by the object's name."""
-    solutions = {name: workspace.load_solution(name) for name in workspace.object_names()}
+    solutions = {name: workspace.load_placed(name) for name in workspace.object_names()}
     known = [name for name in solutions if truth.solution_file(name).exists()]
     alignments = {
         name: model_error(solutions[name].model, truth.load_solution(name).model).truth_from_object

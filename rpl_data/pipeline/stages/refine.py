@@ -1,0 +1,92 @@
+"""Surfaces and clicks -> scenes registered on one another."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+
+from rpl_data.geometry import transform
+from rpl_data.meshes import load_mesh
+from rpl_data.pipeline.context import Context, step
+from rpl_data.pipeline.ledger import Advance, Outcome, Step
+from rpl_data.pipeline.recipe import ObjectRecipe
+from rpl_data.pipeline.stages.segment import Box3, crop_of
+from rpl_data.pipeline.stages.solve import observe
+from rpl_data.refine.evidence import Verdict
+from rpl_data.types import PointCloud, Solution
+from rpl_data.workspace.workspace import Workspace
+
+VERSION = 1
+"""Raised when the stage writes something else for the same input; its steps then run again."""
+
+
+def refine_steps(context: Context) -> list[Step]:
+    """The scenes of each object registered on one another; nothing when the recipe turns it off."""
+    if not context.recipe.refine.scenes:
+        for name in context.object_names:
+            context.workspace.remove_refined(name)
+        return []
+    return [_refine_step(context, item) for item in context.objects]
+
+
+def _refine_step(context: Context, item: ObjectRecipe) -> Step:
+    workspace, voxel_m = context.workspace, context.recipe.reconstruct.voxel_m
+    scenes = sorted(workspace.load_solution(item.name).scene_from_object)
+    crop = crop_of(workspace, item)
+
+    def run(advance: Advance) -> Outcome:
+        from rpl_data.refine.refine import refine_scenes
+        from rpl_data.solve.joint import joint_clicks
+
+        solution, annotation = workspace.load_solution(item.name), workspace.load_annotation(item.name)
+        hold = annotation.known_points is not None
+        clicks = joint_clicks(solution, observe(workspace, item.name), hold_points=hold)
+        regions = scene_regions(workspace, solution, voxel_m, crop)
+        found = refine_scenes(
+            regions, clicks.scenes, clicks.scene_from_object, clicks.points_object, clicks.terms, clicks.costs
+        )
+        if found.registered:
+            solution = clicks.solved(found.scene_from_object, found.points_object, found.normal)
+        workspace.save_refined(solution)
+        verdicts = dict(zip(clicks.scenes, found.verdicts, strict=True))
+        return Outcome(
+            messages=tuple(f"{item.name}: {line}" for line in kept_by_clicks(verdicts)),
+            details={"scenes": {name: asdict(verdict) for name, verdict in verdicts.items()}},
+        )
+
+    return step(
+        "refine",
+        item.name,
+        run,
+        version=VERSION,
+        options={"voxel_m": voxel_m, "crop": crop},
+        after=[f"solve/{item.name}", *(f"surface/{name}" for name in scenes)],
+        outputs=[workspace.refined_file(item.name)],
+    )
+
+
+def scene_regions(
+    workspace: Workspace, solution: Solution, voxel_m: float, crop_m: Box3 | None
+) -> dict[str, PointCloud]:
+    """The object's surface as each scene saw it, scene frame."""
+    from rpl_data.segment.segment import grown_regions
+
+    surfaces = {name: load_mesh(workspace.surface_file(name)) for name in solution.scene_from_object}
+    regions = {}
+    for name, region in grown_regions(surfaces, solution, voxel_m=voxel_m, crop_m=crop_m).items():
+        pose = solution.scene_from_object[name]
+        regions[name] = PointCloud(
+            transform(pose, region.points), region.normals @ pose[:3, :3].T, region.colors
+        )
+    return regions
+
+
+def kept_by_clicks(verdicts: dict[str, Verdict]) -> list[str]:
+    """One line per reason, naming the scenes whose pose stays that of the clicks."""
+    scenes: dict[str, list[str]] = {}
+    for name, verdict in verdicts.items():
+        if not verdict.accepted:
+            scenes.setdefault(verdict.reason, []).append(name)
+    return [
+        f"scene {', '.join(names)} stays where its clicks put it: {reason}"
+        for reason, names in scenes.items()
+    ]

@@ -1,0 +1,213 @@
+"""Which of two paths of the camera is right: reprojection in colour and depth, on the same pairs of frames.
+
+Both paths move corners of one frame into another. In colour the corner itself is searched there, by optical
+flow (Lucas-Kanade, IJCAI 1981; forward and backward), and the distance from where the path has it is the
+error. In depth the moved depth is compared with the measured one. Neither is what `path_correction`
+minimises: that aligns whole small images.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from jaxtyping import Float64
+
+from rpl_data.drift import depth_reprojection_error_m
+from rpl_data.geometry import (
+    Pixels,
+    Points,
+    Transform,
+    back_project,
+    inside_image,
+    invert,
+    project,
+    transform,
+)
+from rpl_data.types import DepthImage, Frame, GreyImage, Intrinsics, Scene, Trajectory
+
+MOST_CORNERS, FEWEST_CORNERS = 300, 15
+CORNER_DISTANCE_PX = 6
+MAX_STEP = 0.04
+"""Share of its depth by which the depth around a corner may vary: on an outline it is anyone's."""
+
+WINDOW_PX = 15
+RETURN_PX = 0.7
+"""A corner that does not come back to its place this closely when it is tracked back was not found."""
+
+HIDDEN_M = 0.05
+"""A corner this far from the depth measured where it should be is hidden there."""
+
+SMALLEST_PX, SMALLEST_M = 0.1, 0.0005
+"""Errors of paths are compared above this floor."""
+
+CLEARLY = 1.1
+"""A path is better when its errors, colour times depth, are smaller by this factor."""
+
+
+Region = tuple[Float64[np.ndarray, "3"], float]
+"""A sphere: centre in the scene frame and radius in metres."""
+
+
+@dataclass(frozen=True)
+class PathErrors:
+    """Reprojection errors of one path; the median over pairs of frames, NaN where nothing could be compared.
+
+    Attributes:
+        color_px: of corners.
+        depth_m: of depth.
+    """
+
+    color_px: float
+    depth_m: float
+
+
+def compare_paths(
+    scene: Scene,
+    paths: Mapping[str, Trajectory],
+    read: Callable[[Frame], tuple[GreyImage, DepthImage]],
+    *,
+    regions: Sequence[Region] = (),
+    most_frames: int = 24,
+    gaps: Sequence[int] = (1, 3),
+) -> dict[str, PathErrors]:
+    """The errors of some paths, on the same pairs of frames and the same corners.
+
+    Args:
+        paths: by name.
+        read: brightness and depth in metres of a frame, both at the full size.
+        regions: only corners in these spheres count (of the first path; where it strays by less than their
+            size the others see the same); everywhere, when there are none. What is right for the far wall may
+            be wrong for the object: shutters roll, and distant print ties only the rotation.
+        most_frames: this many, evenly spread, are looked at.
+        gaps: neighbours this far apart among these are compared.
+    """
+    posed = set.intersection(*(set(path.frames.tolist()) for path in paths.values()))
+    frames = [frame for frame in scene.frames if frame.index in posed and frame.depth is not None]
+    rows = np.unique(np.linspace(0, len(frames) - 1, min(most_frames, len(frames))).round().astype(int))
+    first = next(iter(paths.values()))
+    views = []
+    for row in rows:
+        grey, depth_m = read(frames[row])
+        pose = invert(first.at(frames[row].index))
+        spheres = [(transform(pose, centre), radius_m) for centre, radius_m in regions]
+        views.append((frames[row].index, _Corners.of(scene.intrinsics, grey, depth_m, spheres)))
+    color: dict[str, list[float]] = {name: [] for name in paths}
+    depth: dict[str, list[float]] = {name: [] for name in paths}
+    for gap in gaps:
+        for (a, from_a), (b, from_b) in zip(views, views[gap:], strict=False):
+            steps = {name: invert(path.at(b)) @ path.at(a) for name, path in paths.items()}
+            for name, error_px in _color_errors_px(scene.intrinsics, from_a, from_b, steps).items():
+                color[name].append(error_px)
+            for name, b_from_a in steps.items():
+                error_m = depth_reprojection_error_m(
+                    scene.intrinsics, invert(b_from_a), from_a.depth_m, from_b.depth_m
+                )
+                depth[name].append(error_m)
+    return {name: PathErrors(_median(color[name]), _median(depth[name])) for name in paths}
+
+
+def is_better(a: PathErrors, b: PathErrors) -> bool:
+    """Whether path a is clearly better than path b: colour and depth together."""
+    gain = 0.0
+    for here, there, floor in (
+        (a.color_px, b.color_px, SMALLEST_PX),
+        (a.depth_m, b.depth_m, SMALLEST_M),
+    ):
+        if np.isfinite(here) and np.isfinite(there):
+            gain += float(np.log((there + floor) / (here + floor)))
+    return bool(gain > np.log(CLEARLY))
+
+
+def _median(values: Sequence[float]) -> float:
+    found = np.array([value for value in values if np.isfinite(value)])
+    return float(np.median(found)) if len(found) else float("nan")
+
+
+@dataclass(frozen=True)
+class _Corners:
+    """A frame with its corners: where they are in the image and in the camera frame."""
+
+    grey: GreyImage
+    depth_m: DepthImage
+    uv_px: Pixels
+    points: Points
+
+    @staticmethod
+    def of(
+        intrinsics: Intrinsics, grey: GreyImage, depth_m: DepthImage, spheres: Sequence[Region]
+    ) -> _Corners:
+        """The corners on smooth surfaces, in the spheres (camera frame) where there are any."""
+        nearest, farthest = (
+            operation(depth_m, np.ones((5, 5), np.uint8)) for operation in (cv2.erode, cv2.dilate)
+        )
+        allowed = (nearest > 0) & (farthest - nearest <= MAX_STEP * depth_m)
+        if spheres:
+            rows, columns = np.nonzero(allowed)
+            points = _lifted(intrinsics, np.column_stack([columns, rows]).astype(float), depth_m)
+            near = [((points - centre) ** 2).sum(axis=1) < radius_m**2 for centre, radius_m in spheres]
+            allowed[rows, columns] = np.any(near, axis=0)
+        found: Any = cv2.goodFeaturesToTrack(
+            grey, MOST_CORNERS, 0.005, CORNER_DISTANCE_PX, mask=allowed.astype(np.uint8)
+        )
+        uv_px = np.zeros((0, 2)) if found is None else found.reshape(-1, 2).astype(float)
+        return _Corners(grey, depth_m, uv_px, _lifted(intrinsics, uv_px, depth_m))
+
+
+def _lifted(intrinsics: Intrinsics, uv_px: Pixels, depth_m: DepthImage) -> Points:
+    column, row = np.rint(uv_px).astype(int).T
+    return back_project(intrinsics, uv_px, depth_m[row, column].astype(float))
+
+
+def _color_errors_px(
+    intrinsics: Intrinsics, a: _Corners, b: _Corners, steps: Mapping[str, Transform]
+) -> dict[str, float]:
+    """Median distance, for each path, of the corners of a from where b has them.
+
+    The search starts where each path expects the corner; all paths are measured on what all searches found,
+    so that none has its own guess echoed alone.
+    """
+    expected = {name: project(intrinsics, transform(b_from_a, a.points)) for name, b_from_a in steps.items()}
+    found = [
+        (_search(a, b, _seen(intrinsics, b, transform(steps[name], a.points), uv), uv))
+        for name, uv in expected.items()
+    ]
+    errors = {}
+    for name, uv_px in expected.items():
+        away = np.concatenate([np.linalg.norm(there - uv_px, axis=1) for there in found])
+        away = away[np.isfinite(away)]
+        errors[name] = float(np.median(away)) if len(away) >= FEWEST_CORNERS * len(steps) else float("nan")
+    return errors
+
+
+def _seen(intrinsics: Intrinsics, b: _Corners, points: Points, uv_px: Pixels) -> np.ndarray:
+    """Which points, moved into b, are in its image and not hidden by what it measured there."""
+    seen: np.ndarray = inside_image(intrinsics, uv_px)
+    column, row = np.rint(uv_px[seen]).astype(int).T
+    measured = b.depth_m[row, column]
+    seen[seen] = (measured == 0) | (np.abs(measured - points[seen, 2]) < HIDDEN_M)
+    return seen
+
+
+def _search(a: _Corners, b: _Corners, use: np.ndarray, expected_px: Pixels) -> Pixels:
+    """Where the corners of a are in b; NaN for those not found."""
+    found_px = np.full_like(expected_px, np.nan)
+    if use.sum() < FEWEST_CORNERS:
+        return found_px
+    settings: dict[str, Any] = {
+        "winSize": (WINDOW_PX, WINDOW_PX),
+        "maxLevel": 3,
+        "criteria": (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 15, 0.03),
+        "flags": cv2.OPTFLOW_USE_INITIAL_FLOW,
+    }
+    here = np.ascontiguousarray(a.uv_px[use], dtype=np.float32).reshape(-1, 1, 2)
+    guess = np.ascontiguousarray(expected_px[use], dtype=np.float32).reshape(-1, 1, 2)
+    there, ok, _ = cv2.calcOpticalFlowPyrLK(a.grey, b.grey, here, guess, **settings)
+    back, ok_back, _ = cv2.calcOpticalFlowPyrLK(b.grey, a.grey, there, here.copy(), **settings)
+    returned = np.linalg.norm((back - here)[:, 0], axis=1) < RETURN_PX
+    good = (ok.ravel() > 0) & (ok_back.ravel() > 0) & returned
+    found_px[np.flatnonzero(use)[good]] = there[good, 0]
+    return found_px

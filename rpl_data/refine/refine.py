@@ -1,0 +1,83 @@
+"""The click solution of an object, refined by what its scenes' surfaces say of one another."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from rpl_data.refine.evidence import (
+    ClickCosts,
+    Verdict,
+    cross_validated,
+    gains_sigmas,
+    verdicts,
+    without_surface,
+)
+from rpl_data.refine.registration import ClickTerms, Points, Poses, register_scenes
+from rpl_data.refine.scene_surfaces import SceneSurface, scene_surface
+from rpl_data.types import PointCloud
+
+
+@dataclass(frozen=True)
+class Refined:
+    """What became of the scenes.
+
+    Attributes:
+        scene_from_object: one per scene, in the order given.
+        points_object: one row per keypoint, in the (slightly moved) object frame of the poses.
+        normal: normal matrix of the unknowns, 6 per scene and 3 per keypoint.
+        verdicts: one per scene; where a scene is not accepted, its pose is that of its own clicks.
+    """
+
+    scene_from_object: Poses
+    points_object: Points
+    normal: Float64[np.ndarray, "u u"]
+    verdicts: tuple[Verdict, ...]
+
+    @property
+    def registered(self) -> bool:
+        """Some scene gained; otherwise everything is as the clicks have it."""
+        return any(verdict.accepted for verdict in self.verdicts)
+
+
+def refine_scenes(
+    regions: Mapping[str, PointCloud],
+    scenes: Sequence[str],
+    scene_from_object: Poses,
+    points_object: Points,
+    clicks: ClickTerms,
+    click_costs: ClickCosts,
+) -> Refined:
+    """Register the scenes on one another, and keep of it what held-out evidence supports.
+
+    Args:
+        regions: the object's surface per scene, scene frame, without what it stands on.
+        scenes: names of the scenes, in the order of the poses.
+        scene_from_object: the click solution.
+        points_object: the keypoints of the click solution; unknown ones anywhere finite.
+        clicks: the clicks' part of the normal matrix.
+        click_costs: the clicks' cost per scene.
+    """
+    start = scene_from_object
+    surfaces: list[SceneSurface | None] = [
+        scene_surface(regions[name]) if name in regions else None for name in scenes
+    ]
+    rejected = {n: without_surface() for n, surface in enumerate(surfaces) if surface is None}
+    while len(scenes) - len(rejected) >= 2:
+        tests = cross_validated(surfaces, start, points_object, clicks)
+        found = register_scenes(surfaces, start, points_object, clicks)
+        worse = click_costs(found.scene_from_object, found.points_object) - click_costs(start, points_object)
+        judged = verdicts(gains_sigmas(tests, start), worse)
+        against = [n for n, verdict in enumerate(judged) if n not in rejected and not verdict.accepted]
+        if not against:
+            final = tuple(rejected.get(n, verdict) for n, verdict in enumerate(judged))
+            return Refined(found.scene_from_object, found.points_object, found.normal, final)
+        # One at a time: a scene that is wrong spoils the agreement of those that it shares surface with.
+        worst = min(against, key=lambda n: judged[n].gain_sigmas)
+        rejected[worst] = judged[worst]
+        surfaces[worst] = None
+    left = tuple(rejected.get(n, without_surface()) for n in range(len(scenes)))
+    return Refined(start, points_object, clicks(start, points_object)[0], left)

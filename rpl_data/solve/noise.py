@@ -1,0 +1,178 @@
+"""How far off clicks and depths are, judged by their own residuals, and what that means for the answer.
+
+The variances of clicks and of depths are two components of one adjustment. Each is estimated from the
+residuals of its group and their redundancy, the degrees of freedom that the unknowns leave to them
+(Förstner, "Ein Verfahren zur Schätzung von Varianz- und Kovarianzkomponenten", 1979). With few clicks
+the redundancy is small, so a prior, what is usual for a hand and a sensor, counts as a few residuals more.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Bool, Float64
+
+from rpl_data.solve.bundle_adjustment import (
+    State,
+    System,
+    cross_matrices,
+    descend,
+    linearise,
+)
+from rpl_data.solve.click_rays import Noise, Rays
+
+USUAL = Noise(click_px=2.0, depth_ratio=1.0)
+"""What is expected before anything is known: a hand that clicks to 2 px, depths as good as stated."""
+PRIOR_RESIDUALS = 3.0
+"""The prior counts as much as this many residuals."""
+SMALLEST, LARGEST = Noise(0.25, 0.4), Noise(10.0, 6.0)
+"""Bounds of the estimate; beyond them the model of the noise is wrong, not its size."""
+HIDDEN_BY_WEIGHTS = (0.745, 0.733)
+"""Weighted mean square of normal residuals of variance 1 under Geman-McClure's weights at 3 sigmas: of
+pixels (two dimensions), of depths (one)."""
+INFORMATION_PER_WEIGHT = (1.236, 1.076)
+"""Information of a residual over its weight, likewise: good residuals have weights below 1, yet the estimate
+is nearly as good as that by least squares (Huber, Robust Statistics, 1981, section 6.3)."""
+
+
+def adjust_with_noise(
+    rays: Rays, state: State, *, prior: Noise = USUAL, hold_points: bool = False, rounds: int = 3
+) -> tuple[State, Noise]:
+    """Descend, estimate the noise, and descend again with it.
+
+    Args:
+        prior: the noise expected before the residuals are seen.
+        hold_points: move the scenes only; the model is known.
+    """
+    noise = Noise()
+    for _ in range(rounds):
+        state = descend(rays, state, noise=noise, hold_points=hold_points)
+        noise = estimate_noise(rays, state, noise=noise, prior=prior, hold_points=hold_points)
+    return descend(rays, state, noise=noise, hold_points=hold_points), noise
+
+
+def estimate_noise(
+    rays: Rays, state: State, *, noise: Noise, prior: Noise = USUAL, hold_points: bool = False
+) -> Noise:
+    """The noise that the residuals show.
+
+    Args:
+        noise: with which the residuals are weighted: the last estimate.
+        prior: the noise expected before the residuals are seen.
+        hold_points: the model is known; only the scenes were adjusted.
+    """
+    system = linearise(rays, state, noise=noise)
+    weight = system.root_weight**2
+    leverage = _leverage(system, scenes=len(state.scene_from_model), hold_points=hold_points)
+    measured = np.isfinite(rays.depths_m[:, 0])
+    squares, redundancy = weight * system.residual**2, weight * (1 - leverage)
+    click = _variance(
+        squares[:, :2].sum() / HIDDEN_BY_WEIGHTS[0],
+        redundancy[:, :2].sum(),
+        now=noise.click_px,
+        usual=prior.click_px,
+    )
+    # What clicks share widens their deviation, but not how far each of them is off.
+    depth_squares = (squares[:, 2] * rays.widening**2)[measured].sum()
+    depth = _variance(
+        depth_squares / HIDDEN_BY_WEIGHTS[1],
+        redundancy[measured, 2].sum(),
+        now=noise.depth_ratio,
+        usual=prior.depth_ratio,
+    )
+    return Noise(
+        float(np.clip(np.sqrt(click), SMALLEST.click_px, LARGEST.click_px)),
+        float(np.clip(np.sqrt(depth), SMALLEST.depth_ratio, LARGEST.depth_ratio)),
+    )
+
+
+def _variance(squares: float, redundancy: float, *, now: float, usual: float) -> float:
+    """The variance that the squares of residuals, normed by `now`, show together with the prior."""
+    return float((PRIOR_RESIDUALS * usual**2 + now**2 * squares) / (PRIOR_RESIDUALS + redundancy))
+
+
+def _leverage(system: System, *, scenes: int, hold_points: bool) -> Float64[np.ndarray, "m 3"]:
+    """How much of each residual the unknowns take up, 0 to 1."""
+    weighted = system.root_weight[..., None] * system.jacobian
+    inverse = _inverse(weighted, scenes=scenes, hold_points=hold_points)
+    leverage: Float64[np.ndarray, "m 3"] = ((weighted @ inverse) * weighted).sum(axis=-1)
+    return leverage
+
+
+def _inverse(
+    jacobian: Float64[np.ndarray, "m 3 u"], *, scenes: int, hold_points: bool
+) -> Float64[np.ndarray, "u u"]:
+    """Inverse of the normal matrix, as `inverse_normal`."""
+    flat = jacobian.reshape(-1, jacobian.shape[2])
+    return inverse_normal(flat.T @ flat, scenes=scenes, hold_points=hold_points)
+
+
+def inverse_normal(
+    normal: Float64[np.ndarray, "u u"], *, scenes: int, hold_points: bool
+) -> Float64[np.ndarray, "u u"]:
+    """Inverse of a normal matrix, 0 for what is held.
+
+    The frame of the unknowns is free, so unless the points are held the first scene is. Keypoints
+    without clicks are left out.
+    """
+    free = np.diag(normal) > 0
+    free[slice(6 * scenes, None) if hold_points else slice(0, 6)] = False
+    inverse: Float64[np.ndarray, "u u"] = np.zeros_like(normal)
+    some = normal[np.ix_(free, free)]
+    scale = 1 / np.sqrt(np.diag(some))  # metres and radians: comparable before the ridge
+    regular = some * np.outer(scale, scale) + 1e-9 * np.eye(len(some))
+    inverse[np.ix_(free, free)] = np.linalg.inv(regular) * np.outer(scale, scale)
+    return inverse
+
+
+def joint_covariance(
+    rays: Rays, state: State, *, noise: Noise, hold_points: bool = False
+) -> Float64[np.ndarray, "u u"]:
+    """Covariance of all unknowns, in the order of `System.jacobian`, with the first scene (or points) held.
+
+    Only what does not depend on the frame may be read from it: `points_in_scene_covariance` and
+    `shape_covariance`.
+    """
+    system = linearise(rays, state, noise=noise)
+    information = system.root_weight * np.sqrt(np.array(INFORMATION_PER_WEIGHT)[[0, 0, 1]])
+    return _inverse(
+        information[..., None] * system.jacobian, scenes=len(state.scene_from_model), hold_points=hold_points
+    )
+
+
+def points_in_scene_covariance(
+    joint: Float64[np.ndarray, "u u"], state: State, scene: int, known: Bool[np.ndarray, " k"]
+) -> Float64[np.ndarray, "k 3 3"]:
+    """One covariance per keypoint of its position in a scene, in m^2, in the scene frame.
+
+    First order, from shape and pose together with what they share; NaN for unknown keypoints.
+    """
+    scenes, keypoints = len(state.scene_from_model), len(state.points_model)
+    pose = state.scene_from_model[scene]
+    in_scene = state.points_model @ pose[:3, :3].T + pose[:3, 3]
+    covariance = np.full((keypoints, 3, 3), np.nan)
+    for k in np.flatnonzero(known):
+        own = np.r_[6 * scene : 6 * scene + 6, 6 * scenes + 3 * k : 6 * scenes + 3 * k + 3]
+        derivative = np.hstack([-cross_matrices(in_scene[k]), np.eye(3), pose[:3, :3]])
+        covariance[k] = derivative @ joint[np.ix_(own, own)] @ derivative.T
+    return covariance
+
+
+def shape_covariance(
+    joint: Float64[np.ndarray, "u u"], state: State, known: Bool[np.ndarray, " k"]
+) -> Float64[np.ndarray, "k 3 3"]:
+    """One covariance per keypoint in the frame of all keypoints together, in m^2, along the model's axes.
+
+    Motions of all keypoints together are taken out (inner constraints, Triggs et al. section 9). NaN for
+    unknown keypoints.
+    """
+    points = state.points_model[known] - state.points_model[known].mean(axis=0)
+    together = np.concatenate(
+        [np.tile(np.eye(3), (len(points), 1, 1)), -cross_matrices(points)], axis=2
+    ).reshape(-1, 6)
+    of_points = 6 * len(state.scene_from_model) + np.flatnonzero(np.repeat(known, 3))
+    shape = np.eye(len(together)) - together @ np.linalg.pinv(together)
+    projected = shape @ joint[np.ix_(of_points, of_points)] @ shape.T
+    covariance = np.full((len(known), 3, 3), np.nan)
+    blocks = projected.reshape(len(points), 3, len(points), 3)
+    covariance[known] = blocks[np.arange(len(points)), :, np.arange(len(points))]
+    return covariance

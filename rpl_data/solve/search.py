@@ -1,0 +1,188 @@
+"""The search for the lowest robust cost: several starts, and scenes and keypoints that may jump.
+
+The robust cost has many valleys: on a hollow object a click may be explained by the near wall or the far
+one, and three such clicks put a whole scene into another valley, from which no small step leads out. So
+every scene is placed anew against what the other scenes say, in all the ways its clicks allow, and the
+cheapest answer of the whole adjustment wins. Answers that cost nearly as much are kept: they are what the
+clicks cannot rule out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float64
+
+from rpl_data.geometry import invert, transform
+from rpl_data.solve.bundle_adjustment import (
+    COARSE,
+    State,
+    adjust,
+    cost_of,
+    descend,
+    linearise,
+    moved,
+    reassign_keypoints,
+)
+from rpl_data.solve.click_rays import Noise, Rays
+from rpl_data.solve.initial_guess import Hypotheses
+from rpl_data.solve.scene_poses import DISTINCT_M, likely_poses
+
+Comparator = Callable[[State], float]
+"""Extra cost of an answer, in squared standard deviations: how badly surfaces agree, say."""
+
+ROUNDS = 5
+"""How often keypoints may jump to another of their candidates before the answer stands."""
+SWEEPS = 3
+"""How often all scenes may be placed anew."""
+ROUGHLY = 1e-4
+"""Relative change of the cost at which a descent ends while answers are only compared."""
+WORTH_TRYING = 25.0
+"""A pose whose clicks cost more than this above the present one, with the keypoints held, is not tried."""
+TRIED_PER_SCENE = 2
+"""Poses that are tried besides the present one, most likely first."""
+NEAR_TIE = 12.0
+"""Answers whose cost is higher by less than this are remembered."""
+
+
+class Alternative(NamedTuple):
+    """Another answer in which one scene stands elsewhere.
+
+    Attributes:
+        excess: by how much its cost is higher.
+    """
+
+    scene: int
+    state: State
+    excess: float
+
+
+class Found(NamedTuple):
+    """The cheapest answer, and what came near it."""
+
+    state: State
+    cost: float
+    alternatives: tuple[Alternative, ...]
+
+
+def search(
+    rays: Rays,
+    candidates: Sequence[Hypotheses],
+    starts: Sequence[State],
+    *,
+    compare: Comparator | None = None,
+) -> Found:
+    """The answer of lowest cost that can be reached from the starts.
+
+    Args:
+        candidates: for each scene, by keypoint, where in the scene it may be.
+        starts: right to a few centimetres, if the clicks are.
+        compare: extra cost of an answer; none when None.
+    """
+    settled = [settle(rays, candidates, adjust(rays, start, tolerance=ROUGHLY)) for start in starts]
+    costs = [_cost(rays, state, compare) for state in settled]
+    state, cost = settled[int(np.argmin(costs))], min(costs)
+    alternatives: dict[int, list[Alternative]] = {}
+    waiting = list(range(len(state.scene_from_model))) * SWEEPS
+    unchanged = 0
+    for scene in waiting:
+        found = _other_poses(rays, candidates, state, cost, scene, compare)
+        alternatives[scene] = found
+        unchanged += 1
+        if found and found[0].excess < -1e-6:
+            state, cost, unchanged = found[0].state, cost + found[0].excess, 0
+        if unchanged == len(state.scene_from_model):
+            break
+    near = [a for found in alternatives.values() for a in found if 0 <= a.excess < NEAR_TIE]
+    return Found(state, cost, tuple(sorted(near, key=lambda a: a.excess)))
+
+
+def settle(rays: Rays, candidates: Sequence[Hypotheses], state: State, *, rounds: int = ROUNDS) -> State:
+    """Let keypoints jump to other candidates, and adjust, until nothing changes or the rounds are over."""
+    before = state.points_model
+    for _ in range(rounds):
+        jumped = reassign_keypoints(rays, state, candidates_in_model(candidates, state))
+        if np.array_equal(jumped.points_model, state.points_model):
+            break
+        if np.abs(jumped.points_model - before).max() < DISTINCT_M / 10:
+            break  # back to where the last adjustment began, which would end the same
+        before, state = jumped.points_model, adjust(rays, jumped, tolerance=ROUGHLY)
+    return state
+
+
+def candidates_in_model(candidates: Sequence[Hypotheses], state: State) -> list[Float64[np.ndarray, "_ 3"]]:
+    """All candidate positions of each keypoint, brought to the model frame by the scenes as they stand."""
+    found: list[list[np.ndarray]] = [[] for _ in state.points_model]
+    for of_scene, model_from_scene in zip(candidates, invert(state.scene_from_model), strict=True):
+        for k, positions in of_scene.items():
+            found[k].extend(transform(model_from_scene, positions))
+    return [np.array(positions).reshape(-1, 3) for positions in found]
+
+
+def _cost(rays: Rays, state: State, compare: Comparator | None) -> float:
+    return cost_of(rays, state) + (compare(state) if compare else 0.0)
+
+
+def _other_poses(
+    rays: Rays,
+    candidates: Sequence[Hypotheses],
+    state: State,
+    cost: float,
+    scene: int,
+    compare: Comparator | None,
+) -> list[Alternative]:
+    """Answers in which one scene stands elsewhere, cheapest first; better ones have a negative excess."""
+    points, told = points_without(rays, candidates, state, scene)
+    own = (rays.scene == scene) & told[rays.keypoint]
+    if len(np.unique(rays.keypoint[own])) < 3:
+        return []
+    now = state.scene_from_model[scene]
+    found = likely_poses(rays.of(own), points, candidates[scene], known_poses=now[None])
+    in_scene = transform(now, state.points_model)
+    tried: list[Alternative] = []
+    for pose, held_cost in zip(found.scene_from_model, found.cost, strict=True):
+        if held_cost > found.cost[0] + WORTH_TRYING or len(tried) == TRIED_PER_SCENE:
+            break
+        if _apart_m(pose, points[told], now, state.points_model[told]) < DISTINCT_M:
+            continue
+        poses = state.scene_from_model.copy()
+        poses[scene] = pose
+        start = State(poses, np.where(told[:, None], points, transform(invert(pose), in_scene)))
+        there = descend(rays, start, noise=Noise(), tolerance=ROUGHLY)
+        if _cost(rays, there, compare) > cost + 2 * NEAR_TIE:
+            continue
+        there = settle(rays, candidates, there, rounds=2)
+        if _apart_m(there.scene_from_model[scene], there.points_model, now, state.points_model) > DISTINCT_M:
+            tried.append(Alternative(scene, there, _cost(rays, there, compare) - cost))
+    return sorted(tried, key=lambda a: a.excess)
+
+
+def _apart_m(
+    pose_a: np.ndarray, points_a: Float64[np.ndarray, "n 3"], pose_b: np.ndarray, points_b: np.ndarray
+) -> float:
+    """Mean distance between the keypoints as two answers put them into a scene."""
+    return float(np.linalg.norm(transform(pose_a, points_a) - transform(pose_b, points_b), axis=1).mean())
+
+
+def points_without(
+    rays: Rays, candidates: Sequence[Hypotheses], state: State, scene: int
+) -> tuple[Float64[np.ndarray, "k 3"], np.ndarray]:
+    """Keypoints as the clicks of all other scenes have them, poses held; and which they tell anything of."""
+    others = rays.of(rays.scene != scene)
+    elsewhere = [{} if s == scene else of_scene for s, of_scene in enumerate(candidates)]
+    told = np.array([any(k in of_scene for of_scene in elsewhere) for k in range(len(state.points_model))])
+    found = reassign_keypoints(others, state, candidates_in_model(elsewhere, state))
+    poses = 6 * len(state.scene_from_model)
+    for _ in range(3):
+        system = linearise(others, found, noise=COARSE)
+        jacobian = (system.root_weight[..., None] * system.jacobian[..., poses:]).reshape(
+            -1, found.points_model.size
+        )
+        normal = jacobian.T @ jacobian
+        ridge = 1e-6 * np.diag(normal) + 1e-3
+        right = jacobian.T @ (system.root_weight * system.residual).ravel()
+        step = np.concatenate([np.zeros(poses), np.linalg.solve(normal + np.diag(ridge), -right)])
+        found = moved(found, step)
+    return found.points_model, told
