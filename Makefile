@@ -2,7 +2,7 @@
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 STAMP := .venv/.made-from-constraints
 
-.PHONY: demo test bench lint gpu-check
+.PHONY: demo test bench lint gpu-check attack
 
 demo: $(STAMP)
 	.venv/bin/rpl build datasets/demo.yaml --workspace workspaces/demo
@@ -19,6 +19,10 @@ bench: demo
 # The paper's presets on this machine's GPU, in less than eight minutes.
 gpu-check: demo
 	.venv/bin/python -m training.gpu_check
+
+# Damages files, feeds every parser damaged input, sends odd requests, kills builds and servers: a table by kind.
+attack: $(STAMP)
+	PYTHONPATH=.:tests .venv/bin/python -m attack
 
 lint: $(STAMP)
 	.venv/bin/ruff check .

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import stat
 import struct
 import tempfile
+import time
 import zlib
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any, Literal
 
@@ -93,6 +95,7 @@ def read_json(path: Path) -> Any:
         raise DataError(f"{path} is not valid JSON: {error}; restore it or delete it") from error
 
 
+SERVED_S = 3600.0
 FAULTS = (
     ArithmeticError, AttributeError, EOFError, LookupError, MemoryError, RecursionError, TypeError, ValueError
 )  # fmt: skip
@@ -168,6 +171,21 @@ def append_bytes(path: Path, content: bytes) -> None:
         except OSError:
             file.truncate(end)
             raise
+
+
+def sweep(root: Path) -> None:
+    """Remove what killed builds left half-written in a workspace: files and folders with a name of `writing`.
+
+    Call it only while nobody else builds there. What the annotation server may be writing at this moment is
+    left alone until it is an hour old.
+    """
+    levels = ("*", "scenes/*/*", "scenes/*/cache/*/*", "objects/*/*", "labels/*", "export/*", "report/*")
+    for path in (found for level in levels for found in root.glob(level) if found.name.startswith(".")):
+        half_written = re.fullmatch(r"\..+\.(partial-)?[a-z0-9_]{8}(-old)?", path.name)
+        served = path.parent.parent.name == "objects" or path.parent in (root, root / "labels")
+        with suppress(OSError):
+            if half_written and not (served and time.time() - path.stat().st_mtime < SERVED_S):
+                remove(path)
 
 
 def remove(path: Path) -> None:

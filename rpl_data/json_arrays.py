@@ -3,16 +3,71 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Callable
+from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import Float64
 
-from rpl_data.types import (
-    SquareBox,
-)
+from rpl_data.files import FAULTS
+from rpl_data.types import SquareBox
 
 Json = dict[str, Any]
+Value = TypeVar("Value")
+
+
+def taken(data: Json, name: str, convert: Callable[[Any], Value]) -> Value:
+    """A field of a record, converted; ValueError naming the field, KeyError where it is missing."""
+    try:
+        return convert(data[name])
+    except KeyError:
+        raise
+    except FAULTS as error:
+        raise ValueError(f"{name}: {error}") from error
+
+
+def number(value: Any) -> float:
+    """A finite number; ValueError for anything else."""
+    if not isinstance(value, int | float) or isinstance(value, bool) or not math.isfinite(value):
+        raise ValueError(f"{value!r:.60} is not a finite number")
+    return float(value)
+
+
+def whole(value: Any) -> int:
+    """A whole number; ValueError for anything else."""
+    if not isinstance(value, int) or isinstance(value, bool) or abs(value) >= 2**63:
+        raise ValueError(f"{value!r:.60} is not a whole number")
+    return value
+
+
+def text(value: Any) -> str:
+    """A text; ValueError for anything else."""
+    if not isinstance(value, str):
+        raise ValueError(f"{value!r:.60} is not a text")
+    return value
+
+
+def flag(value: Any) -> bool:
+    """True or false; ValueError for anything else."""
+    if not isinstance(value, bool):
+        raise ValueError(f"{value!r:.60} is neither true nor false")
+    return value
+
+
+def each(convert: Callable[[Any], Value]) -> Callable[[Any], tuple[Value, ...]]:
+    """For a list whose items are converted."""
+
+    def converted(values: Any) -> tuple[Value, ...]:
+        if not isinstance(values, list):
+            raise ValueError(f"{values!r:.60} is not a list")
+        return tuple(convert(value) for value in values)
+
+    return converted
+
+
+def optional(convert: Callable[[Any], Value]) -> Callable[[Any], Value | None]:
+    """For a value that may be null."""
+    return lambda value: None if value is None else convert(value)
 
 
 def rows_to_json(rows: Float64[np.ndarray, "n m"], digits: int | None = None) -> list[list[float] | None]:
@@ -22,7 +77,7 @@ def rows_to_json(rows: Float64[np.ndarray, "n m"], digits: int | None = None) ->
 
 def rows_from_json(rows: list[list[float] | None], width: int) -> Float64[np.ndarray, "n m"]:
     """Convert the result of `rows_to_json` back to an array; NaN for null."""
-    filled = [[math.nan] * width if row is None else row for row in rows]
+    filled = [[math.nan] * width if row is None else [*map(number, row)] for row in rows]
     return np.array(filled, dtype=float).reshape(len(rows), width)
 
 
@@ -34,7 +89,7 @@ def numbers(values: np.ndarray, digits: int | None = None) -> list[float]:
 
 def matrix_from_json(values: list[float]) -> Float64[np.ndarray, "4 4"]:
     """Make a 4x4 matrix from 16 row-major numbers."""
-    return np.array(values, dtype=float).reshape(4, 4)
+    return np.array([*map(number, values)], dtype=float).reshape(4, 4)
 
 
 def asdict_values(box: SquareBox) -> list[float]:

@@ -67,7 +67,8 @@ def _columns(path: Path, vertices: Columns, names: str) -> Floats:
     missing = [name for name in names.split() if name not in vertices]
     if missing:
         raise DataError(f"{path} has no property {', '.join(missing)} for its vertices; save it again")
-    return np.column_stack([vertices[name].astype(np.float64) for name in names.split()])
+    with np.errstate(invalid="ignore"):  # values that are no numbers are refused by whoever asked
+        return np.column_stack([vertices[name].astype(np.float64) for name in names.split()])
 
 
 def _colors(vertices: Columns) -> Colors | None:

@@ -12,8 +12,8 @@ ROOT = Path(__file__).parents[1]
 LAYERS = [
     {"wording"},
     {"types"},
-    {"child", "files", "geometry", "json_arrays"},
-    {"ply"},
+    {"child", "files", "geometry", "names", "rle"},
+    {"json_arrays", "ply"},
     {"images", "meshes", "raycast", "overlay", "drift"},
     {"formats", "clicks", "pose", "reconstruct", "workspace"},
     {"capture", "solve", "refine", "segment", "label", "export", "torch"},

@@ -6,10 +6,9 @@ from typing import Any
 
 from rpl_data.annotate.stores.scenes import SceneStore
 from rpl_data.clicks.log import OPS, Annotation, Event
+from rpl_data.names import MOST_KEYPOINTS, checked_keypoints
 from rpl_data.types import Click, DataError
 
-MOST_KEYPOINTS = 200
-MOST_NAME = 40
 MOST_EVENTS = 20_000
 """In a batch: the clicks of a file."""
 LOCAL = {"click", "move", "delete", "skip", "unskip", "grasp", "crop"}
@@ -56,7 +55,7 @@ def _skip(action: dict[str, Any], annotation: Annotation, scenes: SceneStore) ->
 
 
 def _keypoints(action: dict[str, Any], annotation: Annotation, scenes: SceneStore) -> Event:
-    return {"names": checked_names(action["names"])}
+    return {"names": named_keypoints(action["names"])}
 
 
 def _order(action: dict[str, Any], annotation: Annotation, scenes: SceneStore) -> Event:
@@ -124,18 +123,10 @@ _CHECKS = {
 }
 
 
-def checked_names(names: Any) -> list[str]:
+def named_keypoints(names: Any) -> list[str]:
     """Trim the names of keypoints; DataError for names that are empty, too long, too many or equal."""
     found = [_text(name).strip() for name in _list(names, MOST_KEYPOINTS)]
-    if not 1 <= len(found) <= MOST_KEYPOINTS:
-        raise DataError(f"an object has 1 to {MOST_KEYPOINTS} keypoints, not {len(found)}")
-    for name in found:
-        if not name or len(name) > MOST_NAME or not name.isprintable():
-            raise DataError(f"{name!r} cannot name a keypoint: use 1 to {MOST_NAME} printable characters")
-    if len(set(found)) < len(found):
-        double = next(name for name in found if found.count(name) > 1)
-        raise DataError(f"two keypoints would be called {double!r}; choose another name")
-    return found
+    return list(checked_keypoints(found, where="the list of keypoints"))
 
 
 def _keypoint(value: Any, annotation: Annotation) -> int:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from rpl_data.annotate.actions import checked_names
+from rpl_data.annotate.actions import named_keypoints
 from rpl_data.annotate.live import Lifter, Live, solve_live
 from rpl_data.annotate.log import ObjectLog, Revision
 from rpl_data.annotate.news import News
@@ -20,6 +20,7 @@ from rpl_data.annotate.suggest import Suggestion, suggest_frames
 from rpl_data.annotate.work import Work
 from rpl_data.clicks.log import Annotation
 from rpl_data.geometry import Transform
+from rpl_data.names import checked_name
 from rpl_data.types import Click, DataError
 from rpl_data.workspace.workspace import Workspace
 
@@ -74,11 +75,10 @@ class Session:
 
     def add_object(self, name: str, keypoints: Sequence[str]) -> None:
         """Add an object with named keypoints."""
-        if not name.replace("_", "").replace("-", "").isalnum() or len(name) > 60:
-            raise DataError(f"{name!r} cannot name an object: use at most 60 letters, digits, - and _")
+        checked_name(name, "object")
         if name in self.objects():
             raise DataError(f"there is an object {name} already")
-        names = checked_names(keypoints)
+        names = named_keypoints(list(keypoints))
         if len(names) < 3:
             raise DataError("an object needs at least 3 keypoints")
         self.work.add_object(name, names)

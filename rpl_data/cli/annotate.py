@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import errno
 import ipaddress
 import secrets
-from collections.abc import Sequence
+import socket
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
+from types import FrameType
 
 from rpl_data.annotate import Address, Work
 from rpl_data.annotate.work import Tell
@@ -93,32 +96,66 @@ def _fresh(workspace: Workspace) -> dict[str, bool]:
     return {stage: bool(steps) and all(holds for _, holds in steps) for stage, steps in found.items()}
 
 
-def serve(workspace: Path, address: Address, *, ready: bool = False) -> None:
-    """Serve the page until Ctrl-C.
+NEXT_PORTS = 20
+"""So many ports behind the one asked for are tried when it is taken."""
+
+
+def listening(address: Address) -> tuple[socket.socket, Address]:
+    """A socket that listens, and where: at the next free port when the one asked for is taken.
 
     Raises:
-        DataError: this is no workspace, or the address cannot be listened on.
+        DataError: the address cannot be listened on.
     """
-    import socket
+    family = socket.AF_INET6 if ":" in address.host else socket.AF_INET
+    for port in range(address.port, min(address.port + NEXT_PORTS, 65536)):
+        try:
+            taken = socket.create_server((address.host, port), family=family)
+        except OSError as error:
+            why = error
+            if error.errno == errno.EADDRINUSE:
+                continue
+            break
+        # A socket made here names no protocol, so asyncio would leave Nagle's delay on: 40 ms per answer.
+        taken.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        return taken, replace(address, port=port)
+    raise DataError(
+        f"cannot listen on {address.host} port {address.port}: {why.strerror or why}; choose another --port"
+    ) from why
 
+
+def serve(workspace: Path, address: Address, taken: socket.socket, *, ready: Callable[[], None]) -> None:
+    """Serve the page until Ctrl-C.
+
+    Args:
+        workspace: its folder.
+        address: where `taken` listens.
+        taken: the socket.
+        ready: called when the workspace was found to be one.
+
+    Raises:
+        DataError: this is no workspace.
+    """
     import uvicorn
 
     from rpl_data.annotate.server import make_app
     from rpl_data.annotate.session import Session
 
     root = Workspace(workspace)
-    app = make_app(Session(root, work_of(root)), address)
-    family = socket.AF_INET6 if ":" in address.host else socket.AF_INET
-    try:
-        taken = socket.create_server((address.host, address.port), family=family)
-    except OSError as error:
-        raise DataError(
-            f"cannot listen on {address.host} port {address.port}: {error.strerror or error}; "
-            "another page may be open already; choose another --port"
-        ) from error
-    # A socket that was made here says no protocol, so asyncio would leave Nagle's delay on: 40 ms an answer.
-    taken.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    session = Session(root, work_of(root))
     config = uvicorn.Config(
-        app, log_level="warning", access_log=False, timeout_graceful_shutdown=1, ws="none"
+        make_app(session, address),
+        log_level="warning",
+        access_log=False,
+        timeout_graceful_shutdown=1,
+        ws="none",
     )
-    uvicorn.Server(config).run(sockets=[taken])
+    server = uvicorn.Server(config)
+    exits = server.handle_exit
+
+    def end(number: int, frame: FrameType | None) -> None:
+        session.close()  # first the streams of open pages, which would be cut off with an error each
+        exits(number, frame)
+
+    server.handle_exit = end  # type: ignore[assignment, method-assign]
+    ready()
+    server.run(sockets=[taken])

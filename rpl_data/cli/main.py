@@ -32,9 +32,9 @@ from rpl_data.types import DataError  # noqa: E402
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; 0 when all is well, 1 with one line on stderr when the user can mend it."""
-    from rpl_data.cli.parser import run
-
     try:
+        from rpl_data.cli.parser import run
+
         run(COMMANDS, arguments, program="rpl", description=HELP)
     except DataError as error:
         print(f"rpl: {error}", file=sys.stderr)
@@ -42,6 +42,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("rpl: interrupted; run the same command again and it goes on from here", file=sys.stderr)
         return 130
+    except BrokenPipeError:  # whoever read our output has gone, as `head` does
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    except Exception as error:  # a fault of ours: the last net, so that nobody is shown a page of code
+        from rpl_data.cli.faults import reported
+
+        print(f"rpl: {reported(error, sys.argv[1:] if arguments is None else arguments)}", file=sys.stderr)
+        return 1
     return 0
 
 
@@ -271,14 +279,17 @@ def annotate(
             URL.
         port: where the page is served.
     """
-    from rpl_data.cli.annotate import address_of, serve
+    from rpl_data.cli.annotate import address_of, listening, serve
     from rpl_data.pipeline.recipe import load_recipe
 
-    place = address_of(host, port)
+    address = address_of(host, port)
     if recipe is not None:
         run_build(load_recipe(recipe, root=root), workspace, "clicks", None)
-    print(f"open {place.url}\nend with Ctrl-C", flush=True)
-    serve(workspace, place)
+    taken, address = listening(address)
+    with taken:
+        serve(
+            workspace, address, taken, ready=lambda: print(f"open {address.url}\nend with Ctrl-C", flush=True)
+        )
 
 
 def clicks_import(file: Path, workspace: Path = HERE, proposed: bool = False) -> None:

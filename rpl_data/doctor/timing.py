@@ -61,8 +61,15 @@ def dropped_frames(scene: Scene, left_out: Sequence[int] = ()) -> list[Finding]:
     return [Finding("dropped frames", what, 1.0, todo)]
 
 
-def pose_jumps(scene: Scene, trajectory: Trajectory) -> list[Finding]:
-    """Return a finding when the camera moves faster than a hand can."""
+def pose_jumps(scene: Scene, trajectory: Trajectory, *, times_usual: float = 0.0) -> list[Finding]:
+    """Return a finding when the camera moves faster than a hand can.
+
+    Args:
+        scene: the scene with the timestamps.
+        trajectory: its poses.
+        times_usual: count only steps that are at least this many times as long as the median step. In a
+            recording whose frames are all far apart, no step is.
+    """
     time_of = {frame.index: frame.timestamp_s for frame in scene.frames}
     known = np.array([int(index) in time_of for index in trajectory.frames], dtype=bool)
     indices = trajectory.frames[known]
@@ -70,7 +77,8 @@ def pose_jumps(scene: Scene, trajectory: Trajectory) -> list[Finding]:
     steps_m = np.linalg.norm(np.diff(trajectory.scene_from_camera[known, :3, 3], axis=0), axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         speeds = steps_m / np.diff(stamps)
-    fast = np.flatnonzero(speeds > FASTEST_M_S)
+    usual_m = float(np.median(steps_m)) if len(steps_m) else 0.0
+    fast = np.flatnonzero((speeds > FASTEST_M_S) & (steps_m >= times_usual * usual_m))
     if not len(fast):
         return []
     worst = fast[int(np.argmax(steps_m[fast]))]

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from rpl_data.files import locked, write_text
+from rpl_data.files import locked, read_text, sweep, write_text
 from rpl_data.pipeline.context import Context
 from rpl_data.pipeline.ledger import Entry, Ledger, Outcome, Step
 from rpl_data.pipeline.pool import Pool
@@ -99,9 +99,10 @@ def build(
         DataError: what the user can mend; steps that were finished stay finished.
     """
     export.refuse_unknown_exports(recipe.export)
-    save_recipe(recipe, workspace)
     busy = f"another build is running in {workspace.root}; wait until it ends, or stop it"
     with locked(workspace.build_lock, busy), Pool(workers) as pool:
+        sweep(workspace.root)
+        save_recipe(recipe, workspace)
         ledger = Ledger(workspace.stages_file)
         context = Context(recipe, workspace, pool)
         for stage, plan in STAGES.items():
@@ -118,11 +119,18 @@ def build(
 
 def _bring_up_to_date(ledger: Ledger, step: Step, anyway: bool, tell: Tell) -> None:
     if ledger.holds(step) and not anyway:
+        ledger.renew(step)
         entry = ledger.entries[step.name]
         tell(Progress(step.stage, step.item, "kept", seconds=entry.seconds, outcome=entry.outcome))
         return
     tell(Progress(step.stage, step.item, "runs"))
-    entry = ledger.run(step, lambda done, total: tell(Progress(step.stage, step.item, "runs", done, total)))
+    try:
+        entry = ledger.run(
+            step, lambda done, total: tell(Progress(step.stage, step.item, "runs", done, total))
+        )
+    except Exception as error:
+        error.add_note(step.name)  # for whoever reports a fault of ours
+        raise
     tell(Progress(step.stage, step.item, "ran", seconds=entry.seconds, outcome=entry.outcome))
 
 
@@ -156,7 +164,7 @@ def context_of(workspace: Workspace) -> Context:
 def save_recipe(recipe: Recipe, workspace: Workspace) -> None:
     """Write the resolved recipe, which later commands on this workspace use."""
     text = recipe_to_yaml(recipe)
-    if not workspace.recipe_file.exists() or workspace.recipe_file.read_text(encoding="utf-8") != text:
+    if not workspace.recipe_file.exists() or read_text(workspace.recipe_file, errors="replace") != text:
         write_text(workspace.recipe_file, text)
 
 

@@ -12,11 +12,11 @@ import json
 import os
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from rpl_data.files import read_json, write_json
+from rpl_data.files import decoding, read_json, write_json
 from rpl_data.json_arrays import Json
 
 IMAGE_SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff"}
@@ -73,7 +73,12 @@ class Step:
 
 @dataclass(frozen=True)
 class Entry:
-    """What the ledger records about a step that ran to its end."""
+    """What the ledger knows about a step that ran to its end.
+
+    Attributes:
+        key: stands for everything the step depended on, in the entries of the steps after it.
+        folders: what was in each folder of its outputs; see `contents`. Absent in ledgers of older versions.
+    """
 
     key: str
     version: int
@@ -82,6 +87,7 @@ class Entry:
     after: dict[str, str]
     seconds: float
     outcome: Outcome
+    folders: Json = field(default_factory=dict)
 
 
 class Ledger:
@@ -89,8 +95,10 @@ class Ledger:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        stored = read_json(path) if path.exists() else {}
-        self.entries: dict[str, Entry] = {name: _entry(data) for name, data in stored.items()}
+        self.entries: dict[str, Entry] = {}
+        if path.exists():
+            with decoding(path, "delete it, and the next build makes everything again"):
+                self.entries = {name: _entry(data) for name, data in dict(read_json(path)).items()}
 
     def key(self, step: Step) -> str:
         """The key of the step at this moment."""
@@ -100,9 +108,19 @@ class Ledger:
     def holds(self, step: Step) -> bool:
         """Whether the step is up to date: it ran with the same input as now, and its files exist."""
         entry = self.entries.get(step.name)
-        return (
-            entry is not None and entry.key == self.key(step) and all(path.exists() for path in step.outputs)
-        )
+        if entry is None or entry.version != step.version or entry.after != self._before(step):
+            return False
+        sources = _as_counted(step.sources, entry.sources)
+        if not (_same(entry.options, step.options) and _same(entry.sources, sources)):
+            return False
+        return all(_is_there(path, entry.folders.get(str(path))) for path in step.outputs)
+
+    def renew(self, step: Step) -> None:
+        """Note the images of a step that holds by their number alone, as older versions noted them."""
+        entry = self.entries[step.name]
+        if not _same(entry.sources, step.sources):
+            self.entries[step.name] = replace(entry, sources=step.sources)
+            self._save()
 
     def run(self, step: Step, advance: Advance) -> Entry:
         """Run the step and record it; when it fails or is interrupted, nothing is recorded."""
@@ -111,8 +129,9 @@ class Ledger:
         started = time.perf_counter()
         outcome = step.run(advance)
         seconds = time.perf_counter() - started
+        before, folders = self._before(step), {str(p): contents(p) for p in step.outputs if p.is_dir()}
         entry = Entry(
-            self.key(step), step.version, step.options, step.sources, self._before(step), seconds, outcome
+            self.key(step), step.version, step.options, step.sources, before, seconds, outcome, folders
         )
         self.entries[step.name] = entry
         self._save()
@@ -145,15 +164,48 @@ def _entry(data: Mapping[str, Any]) -> Entry:
     return Entry(**{**data, "outcome": Outcome(outcome["frames"], messages, outcome["details"])})
 
 
+def _same(one: Json, other: Json) -> bool:
+    """Whether two records are the same once they are written."""
+    return json.dumps(one, sort_keys=True) == json.dumps(other, sort_keys=True)
+
+
+def _as_counted(sources: Json, stored: Json) -> Json:
+    """The sources with images only counted where an older version counted them, so that its builds hold."""
+    counted = {name for name, value in stored.items() if isinstance(value, int)}
+    return {name: value[0] if name in counted else value for name, value in sources.items()}
+
+
+def contents(folder: Path) -> Json:
+    """The files in a folder with their sizes, and number and size of all files in the folders inside it."""
+    own = {path.name: path.stat().st_size for path in folder.iterdir() if path.is_file()}
+    inner = [
+        Path(parent, name) for parent, _, names in os.walk(folder) for name in names if parent != str(folder)
+    ]
+    return {"files": own, "count": len(inner), "bytes": sum(path.stat().st_size for path in inner)}
+
+
+def _is_there(path: Path, made: Json | None) -> bool:
+    """A file that is not empty, or a folder with at least what was made in it; others may add to it."""
+    if not path.is_dir():
+        empty_is_broken = path.suffix != ".jsonl"  # labels of no frame are an empty file
+        return path.is_file() and (path.stat().st_size > 0 or not empty_is_broken)
+    if made is None:
+        return True
+    now = contents(path)
+    fewer = now["count"] < made["count"] or now["bytes"] < made["bytes"]
+    return not fewer and all(now["files"].get(name) == size for name, size in made["files"].items())
+
+
 MANY = 64
 """Largest number of files of one kind in a folder that are listed singly; more are summed up."""
 
 
 def stamps(*paths: Path, but_not: Path | None = None, names: Sequence[str] | None = None) -> Json:
-    """Size and time of files, by path. For a folder, of the files in it; its images are only counted.
+    """Size and time of files by path; of a folder, those of its files.
 
-    More than `MANY` files of one kind in a folder, such as one per frame, are summed up: their number, their
-    size, and the time of the newest.
+    The images of a folder are summed up: their number, and a digest of their names, sizes and times. More
+    than `MANY` files of another kind in a folder, such as one per frame, are summed up too: their number,
+    their size, and the time of the newest.
 
     Args:
         but_not: a folder to skip (a workspace inside the recording).
@@ -163,8 +215,8 @@ def stamps(*paths: Path, but_not: Path | None = None, names: Sequence[str] | Non
     for path in paths:
         if path.is_dir():
             found |= _folder_stamps(path, but_not, frozenset(names or ()))
-        elif path.exists():
-            found[str(path)] = _stamp(path)
+        elif stamp := _stamp(path):
+            found[str(path)] = stamp
     return found
 
 
@@ -176,11 +228,11 @@ def _folder_stamps(folder: Path, but_not: Path | None, names: frozenset[str]) ->
         kinds: dict[str, list[Path]] = {}
         for name in files:
             kinds.setdefault(Path(name).suffix.lower(), []).append(Path(parent, name))
-        images = sum(len(kinds.pop(suffix, ())) for suffix in IMAGE_SUFFIXES)
+        images = [path for suffix in IMAGE_SUFFIXES for path in kinds.pop(suffix, ())]
         if images:
-            found[parent] = images
+            found[parent] = [len(images), _digest(images)]
         for suffix, paths in kinds.items():
-            each = {str(path): _stamp(path) for path in paths}
+            each = {str(path): stamp for path in paths if (stamp := _stamp(path))}
             if len(each) > MANY:
                 sizes, times = zip(*each.values(), strict=True)
                 each = {str(Path(parent, f"*{suffix}")): [len(each), sum(sizes), max(times)]}
@@ -189,5 +241,15 @@ def _folder_stamps(folder: Path, but_not: Path | None, names: frozenset[str]) ->
 
 
 def _stamp(path: Path) -> list[int]:
-    status = path.stat()
+    """Size and time; nothing of a file that is not there, such as a link that leads nowhere."""
+    try:
+        status = path.stat()
+    except OSError:
+        return []
     return [status.st_size, status.st_mtime_ns]
+
+
+def _digest(paths: Sequence[Path]) -> str:
+    """Changes when one of the files is replaced, renamed or written."""
+    lines = sorted(f"{path.name} {_stamp(path)}" for path in paths)
+    return hashlib.sha256("\n".join(lines).encode("utf-8", "surrogateescape")).hexdigest()[:16]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import math
 import types
 import typing
 from collections.abc import Mapping
@@ -19,12 +20,15 @@ import yaml
 
 from rpl_data.drift import MAX_DRIFT_MM
 from rpl_data.export.split import SplitRule
-from rpl_data.files import read_text
+from rpl_data.files import FAULTS, read_text
+from rpl_data.names import MOST_KEYPOINTS, checked_keypoints, checked_name
 from rpl_data.recordings.mend import Mend
 from rpl_data.twin.spec import TwinSpec
 from rpl_data.types import DataError
 
 AnyRecipe = TypeVar("AnyRecipe")
+SMALLEST_VOXEL_M, LARGEST_VOXEL_M = 0.0002, 0.1
+"""A depth sensor sees nothing finer than the one; an object is lost in the other."""
 
 
 @dataclass(frozen=True)
@@ -180,6 +184,22 @@ class Recipe:
     truth: Path | None = None
 
 
+class _OnceLoader(yaml.SafeLoader):
+    """YAML with every key once: of a key that is there twice, the first would be lost without a word."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        """The mapping; YAMLError naming the key that is there twice."""
+        keys = [key for key, _ in node.value if isinstance(key.value, str)]
+        seen: set[str] = set()
+        for key in keys:
+            if key.value in seen:
+                raise yaml.MarkedYAMLError(
+                    problem=f"key {key.value!r} is there twice", problem_mark=key.start_mark
+                )
+            seen.add(key.value)
+        return super().construct_mapping(node, deep)
+
+
 def load_recipe(path: str | Path, *, root: str | Path | None = None) -> Recipe:
     """Load the recipe of a YAML file, and make its relative paths absolute.
 
@@ -193,8 +213,10 @@ def load_recipe(path: str | Path, *, root: str | Path | None = None) -> Recipe:
     """
     path = Path(path).expanduser()
     try:
-        data = yaml.safe_load(read_text(path))
-    except yaml.YAMLError as error:
+        data = yaml.load(read_text(path), _OnceLoader)
+    except (yaml.YAMLError, *FAULTS) as error:  # such as ValueError for a date that is none
+        if isinstance(error, DataError):
+            raise
         raise DataError(f"{path} is not valid YAML: {' '.join(str(error).split())}") from error
     recipe = parse_recipe(data, source=str(path))
     start = path.parent if root is None else Path(root).expanduser()
@@ -254,6 +276,8 @@ def _refuse_unknown_keys(kind: Any, value: object, source: str, where: str) -> N
             near = difflib.get_close_matches(str(key), hints, n=1, cutoff=0.4)
             hint = f"did you mean {near[0]!r}? " if near else ""
             raise DataError(f"{source}: unknown key {name!r}; {hint}Allowed here: {', '.join(hints)}")
+        if item is None and type(None) not in typing.get_args(hints[key]):
+            raise DataError(f"{source}: {name} has no value; give one, or leave the line out for its default")
         _refuse_unknown_keys(hints[key], item, source, name)
 
 
@@ -265,7 +289,7 @@ def _instantiate(data: dict[str, Any], source: str) -> Recipe:
     parser.add_class_arguments(Recipe, "recipe")
     try:
         recipe: Recipe = parser.instantiate(parser.parse_object({"recipe": data})).recipe
-    except (ArgumentError, ValueError, TypeError) as error:
+    except (ArgumentError, *FAULTS) as error:
         raise DataError(f"{source}: {' '.join(str(error).split()).replace('recipe.', '')}") from error
     return recipe
 
@@ -278,20 +302,59 @@ def _check(recipe: Recipe, source: str) -> None:
         raise DataError(
             f"{source}: no objects; give at least one {{name, keypoints, clicks}} under `objects:`"
         )
-    names = [item.name for item in recipe.objects]
-    if len(set(names)) < len(names):
-        raise DataError(f"{source}: two objects have the same name: {', '.join(names)}")
-    for item in recipe.objects:
-        count = len(item.keypoint_names)
-        if count < 3:
-            raise DataError(f"{source}: object {item.name} needs at least 3 keypoints, got {count}")
-        if any(not 0 <= end < count for pair in item.skeleton for end in pair):
-            raise DataError(f"{source}: the skeleton of {item.name} names keypoints beyond 0..{count - 1}")
+    _refuse_infinite(recipe, source, "")
+    for scenes in recipe.scenes:
+        for name in scenes.names or ():
+            checked_name(name, "scene", where=f"{source}: scenes.names")
+    _check_objects(recipe, source)
     if recipe.label.rate_hz is not None and recipe.label.rate_hz <= 0:
         raise DataError(f"{source}: label.rate must be positive or `all`, got {recipe.label.rate}")
+    if not SMALLEST_VOXEL_M <= recipe.reconstruct.voxel_m <= LARGEST_VOXEL_M:
+        raise DataError(
+            f"{source}: reconstruct.voxel_m must be {SMALLEST_VOXEL_M} to {LARGEST_VOXEL_M} metres, got "
+            f"{recipe.reconstruct.voxel_m}"
+        )
+    if isinstance(recipe.split.test_scenes, int) and recipe.split.test_scenes < 0:
+        raise DataError(f"{source}: split.test_scenes must not be negative, got {recipe.split.test_scenes}")
     if not recipe.reconstruct.max_drift_mm > 0:
         raise DataError(
             f"{source}: reconstruct.max_drift_mm must be positive, got {recipe.reconstruct.max_drift_mm}"
         )
     if not 0 <= recipe.split.val_fraction < 1:
         raise DataError(f"{source}: split.val_fraction must be in [0, 1), got {recipe.split.val_fraction}")
+
+
+def _check_objects(recipe: Recipe, source: str) -> None:
+    """Names, keypoints, skeletons and crops of the objects."""
+    names = [checked_name(item.name, "object", where=f"{source}: objects.name") for item in recipe.objects]
+    if len(set(names)) < len(names):
+        raise DataError(f"{source}: two objects have the same name: {', '.join(names)}")
+    for item in recipe.objects:
+        named = item.keypoints
+        count = len(named) if isinstance(named, tuple) else named
+        if count > MOST_KEYPOINTS:
+            raise DataError(
+                f"{source}: object {item.name} has at most {MOST_KEYPOINTS} keypoints, got {count}"
+            )
+        if count < 3:
+            raise DataError(f"{source}: object {item.name} needs at least 3 keypoints, got {count}")
+        checked_keypoints(item.keypoint_names, where=f"{source}: keypoints of {item.name}")
+        if item.crop is not None and any(
+            a >= b for a, b in zip(item.crop.low_m, item.crop.high_m, strict=True)
+        ):
+            raise DataError(f"{source}: the crop of {item.name} needs every low_m below its high_m")
+        if any(not 0 <= end < count for pair in item.skeleton for end in pair):
+            raise DataError(f"{source}: the skeleton of {item.name} names keypoints beyond 0..{count - 1}")
+
+
+def _refuse_infinite(value: Any, source: str, where: str) -> None:
+    """DataError at the first number, however deep, that is not finite."""
+    if isinstance(value, float) and not math.isfinite(value):
+        raise DataError(f"{source}: {where} must be a finite number, got {value}")
+    if isinstance(value, tuple):
+        for number, item in enumerate(value):
+            _refuse_infinite(item, source, f"{where}[{number}]")
+    if dataclasses.is_dataclass(value):
+        for field in dataclasses.fields(value):
+            at = f"{where}.{field.name}" if where else field.name
+            _refuse_infinite(getattr(value, field.name), source, at)

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from rpl_data.clicks.log import Event
-from rpl_data.files import append_bytes, read_text
+from rpl_data.files import append_bytes, decoding, read_text
 from rpl_data.types import DataError
 
 
@@ -40,9 +40,9 @@ def read_events(path: Path) -> list[Event]:
         if not line:
             continue
         try:
-            events.append(json.loads(line))
-        except json.JSONDecodeError as error:
-            if number == len(lines):  # it has no newline, so it was never confirmed
-                continue
-            raise DataError(f"{path} line {number} is broken: {error}; delete that line") from error
+            with decoding(f"{path} line {number}", "delete that line"):
+                events.append(dict(json.loads(line)))
+        except DataError:
+            if number < len(lines):  # else it has no newline at its end: it was never acknowledged
+                raise
     return events

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from rpl_data.names import checked_name
+
 
 @dataclass(frozen=True, init=False)
 class Paths:
@@ -66,13 +68,21 @@ class Paths:
         """The folder of an export."""
         return self.root / "export" / name
 
+    def _scene(self, scene: str) -> Path:
+        """The folder of a scene; DataError when its name could lead out of the workspace."""
+        return self.root / "scenes" / checked_name(scene, "scene")
+
+    def _object(self, object_name: str) -> Path:
+        """The folder of an object; DataError when its name could lead out of the workspace."""
+        return self.root / "objects" / checked_name(object_name, "object")
+
     def scene_file(self, scene: str) -> Path:
         """The file with the intrinsics and frames of a scene."""
-        return self.root / "scenes" / scene / "scene.json"
+        return self._scene(scene) / "scene.json"
 
     def trajectory_file(self, scene: str) -> Path:
         """The poses `scene_from_camera`, in TUM lines."""
-        return self.root / "scenes" / scene / "trajectory.txt"
+        return self._scene(scene) / "trajectory.txt"
 
     def given_file(self, scene: str) -> Path:
         """The poses that the recording came with, as `trajectory_file`; none where it had none."""
@@ -84,31 +94,31 @@ class Paths:
 
     def surface_file(self, scene: str) -> Path:
         """The surface near the objects, in the scene frame."""
-        return self.root / "scenes" / scene / "surface.ply"
+        return self._scene(scene) / "surface.ply"
 
     def drift_file(self, scene: str) -> Path:
         """The measured drift of a recording's poses."""
-        return self.root / "scenes" / scene / "drift.json"
+        return self._scene(scene) / "drift.json"
 
     def parts_file(self, scene: str) -> Path:
         """The spans that a recording was cut into; the file is absent while the recording is whole."""
-        return self.root / "scenes" / scene / "parts.json"
+        return self._scene(scene) / "parts.json"
 
     def cache(self, scene: str) -> Path:
         """The folder of decoded depth, which can be deleted and rebuilt at any time."""
-        return self.root / "scenes" / scene / "cache"
+        return self._scene(scene) / "cache"
 
     def images(self, scene: str) -> Path:
         """The folder of images unpacked from a recording that is a single file (.klg, .bag, .db3)."""
-        return self.root / "scenes" / scene / "images"
+        return self._scene(scene) / "images"
 
     def clicks_file(self, object_name: str) -> Path:
         """The log of clicks on an object."""
-        return self.root / "objects" / object_name / "clicks.jsonl"
+        return self._object(object_name) / "clicks.jsonl"
 
     def solution_file(self, object_name: str) -> Path:
         """The solved keypoint model and `scene_from_object` per scene."""
-        return self.root / "objects" / object_name / "solution.json"
+        return self._object(object_name) / "solution.json"
 
     def refined_file(self, object_name: str) -> Path:
         """The solution after its scenes were registered on one another."""
@@ -116,24 +126,24 @@ class Paths:
 
     def mesh_file(self, object_name: str) -> Path:
         """The dense model as triangles, in the object frame, metres."""
-        return self.root / "objects" / object_name / "mesh.ply"
+        return self._object(object_name) / "mesh.ply"
 
     def cloud_file(self, object_name: str) -> Path:
         """The dense model as points, in the object frame, metres."""
-        return self.root / "objects" / object_name / "cloud.ply"
+        return self._object(object_name) / "cloud.ply"
 
     def given_mesh_file(self, object_name: str) -> Path:
         """The mesh that the user supplied for the object, in the frame of its known keypoints, metres."""
-        return self.root / "objects" / object_name / "given.ply"
+        return self._object(object_name) / "given.ply"
 
     def grasp_file(self, object_name: str) -> Path:
         """The grasp frame in the object frame."""
-        return self.root / "objects" / object_name / "grasp.json"
+        return self._object(object_name) / "grasp.json"
 
     def labels_file(self, scene: str) -> Path:
         """The labels of a scene, one line per frame."""
-        return self.root / "labels" / f"{scene}.jsonl"
+        return self.root / "labels" / f"{checked_name(scene, 'scene')}.jsonl"
 
     def left_out_file(self, scene: str) -> Path:
         """The frames of a scene that the user excluded from exports."""
-        return self.root / "labels" / f"{scene}.left_out.json"
+        return self.root / "labels" / f"{checked_name(scene, 'scene')}.left_out.json"

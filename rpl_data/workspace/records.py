@@ -8,11 +8,28 @@ from __future__ import annotations
 import math
 from dataclasses import asdict
 from pathlib import Path
+from typing import cast, get_args
 
 import numpy as np
 
-from rpl_data.json_arrays import Json, asdict_values, matrix_from_json, numbers, rows_from_json, rows_to_json
+from rpl_data.json_arrays import (
+    Json,
+    asdict_values,
+    each,
+    flag,
+    matrix_from_json,
+    number,
+    numbers,
+    optional,
+    rows_from_json,
+    rows_to_json,
+    taken,
+    text,
+    whole,
+)
+from rpl_data.rle import pixels_of_rle
 from rpl_data.types import (
+    Box,
     Click,
     ClickResidual,
     DepthWarp,
@@ -23,10 +40,12 @@ from rpl_data.types import (
     KeypointModel,
     NextClick,
     Recording,
+    Rle,
     Scene,
     Solution,
     SquareBox,
     Statement,
+    StatementKind,
 )
 
 
@@ -57,29 +76,45 @@ def recording_to_json(recording: Recording) -> Json:
 
 def recording_from_json(data: Json) -> Recording:
     """Convert what `recording_to_json` returned back to a recording, without a trajectory."""
-    intrinsics = Intrinsics(**data["intrinsics"] | {"distortion": tuple(data["intrinsics"]["distortion"])})
-    frames = tuple(
-        Frame(
-            f["index"], f["timestamp_s"], Path(f["color"]), None if f["depth"] is None else Path(f["depth"])
-        )
-        for f in data["frames"]
-    )
     scene = Scene(
-        name=data["name"],
-        intrinsics=intrinsics,
-        metres_per_unit=data["metres_per_unit"],
-        frames=frames,
-        registered=data["registered"],
-        no_depth_units=tuple(data["no_depth_units"]),
-        source=data["source"],
+        name=taken(data, "name", text),
+        intrinsics=taken(data, "intrinsics", _intrinsics_from_json),
+        metres_per_unit=taken(data, "metres_per_unit", number),
+        frames=taken(data, "frames", each(_frame_from_json)),
+        registered=taken(data, "registered", flag),
+        no_depth_units=taken(data, "no_depth_units", each(whole)),
+        source=taken(data, "source", text),
         depth_warp=_warp_from_json(data.get("depth_warp")),
     )
-    return Recording(scene, None, tuple(data["skipped"]), tuple(data["notes"]))
+    if not scene.frames:
+        raise ValueError("frames: there are none")
+    return Recording(scene, None, taken(data, "skipped", each(text)), taken(data, "notes", each(text)))
+
+
+def _intrinsics_from_json(data: Json) -> Intrinsics:
+    found = {name: taken(data, name, number) for name in ("fx", "fy", "cx", "cy")}
+    width, height = taken(data, "width", whole), taken(data, "height", whole)
+    if min(width, height, found["fx"], found["fy"]) <= 0:
+        raise ValueError("width, height, fx and fy must be positive")
+    return Intrinsics(**found, width=width, height=height, distortion=taken(data, "distortion", each(number)))
+
+
+def _frame_from_json(data: Json) -> Frame:
+    path = taken(data, "depth", optional(text))
+    return Frame(
+        taken(data, "index", whole),
+        taken(data, "timestamp_s", number),
+        Path(taken(data, "color", text)),
+        None if path is None else Path(path),
+    )
 
 
 def _warp_from_json(data: Json | None) -> DepthWarp | None:
     """The warp of the depth image; None when there is none, as in files of older versions."""
-    return None if data is None else DepthWarp(data["zoom"], tuple(data["shift_px"]))
+    if data is None:
+        return None
+    along_u_px, along_v_px = taken(data, "shift_px", each(number))
+    return DepthWarp(taken(data, "zoom", number), (along_u_px, along_v_px))
 
 
 def solution_to_json(solution: Solution) -> Json:
@@ -109,30 +144,80 @@ def solution_from_json(data: Json) -> Solution:
 
     Files of older versions lack the noise and what follows from it.
     """
+    keypoints = taken(data, "keypoints", each(text))
     model = KeypointModel(
-        name=data["object"],
-        keypoints=tuple(data["keypoints"]),
-        points_object=rows_from_json(data["points_object"], 3),
-        skeleton=tuple((a, b) for a, b in data["skeleton"]),
+        name=taken(data, "object", text),
+        keypoints=keypoints,
+        points_object=taken(data, "points_object", lambda rows: rows_from_json(rows, 3)),
+        skeleton=tuple((a, b) for a, b in taken(data, "skeleton", each(each(whole)))),
     )
-    residuals = tuple(ClickResidual(**r | {"click": Click(**r["click"])}) for r in data["residuals"])
+    covariance = taken(data, "covariance", lambda rows: rows_from_json(rows, 9)).reshape(-1, 3, 3)
+    if not len(keypoints) == len(model.points_object) == len(covariance):
+        raise ValueError("keypoints, points_object and covariance are not equally many")
+    if any(not 0 <= end < len(keypoints) for pair in model.skeleton for end in pair):
+        raise ValueError("skeleton: it names a keypoint that is not there")
     return Solution(
         model=model,
-        covariance=rows_from_json(data["covariance"], 9).reshape(-1, 3, 3),
-        scene_from_object={name: matrix_from_json(m) for name, m in data["scene_from_object"].items()},
-        residuals=residuals,
-        warnings=tuple(data["warnings"]),
+        covariance=covariance,
+        scene_from_object={
+            name: taken(data["scene_from_object"], name, matrix_from_json)
+            for name in taken(data, "scene_from_object", dict)
+        },
+        residuals=taken(data, "residuals", each(_residual_from_json)),
+        warnings=taken(data, "warnings", each(text)),
         covariance_in_scene={
             name: rows_from_json(rows, 9).reshape(-1, 3, 3)
             for name, rows in data.get("covariance_in_scene", {}).items()
         },
-        click_sigma_px=data.get("click_sigma_px"),
-        depth_sigma_ratio=data.get("depth_sigma_ratio"),
-        statements=tuple(
-            Statement(s["kind"], tuple(Click(**c) for c in s["clicks"]), s["text"], s["evidence"])
-            for s in data.get("statements", ())
-        ),
-        next_clicks=tuple(NextClick(**click) for click in data.get("next_clicks", ())),
+        click_sigma_px=optional(number)(data.get("click_sigma_px")),
+        depth_sigma_ratio=optional(number)(data.get("depth_sigma_ratio")),
+        statements=each(_statement_from_json)(data.get("statements", [])),
+        next_clicks=each(_next_click_from_json)(data.get("next_clicks", [])),
+    )
+
+
+def _statement_from_json(data: Json) -> Statement:
+    return Statement(
+        taken(data, "kind", _statement_kind),
+        taken(data, "clicks", each(_click_from_json)),
+        taken(data, "text", text),
+        taken(data, "evidence", number),
+    )
+
+
+def _statement_kind(value: object) -> StatementKind:
+    for kind in get_args(StatementKind):
+        if kind == value:
+            return cast(StatementKind, kind)
+    raise ValueError(f"{value!r:.60} is no kind of statement")
+
+
+def _next_click_from_json(data: Json) -> NextClick:
+    return NextClick(
+        taken(data, "scene", text),
+        taken(data, "frame", whole),
+        taken(data, "keypoint", whole),
+        taken(data, "gain_mm", number),
+        taken(data, "left_mm", number),
+    )
+
+
+def _residual_from_json(data: Json) -> ClickResidual:
+    click = taken(data, "click", _click_from_json)
+    numbers = {name: taken(data, name, optional(number)) for name in ("error_m", "depth_m")}
+    taken(data, "error_px", number)
+    taken(data, "outlier", flag)
+    return ClickResidual(**data | numbers | {"click": click})
+
+
+def _click_from_json(data: Json) -> Click:
+    return Click(
+        taken(data, "object", text),
+        taken(data, "keypoint", whole),
+        taken(data, "scene", text),
+        taken(data, "frame", whole),
+        taken(data, "u_px", number),
+        taken(data, "v_px", number),
     )
 
 
@@ -148,8 +233,12 @@ def frame_label_to_json(label: FrameLabel) -> Json:
 
 def frame_label_from_json(data: Json) -> FrameLabel:
     """Convert what `frame_label_to_json` returned back to a label."""
-    instances = tuple(_instance_from_json(instance) for instance in data["instances"])
-    return FrameLabel(data["scene"], data["frame"], data["timestamp_s"], instances)
+    return FrameLabel(
+        taken(data, "scene", text),
+        taken(data, "frame", whole),
+        taken(data, "timestamp_s", number),
+        taken(data, "instances", each(_instance_from_json)),
+    )
 
 
 def _instance_to_json(instance: InstanceLabel) -> Json:
@@ -171,18 +260,35 @@ def _instance_to_json(instance: InstanceLabel) -> Json:
 
 
 def _instance_from_json(data: Json) -> InstanceLabel:
-    return InstanceLabel(
-        object=data["object"],
-        camera_from_object=matrix_from_json(data["camera_from_object"]),
-        keypoints_px=rows_from_json(data["keypoints_px"], 2),
-        visibility=np.array(data["visible"], dtype=np.int64),
-        sigma_px=np.array([math.nan if s is None else s for s in data["sigma_px"]], dtype=float),
-        square_box=SquareBox(*data["square_box"]),
-        box=None if data["box"] is None else tuple(data["box"]),
-        box_full=tuple(data["box_full"]),
-        mask=data["mask"],
-        mask_full=data["mask_full"],
-        visib_fract=data["visib_fract"],
-        truncated=data["truncated"],
-        quality=data["quality"],
+    label = InstanceLabel(
+        object=taken(data, "object", text),
+        camera_from_object=taken(data, "camera_from_object", matrix_from_json),
+        keypoints_px=taken(data, "keypoints_px", lambda rows: rows_from_json(rows, 2)),
+        visibility=np.array(taken(data, "visible", each(whole)), dtype=np.int64),
+        sigma_px=np.array([math.nan if s is None else number(s) for s in data["sigma_px"]], dtype=float),
+        square_box=SquareBox(*taken(data, "square_box", each(number))),
+        box=taken(data, "box", optional(_box_from_json)),
+        box_full=taken(data, "box_full", _box_from_json),
+        mask=taken(data, "mask", _rle_from_json),
+        mask_full=taken(data, "mask_full", _rle_from_json),
+        visib_fract=taken(data, "visib_fract", number),
+        truncated=taken(data, "truncated", flag),
+        quality=taken(data, "quality", number),
     )
+    if not len(label.keypoints_px) == len(label.visibility) == len(label.sigma_px):
+        raise ValueError("keypoints_px, visible and sigma_px are not equally many")
+    return label
+
+
+def _box_from_json(values: list[float]) -> Box:
+    left, top, right, bottom = each(number)(values)
+    return left, top, right, bottom
+
+
+def _rle_from_json(data: Json) -> Rle:
+    """A packed mask; ValueError where its runs are not those of an image of its size."""
+    height, width = taken(data, "size", each(whole))
+    counts = taken(data, "counts", text)
+    if pixels_of_rle(counts) != height * width or min(height, width) < 0:
+        raise ValueError(f"counts: they are not those of {width} x {height} pixels")
+    return {"size": [height, width], "counts": counts}

@@ -21,9 +21,15 @@ def trajectory_to_text(scene: Scene, trajectory: Trajectory) -> str:
 
 
 def trajectory_from_text(scene: Scene, text: str) -> Trajectory:
-    """The poses of `trajectory_to_text`; lines whose time is that of no frame of the scene are left out."""
+    """The poses of `trajectory_to_text`; lines whose time is that of no frame of the scene are left out.
+
+    Raises:
+        ValueError: a line has other than eight finite numbers.
+    """
     rows = [line.split() for line in text.splitlines() if not line.startswith("#")]
     values = np.array(rows, dtype=float).reshape(-1, 8)
+    if not np.isfinite(values).all():
+        raise ValueError("a number is not finite")
     index_of = {frame.timestamp_s: frame.index for frame in scene.frames}
     known = [row for row in values if float(row[0]) in index_of]
     frames = np.array([index_of[float(row[0])] for row in known], dtype=np.int64)

@@ -5,12 +5,22 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from rpl_data.clicks.log import Annotation, Event, replay
-from rpl_data.files import read_json, read_text, remove, write_json, write_text, writing
+from rpl_data.files import (
+    decoding,
+    read_json,
+    read_text,
+    refuse_special,
+    remove,
+    write_json,
+    write_text,
+    writing,
+)
 from rpl_data.geometry import Transform
 from rpl_data.images import read_color
-from rpl_data.json_arrays import numbers
+from rpl_data.json_arrays import each, numbers, whole
 from rpl_data.meshes import load_mesh
 from rpl_data.overlay import draw_overlay
 from rpl_data.types import (
@@ -94,7 +104,9 @@ class Workspace(Paths):
         """Load the recording of a scene, without its trajectory."""
         if not self.scene_file(scene).exists():
             raise DataError(f"the workspace {self.root} has no scene {scene!r}; it has {self.scene_names()}")
-        return records.recording_from_json(read_json(self.scene_file(scene)))
+        path = self.scene_file(scene)
+        with decoding(path, "read the recordings again with `rpl import --again true`"):
+            return records.recording_from_json(read_json(path))
 
     def load_scene(self, scene: str) -> Scene:
         """Load the scene alone, without what was noted when it was read."""
@@ -102,8 +114,7 @@ class Workspace(Paths):
 
     def parts(self) -> Parts:
         """Load how the recordings were cut into scenes."""
-        spans = {path.parent.name: read_json(path) for path in self.root.glob("scenes/*/parts.json")}
-        return Parts({name: tuple((first, last) for first, last in found) for name, found in spans.items()})
+        return Parts({path.parent.name: _spans(path) for path in self.root.glob("scenes/*/parts.json")})
 
     def cut_scene(self, video: str, spans: Sequence[Span]) -> None:
         """Cut a recording into one scene per span; a single span makes it whole again.
@@ -161,7 +172,8 @@ class Workspace(Paths):
         path = self.trajectory_file(scene.name)
         if not path.exists():
             raise DataError(f"scene {scene.name} has no trajectory yet; run the reconstruct stage first")
-        return trajectory_from_text(scene, read_text(path))
+        with decoding(path, "read the recordings again with `rpl import --again true`"):
+            return trajectory_from_text(scene, read_text(path))
 
     # Decoded depth --------------------------------------------------------------------------------
 
@@ -184,7 +196,10 @@ class Workspace(Paths):
         """Load the events of the click log, ignoring a last line that a crash cut off."""
         parts = self.parts()
         events = click_files.read_events(self.clicks_file(object_name))
-        return [parts.event_in_scene(event) for event in events]
+        with decoding(
+            self.clicks_file(object_name), "delete the line that the annotation page did not write"
+        ):
+            return [parts.event_in_scene(event) for event in events]
 
     def load_annotation(self, object_name: str) -> Annotation:
         """Load the keypoint names and clicks of an object."""
@@ -199,7 +214,9 @@ class Workspace(Paths):
         """Load the solution of an object; DataError when there is none yet."""
         if not self.solution_file(object_name).exists():
             raise DataError(f"object {object_name} has no solution yet; run `rpl solve` on {self.root}")
-        return records.solution_from_json(read_json(self.solution_file(object_name)))
+        path = self.solution_file(object_name)
+        with decoding(path, "make it again with `rpl solve --again true`"):
+            return records.solution_from_json(read_json(path))
 
     def save_refined(self, solution: Solution) -> None:
         """Write refined.json."""
@@ -241,7 +258,10 @@ class Workspace(Paths):
     def load_left_out(self, scene: str) -> frozenset[int]:
         """Load the frames that stay out of exports; empty when none were chosen."""
         path = self.left_out_file(scene)
-        return frozenset(read_json(path) if path.exists() else ())
+        if not path.exists():
+            return frozenset()
+        with decoding(path, "delete it, and choose the frames to leave out again"):
+            return frozenset(each(whole)(read_json(path)))
 
     def load_labels(self, scene: str) -> Iterator[FrameLabel]:
         """Load the labels of a scene, one frame at a time."""
@@ -251,9 +271,14 @@ class Workspace(Paths):
                 f"scene {scene} has no labels yet; run `rpl label` on {self.root}. "
                 f"Scenes with labels: {', '.join(self.labelled_scene_names()) or 'none'}"
             )
-        with path.open(encoding="utf-8") as file:
-            for line in file:
-                yield records.frame_label_from_json(json.loads(line))
+        refuse_special(path)
+        with path.open(encoding="utf-8", errors="replace") as file:
+            for line_number, line in enumerate(file, start=1):
+                with decoding(
+                    f"{path} line {line_number}", "make the labels again with `rpl label --again true`"
+                ):
+                    label = records.frame_label_from_json(json.loads(line))
+                yield label
 
     # For a person at a Python prompt ----------------------------------------------------------------
 
@@ -300,3 +325,9 @@ class Workspace(Paths):
             raise DataError(f"scene {scene} has no label of frame {frame}; the nearest with one is {near}")
         models = {item.object: self.model(item.object) for item in labels[frame].instances}
         return draw_overlay(read_color(self.load_scene(scene).frame(frame)), labels[frame], models)
+
+
+def _spans(path: Path) -> tuple[Span, ...]:
+    """First and last frames of the parts of a recording."""
+    with decoding(path, "delete it, and build again"):
+        return tuple((first, last) for first, last in each(each(whole))(read_json(path)))

@@ -209,7 +209,7 @@ def test_misspelt_recipe_key(mistake: Callable[..., str], recipe: Path) -> None:
 
 def test_read_only_output(mistake: Callable[..., str], tmp_path: Path) -> None:
     (tmp_path / "ws").write_text("a file where the workspace should be: not even root can write into it")
-    assert f"cannot write {tmp_path / 'ws' / 'recipe.yaml'}" in mistake()
+    assert f"cannot write {tmp_path / 'ws' / 'build.lock'}" in mistake()
 
 
 def test_full_disk(mistake: Callable[..., str], full_disk: Callable[..., object], tmp_path: Path) -> None:

@@ -75,7 +75,7 @@ HEADER = "object,keypoint,scene,frame,u_px,v_px\n"
         (HEADER + "cube,3,00,1,1,1\n", "c.csv line 2: cube has no keypoint '3'; it has corner, edge, knob"),
         (HEADER + "cube,0,00,1.5,1,1\n", "c.csv line 2: frame must be a whole number"),
         (HEADER + "cube,0,00,1,x,1\n", "c.csv line 2: frame must be a whole number and u_px, v_px numbers"),
-        (HEADER + "cube,0,00,1,1\n", "c.csv line 2: frame must be a whole number and u_px, v_px numbers"),
+        (HEADER + "cube,0,00,1,1\n", "c.csv line 2: expected 6 values, found fewer"),
         (HEADER + "cube,0,00,1,nan,1\n", "c.csv line 2: u_px and v_px must be finite, got nan"),
     ],
 )

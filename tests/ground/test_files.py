@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from rpl_data.files import read_json, read_text, write_bytes, write_json, write_text, writing
+from rpl_data.files import read_json, read_text, sweep, write_bytes, write_json, write_text, writing
 from rpl_data.types import DataError
 
 FullDisk = Callable[[int], AbstractContextManager[None]]
@@ -73,3 +73,23 @@ def test_reading_names_the_file(tmp_path: Path) -> None:
         read_text(tmp_path / "binary.txt")
     with pytest.raises(DataError, match="cannot read"):
         read_text(tmp_path)
+
+
+def test_what_a_killed_build_left_half_written_is_swept_and_nothing_else(tmp_path: Path) -> None:
+    litter = [
+        "export/.coco.partial-ab12_x9z/train.json", "export/.coco.partial-ab12_x9z-old/train.json",
+        "scenes/00/.scene.json.abcdefgh", "scenes/00/cache/depth/.000001.zst.abcdefgh",
+        "report/.index.html.12345678",
+    ]  # fmt: skip
+    kept = [
+        "scenes/00/scene.json",
+        "export/coco/train.json",
+        ".git/config",
+        ".hidden",
+        "objects/a/.given.ply.abcdefgh",
+    ]
+    for name in litter + kept:
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text("x")
+    sweep(tmp_path)
+    assert {str(p.relative_to(tmp_path)) for p in tmp_path.rglob("*") if p.is_file()} == set(kept)

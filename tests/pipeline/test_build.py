@@ -206,7 +206,7 @@ def test_images_are_counted_and_files_stamped(tmp_path: Path) -> None:
     (tmp_path / "ws").mkdir()
     (tmp_path / "ws" / "own.txt").write_text("")
     found = stamps(tmp_path, but_not=tmp_path / "ws")
-    assert found[str(tmp_path / "rgb")] == 2
+    assert found[str(tmp_path / "rgb")][0] == 2
     assert found[str(tmp_path / "poses.txt")][0] == 2
     assert len(found) == 2
 

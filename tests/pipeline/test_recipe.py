@@ -73,6 +73,22 @@ def test_recording_recipe_names_every_field(tmp_path: Path) -> None:
         ("scenes: [{path: a}]\nobjects: [{name: c, keypoints: 3, skeleton: [[0, 3]]}]", "beyond 0..2"),
         ("twin: {}\nsplit: {val_fraction: 1.5}", "val_fraction must be in"),
         ("[", "not valid YAML"),
+        ("twin: {}\nlabel: {rate: 3}\nlabel: {rate: 1}", "key 'label' is there twice"),
+        ("twin: {scenes: 3, scenes: 4}", "key 'scenes' is there twice"),
+        ("twin: !!python/object:os.system {}", "not valid YAML"),
+        ("truth: 2024-13-45", "not valid YAML"),
+        ("twin: {}\nlabel: {rate: .inf}", "label.rate must be a finite number"),
+        ("twin: {}\nlabel: {rate: null}", "label.rate has no value"),
+        ("twin: {}\nexport: null", "export has no value"),
+        ("twin: {}\nreconstruct: {voxel_m: 0}", "voxel_m must be 0.0002 to 0.1"),
+        ("scenes: [{path: a}]\nobjects: [{name: c, keypoints: 1000000000}]", "at most 200 keypoints"),
+        ("scenes: [{path: a}]\nobjects: [{name: c, keypoints: [a, b, a]}]", "two keypoints are called 'a'"),
+        ("scenes: [{path: a, names: [../b]}]\nobjects: [{name: c, keypoints: 3}]", "name of a scene"),
+        (
+            "scenes: [{path: a}]\n"
+            "objects: [{name: c, keypoints: 3, crop: {low_m: [0, 0, 0], high_m: [1, 1, .inf]}}]",
+            "finite number",
+        ),
     ],
 )
 def test_refused(text: str, message: str, tmp_path: Path) -> None:

@@ -139,7 +139,7 @@ def test_a_broken_line_within_the_log_is_named(workspace: ws.Workspace) -> None:
     path = workspace.clicks_file("cube")
     lines = path.read_text().splitlines()
     path.write_text("\n".join([lines[0], lines[1][:-4], lines[2]]) + "\n")
-    with pytest.raises(DataError, match=r"clicks.jsonl line 2 is broken.*delete that line"):
+    with pytest.raises(DataError, match=r"clicks.jsonl line 2 is damaged.*delete that line"):
         workspace.load_events("cube")
 
 

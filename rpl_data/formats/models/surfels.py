@@ -83,7 +83,8 @@ def _header(path: Path, lines: list[str]) -> tuple[int, np.dtype[np.void]]:
 
 
 def _columns(table: np.ndarray, names: str) -> Float64[np.ndarray, "n 3"]:
-    return np.stack([table[name] for name in names.split()], axis=1).astype(np.float64)
+    with np.errstate(invalid="ignore"):  # values that are no numbers are refused by whoever asked
+        return np.stack([table[name] for name in names.split()], axis=1).astype(np.float64)
 
 
 def write_surfels(path: Path, surfels: Surfels) -> None:

@@ -156,6 +156,11 @@ def _read_associations(folder: Path) -> tuple[list[_Row], tuple[str, ...]]:
         if len(tokens) != 4:
             raise DataError(f"{path} line {number}: expected <t> depth/<file> <t> rgb/<file>, found {line!r}")
         times = finite_numbers([tokens[0], tokens[2]], path, number)
+        if rows and max(times) < min(rows[-1].times_s):
+            raise DataError(
+                f"{path} line {number} is earlier than the line before it; frames are counted by line, so "
+                "clicks would be taken for those of other frames. Sort the lines by time"
+            )
         rows.append(_Row(len(rows), (times[0], times[1]), (folder / tokens[1], folder / tokens[3])))
     if not rows:
         raise DataError(f"{path} is empty; expected one line per frame: <t> depth/<file> <t> rgb/<file>")

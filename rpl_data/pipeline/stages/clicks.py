@@ -79,7 +79,7 @@ def add_clicks(context: Context, path: Path, *, proposed: bool = False) -> dict[
             or declared not visible there.
     """
     text = read_text(path)
-    named = set(objects_in_csv(text))
+    named = set(objects_in_csv(text, source=str(path)))
     chosen = [item for item in context.objects if item.name in named]
     if not chosen or named - set(context.object_names):
         raise DataError(

@@ -7,8 +7,10 @@ from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 
+from rpl_data.doctor.timing import pose_jumps
 from rpl_data.files import remove
 from rpl_data.json_arrays import Json
+from rpl_data.names import checked_name
 from rpl_data.pipeline.context import Context, step
 from rpl_data.pipeline.ledger import Advance, Outcome, Step, stamps
 from rpl_data.pipeline.recipe import SceneSource
@@ -20,6 +22,10 @@ VERSION = 1
 """Raised when the stage writes something else for the same input; its steps then run again."""
 
 
+STANDS_OUT = 4.0
+"""A step of the camera that is so many times the usual one stands out."""
+
+
 def import_steps(context: Context) -> list[Step]:
     """Stage `import`: read recordings into scenes of the workspace."""
     workspace, sources = context.workspace, context.scene_sources
@@ -27,7 +33,8 @@ def import_steps(context: Context) -> list[Step]:
     def run(advance: Advance) -> Outcome:
         unpack = partial(_emptied, workspace)
         recordings = read_recordings(sources, unpack=unpack, poses=not context.tracks)
-        for gone in set(workspace.video_names()) - {recording.scene.name for recording in recordings}:
+        lost = sorted(set(workspace.video_names()) - {recording.scene.name for recording in recordings})
+        for gone in lost:
             workspace.cut_scene(gone, ())
             remove(workspace.scene_file(gone).parent)
             remove(workspace.labels_file(gone))
@@ -36,10 +43,11 @@ def import_steps(context: Context) -> list[Step]:
             given = recording if context.wants_given else replace(recording, trajectory=None)
             workspace.save_recording(given)
             workspace.save_given(given)
-        lines = [
+        lines = [f"scene {name}: it is no longer in the recordings; its labels are removed" for name in lost]
+        lines += [
             f"scene {recording.scene.name}: {line}"
             for recording in recordings
-            for line in (*recording.skipped, *recording.notes)
+            for line in (*recording.skipped, *recording.notes, *_certain_faults(recording))
         ]
         return Outcome(sum(len(recording.scene.frames) for recording in recordings), tuple(lines))
 
@@ -56,6 +64,13 @@ def import_steps(context: Context) -> list[Step]:
             "import", "", run, version=VERSION, options=options, sources=seen, after=["twin"], outputs=outputs
         )
     ]
+
+
+def _certain_faults(recording: Recording) -> list[str]:
+    """What times and poses alone prove, without looking at an image; `rpl check` looks closer."""
+    scene, trajectory = recording.scene, recording.trajectory
+    found = [] if trajectory is None else pose_jumps(scene, trajectory, times_usual=STANDS_OUT)
+    return [f"WARNING: {finding.what}; {finding.todo}" for finding in found]
 
 
 def _emptied(workspace: Workspace, scene: str) -> Path:
@@ -77,7 +92,7 @@ def read_recordings(
     recordings: dict[str, Recording] = {}
     for source in sources:
         for recording in open_scenes(**vars(source), unpack=unpack):
-            name = recording.scene.name
+            name = checked_name(recording.scene.name, "scene", where=str(source.path))
             if name in recordings:
                 raise DataError(
                     f"two scenes are called {name}: {recordings[name].scene.source} and "

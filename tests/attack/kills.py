@@ -1,0 +1,125 @@
+"""Builds and servers are killed at random moments: nothing acknowledged is lost, and a build goes on."""
+
+from __future__ import annotations
+
+import json
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+import urllib.error
+import urllib.request
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+from attack.children import files_in
+
+
+def rpl(*arguments: str) -> list[str]:
+    """The command line of `rpl`."""
+    return [sys.executable, "-m", "rpl_data.cli", *arguments]
+
+
+def exports(folder: Path) -> dict[str, bytes]:
+    """The annotations of the export, by name."""
+    return {p.name: p.read_bytes() for p in sorted((folder / "ws/export/coco").glob("*.json"))}
+
+
+def litter(folder: Path) -> list[str]:
+    """Files and folders with the names that are used while writing."""
+    return [str(path.relative_to(folder)) for path in (folder / "ws").rglob(".*")]
+
+
+def builds(base: Path, scratch: Path, kills: int, tell: Callable[[str], None]) -> Counter[str]:
+    """Kill a build again and again until one ends; its export must be that of a build left alone."""
+    counts: Counter[str] = Counter()
+    chance, folder = random.Random(1), scratch / "killed"
+    wanted = {name: content.replace(str(base).encode(), b"BASE") for name, content in exports(base).items()}
+    while counts["build: killed"] < kills:
+        shutil.rmtree(folder, ignore_errors=True)
+        shutil.copytree(base, folder, ignore=shutil.ignore_patterns("ws"))
+        program = rpl(
+            "build", str(folder / "recipe.yaml"), "--workspace", str(folder / "ws"), "--workers", "1"
+        )
+        while True:
+            child = subprocess.Popen(program, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+            try:
+                _, said = child.communicate(
+                    timeout=chance.uniform(0.5, 15) if counts["build: killed"] < kills else 300
+                )
+            except subprocess.TimeoutExpired:
+                child.send_signal(signal.SIGKILL)
+                child.communicate()
+                counts["build: killed"] += 1
+                continue
+            break
+        found = {name: c.replace(str(folder).encode(), b"BASE") for name, c in exports(folder).items()}
+        kind = "traceback" if child.returncode else "same" if found == wanted else "difference"
+        counts[f"build after kills: {kind}"] += 1
+        if left := litter(folder):
+            counts["build after kills: litter"] += 1
+            tell(f"litter: {left}")
+        if kind != "same":
+            tell(f"{kind}: build after kills: {said.decode()[-1500:]}")
+    return counts
+
+
+def servers(base: Path, scratch: Path, kills: int, tell: Callable[[str], None]) -> Counter[str]:
+    """Kill the annotation server while it is clicked at; every click that it acknowledged must be there."""
+    from rpl_data.workspace.workspace import Workspace
+
+    counts: Counter[str] = Counter()
+    chance, folder = random.Random(2), scratch / "served"
+    shutil.rmtree(folder, ignore_errors=True)
+    shutil.copytree(base, folder)
+    acknowledged: dict[int, float] = {}
+    for number in range(kills):
+        server = subprocess.Popen(
+            rpl("annotate", str(folder / "ws"), "--port", "8951"), stdout=subprocess.PIPE, text=True
+        )
+        assert server.stdout is not None
+        url = server.stdout.readline().split()[1]
+        until = time.monotonic() + chance.uniform(0.1, 1.5)
+        click = 0
+        while time.monotonic() < until:
+            u_px = round(10 + (number * 7 + click) % 250 + 0.01 * click, 2)
+            mark = {
+                "op": "click",
+                "keypoint": click % 3,
+                "scene": "00",
+                "frame": 0,
+                "u_px": u_px,
+                "v_px": 20.0,
+            }
+            body = json.dumps(
+                {"seen": 10**6 if click == 0 else 0, "actions": [mark | {"id": f"{number}-{click}"}]}
+            )
+            try:
+                urllib.request.urlopen(
+                    urllib.request.Request(
+                        f"{url}api/objects/carton", body.encode(), {"Content-Type": "application/json"}
+                    ), timeout=10
+                ).close()  # fmt: skip
+                acknowledged[click % 3] = u_px
+                counts["annotate: clicks acknowledged"] += 1
+            except urllib.error.HTTPError:
+                counts["annotate: clicks refused"] += 1
+            except OSError:
+                pass
+            click += 1
+        server.kill()
+        server.communicate()
+        counts["annotate: killed"] += 1
+        marks = Workspace(folder / "ws").load_annotation("carton").clicks
+        found = {c.keypoint: c.u_px for c in marks if (c.scene, c.frame) == ("00", 0)}
+        lost = [k for k, u_px in acknowledged.items() if found.get(k) != u_px]
+        if lost:
+            counts["annotate: clicks lost"] += len(lost)
+            tell(f"lost clicks on keypoints {lost}: {acknowledged} against {found}")
+    return counts
+
+
+__all__ = ["builds", "exports", "files_in", "litter", "servers"]
