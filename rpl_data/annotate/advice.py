@@ -48,10 +48,22 @@ def next_step(annotation: Annotation, live: Live, scenes: Sequence[str]) -> Advi
         or _most_helpful(annotation, live)
         or _unsure(annotation, live)
         or Advice(
-            "every scene is placed and every keypoint is checked: make the dense model and the labels",
-            action="label",
+            f"every scene is placed and {_checked(live)}: make the dense model and the labels", action="label"
         )
     )
+
+
+def _checked(live: Live) -> str:
+    """Which keypoints are checked; those without a position are not."""
+    model = live.solution.model if live.solution else None
+    missing = (
+        []
+        if model is None
+        else [n for n, known in zip(model.keypoints, model.known, strict=True) if not known]
+    )
+    if not missing:
+        return "every keypoint is checked"
+    return f"every keypoint is checked but {', '.join(missing)}, which will have no label"
 
 
 def _contradiction(annotation: Annotation, live: Live) -> Advice | None:

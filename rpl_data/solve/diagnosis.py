@@ -8,14 +8,17 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from rpl_data.solve.bundle_adjustment import State
-from rpl_data.solve.click_rays import Noise, Rays
+from rpl_data.solve.bundle_adjustment import State, points_in_cameras
+from rpl_data.solve.click_rays import Noise, Rays, misfit
 from rpl_data.solve.explanations import Explanation, Fault, Trial, find_faults, first_trial
 from rpl_data.solve.precision import next_clicks
+from rpl_data.solve.refit import HAND_SIGMA_PX
 from rpl_data.types import Click, NextClick, Observation, Statement, StatementKind
 
 WEAK_MM = 10.0
 """A scene whose keypoints should be farther off than this is placed badly."""
+LEFT_OUT_SIGMAS = 6.0
+"""A click this far from its keypoint, in standard deviations, has no say in the answer."""
 MOST_NEXT = 40
 """Further clicks that are kept; some of them may be hidden or skipped."""
 TOO_MANY = 1 / 3
@@ -69,7 +72,8 @@ def diagnose(
         Statement(_kind(fault), _clicks(fault, clicks), words.of(fault), round(fault.best.gain, 1))
         for fault in faults
     ]
-    contradictions = (*_everything(trial, faults, clicks), *statements)
+    contradictions = [*_everything(trial, faults, clicks), *statements]
+    contradictions += left_out(clicks, placed, contradictions, keypoints)
     contradicted = {c.scene for s in contradictions if s.kind == "whole scene" for c in s.clicks}
     helpful = next_clicks(
         placed.rays,
@@ -84,6 +88,27 @@ def diagnose(
     weak = _weak(clicks, placed, contradicted, helpful, keypoints)
     unchecked = () if hold_points else _unchecked(clicks, keypoints)
     return Diagnosis((*contradictions, *weak, *unchecked), helpful)
+
+
+def left_out(
+    clicks: Sequence[Click], placed: Placed, said: Sequence[Statement], keypoints: Sequence[str]
+) -> Iterator[Statement]:
+    """Clicks that the answer does not follow although nothing shows that they are wrong."""
+    known = {click for statement in said for click in statement.clicks}
+    error_px = np.linalg.norm(
+        misfit(placed.rays, points_in_cameras(placed.rays, placed.state)).error_px, axis=1
+    )
+    far_px = LEFT_OUT_SIGMAS * max(placed.noise.click_px, HAND_SIGMA_PX)
+    for n in np.flatnonzero((error_px > far_px) & placed.known[placed.rays.keypoint]).tolist():
+        click, name = clicks[n], keypoints[clicks[n].keypoint]
+        if click in known:
+            continue
+        text = (
+            f"scene {click.scene}, frame {click.frame}: keypoint {name} was clicked {error_px[n]:.0f} px "
+            "away from where the solution has it, but nothing tells which click is wrong; look at it, or "
+            f"mark {name} in one more scene or frame"
+        )
+        yield Statement("disagree", (click,), text)
 
 
 def _weak(

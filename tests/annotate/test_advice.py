@@ -7,12 +7,13 @@ from rpl_data.annotate.live import Live
 from rpl_data.clicks.log import Annotation
 from rpl_data.types import Click, KeypointModel, NextClick, Solution, Statement
 
+POINTS = np.eye(4, 3)
 SCENES = ("00", "01", "02")
 CLICKS = [Click("it", k, scene, 3, 10.0 * k, 5.0) for scene in SCENES for k in range(4)]
 
 
-def advised(*statements, clicks=CLICKS, skipped=(), helpful=()):
-    model = KeypointModel("it", tuple("abcd"), np.eye(4, 3))
+def advised(*statements, clicks=CLICKS, skipped=(), helpful=(), points=POINTS):
+    model = KeypointModel("it", tuple("abcd"), points)
     solution = Solution(
         model,
         np.tile(1e-6 * np.eye(3), (4, 1, 1)),
@@ -26,6 +27,16 @@ def advised(*statements, clicks=CLICKS, skipped=(), helpful=()):
 
 def test_done_when_nothing_contradicts_and_everything_is_checked():
     assert advised().action == "label"
+
+
+def test_a_keypoint_without_a_position_is_not_called_checked():
+    marked = [c for c in CLICKS if c.keypoint != 3]
+    said = advised(
+        clicks=marked,
+        skipped=[(3, s) for s in SCENES],
+        points=np.vstack([POINTS[:3], np.full((1, 3), np.nan)]),
+    )
+    assert "every keypoint is checked but d, which will have no label" in said.text
 
 
 def test_a_wrong_click_is_shown_where_it_is():

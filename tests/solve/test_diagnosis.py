@@ -7,7 +7,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rpl_data.geometry import invert, rays, rigid, transform
-from rpl_data.solve.click_rays import rays_of
+from rpl_data.solve.bundle_adjustment import State
+from rpl_data.solve.click_rays import Noise, rays_of
+from rpl_data.solve.diagnosis import Placed, diagnose, left_out
 from rpl_data.solve.explanations import contradiction
 from rpl_data.solve.refit import costs_without, read_as_named, refit
 from rpl_data.solve.solve import register, solve
@@ -165,6 +167,44 @@ def test_a_new_scene_is_diagnosed_against_the_known_model():
     assert not any(r.reason for r in register(model, clean)[1])
     slipped = changed(clean, lambda c: c.keypoint == 3, moved(40.0))
     assert [r.click.keypoint for r in register(model, slipped)[1] if r.outlier] == [3]
+
+
+def placed_at(places, observations, ties):
+    """An answer at the truth, as sure as 3 mm in every scene."""
+    names = sorted(places)
+    return Placed(
+        names,
+        rays_of(observations, names),
+        State(np.stack([places[name] for name in names]), POINTS),
+        Noise(2.0, 1.0),
+        1e-6 * np.eye(6 * len(names) + POINTS.size),
+        {name: np.tile(3e-6 * np.eye(3), (len(POINTS), 1, 1)) for name in names},
+        np.ones(len(POINTS), dtype=bool),
+        ties,
+    )
+
+
+def test_a_click_far_from_the_answer_is_never_passed_over():
+    places = scene_poses(3)
+    observations = changed(
+        clicks_on(places),
+        lambda c: (c.scene, c.keypoint) == ("01", 4),
+        lambda c: replace(c, v_px=c.v_px + 40),
+    )
+    clicks, placed = [o.click for o in observations], placed_at(places, observations, {})
+    (said,) = left_out(clicks, placed, [], NAMES)
+    assert (said.kind, [(c.scene, c.keypoint) for c in said.clicks]) == ("disagree", [("01", 4)])
+    assert "keypoint e was clicked" in said.text and not said.blames
+    assert not list(left_out(clicks, placed, [said], NAMES))  # once is enough
+
+
+def test_a_scene_that_could_stand_elsewhere_is_said_once():
+    places = scene_poses(3)
+    observations = clicks_on(places)
+    placed = placed_at(places, observations, {"01": "scene 01: it could stand elsewhere"})
+    placed.covariance_in_scene["01"][:] *= 100
+    (said,) = diagnose(observations, NAMES, placed).statements
+    assert (said.kind, said.text) == ("weak scene", "scene 01: it could stand elsewhere")
 
 
 def test_the_linearised_fall_is_that_of_fitting_again():
