@@ -235,8 +235,9 @@ class ClickResidual:
         error_px: distance of the click from the projected keypoint.
         error_m: distance of the keypoint from the lifted click; None when no depth was used.
         depth_m: the chosen depth; None where none of the candidates fits.
-        outlier: whether the click itself, not only its depth, contradicts the others.
-        reason: one line for the user; empty when all is well.
+        outlier: whether the click itself, not only its depth, is wrong.
+        reason: one line for the user, also for a click that may be the wrong one of several; empty when all
+            is well.
     """
 
     click: Click
@@ -246,6 +247,53 @@ class ClickResidual:
     depth_state: DepthState
     outlier: bool = False
     reason: str = ""
+
+
+StatementKind = Literal[
+    "swapped", "wrong name", "wrong place", "disagree", "whole scene", "everything", "unchecked",
+    "weak scene",
+]  # fmt: skip
+"""What is wrong with clicks: two keypoints of a scene exchanged; a keypoint marked where another one is;
+marked somewhere else; clicks of which one is wrong and nothing tells which; a scene that contradicts all
+others; so many contradictions that none can be trusted; a click that no other click checks; a scene that
+its clicks place badly."""
+
+
+@dataclass(frozen=True)
+class Statement:
+    """What clicks say about one another, for a person.
+
+    Attributes:
+        clicks: the wrong ones; for `disagree`, all those of which one is wrong.
+        text: one line: what is wrong, where, and what to do.
+        evidence: fall of the squared error, in units of the click noise, when the mistake is undone.
+    """
+
+    kind: StatementKind
+    clicks: tuple[Click, ...]
+    text: str
+    evidence: float = 0.0
+
+    @property
+    def blames(self) -> bool:
+        """Whether these very clicks are wrong, not only one among them."""
+        return self.kind in ("swapped", "wrong name", "wrong place", "whole scene")
+
+
+@dataclass(frozen=True)
+class NextClick:
+    """A further click and what it should bring.
+
+    Attributes:
+        gain_mm: by how much the expected error falls, mean over all scenes and keypoints.
+        left_mm: the expected error of this scene's keypoints afterwards, mean.
+    """
+
+    scene: str
+    frame: int
+    keypoint: int
+    gain_mm: float
+    left_mm: float
 
 
 @dataclass(frozen=True)
@@ -267,6 +315,8 @@ class Solution:
             it was not.
         depth_sigma_ratio: by how much the errors of the depths exceed what was stated for them; None
             when it was not estimated.
+        statements: which clicks contradict the others or are checked by none, the worst first.
+        next_clicks: further clicks in frames that have some, the most useful first.
     """
 
     model: KeypointModel
@@ -277,6 +327,16 @@ class Solution:
     covariance_in_scene: Mapping[str, Float64[np.ndarray, "k 3 3"]] = field(default_factory=dict)
     click_sigma_px: float | None = None
     depth_sigma_ratio: float | None = None
+    statements: tuple[Statement, ...] = ()
+    next_clicks: tuple[NextClick, ...] = ()
+
+    @property
+    def expected_mm(self) -> dict[str, float]:
+        """Expected error of the keypoints in each scene, in space: root mean square over the keypoints."""
+        return {
+            name: 1e3 * float(np.sqrt(np.nanmean(np.trace(found, axis1=1, axis2=2))))
+            for name, found in self.covariance_in_scene.items()
+        }
 
     def covariance_at(self, scene: str) -> Float64[np.ndarray, "k 3 3"]:
         """Covariance of each keypoint's position in that scene, in m^2, along the axes of the object frame.

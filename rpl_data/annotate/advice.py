@@ -15,6 +15,8 @@ ENOUGH = FEWEST + 1
 """Clicks a scene: three place it, the fourth checks them."""
 OFTEN = 6
 """Clicks on a keypoint after which one more would not help."""
+WORTH_MM = 0.4
+"""A further click that brings less is not asked for."""
 UNSURE_M = 0.004
 """A keypoint less certain than this wants another click."""
 
@@ -36,32 +38,70 @@ class Advice:
 
 
 def next_step(annotation: Annotation, live: Live, scenes: Sequence[str]) -> Advice:
-    """The first of: mend a bad click, mark what is missing scene by scene, sharpen, make the labels."""
+    """The first of: settle a contradiction, mark what is missing, check, sharpen, make the labels."""
     if not annotation.keypoints:
         return Advice("name the object's keypoints: corners, screws, spouts", action="add")
     return (
-        _bad_click(annotation, live)
+        _contradiction(annotation, live)
         or _open_scene(annotation, live, scenes)
+        or _unchecked(annotation, live)
+        or _most_helpful(annotation, live)
         or _unsure(annotation, live)
         or Advice(
-            "every scene is placed and every keypoint known: make the dense model and the labels",
-            action="label",
+            f"every scene is placed and {_checked(live)}: make the dense model and the labels", action="label"
         )
     )
 
 
-def _bad_click(annotation: Annotation, live: Live) -> Advice | None:
-    bad = [r for r in live.solution.residuals if r.outlier] if live.solution else []
-    if not bad:
-        return None
-    worst = max(bad, key=lambda residual: residual.error_px)
-    where = f"scene {worst.click.scene}, frame {worst.click.frame}"
-    name = annotation.keypoints[worst.click.keypoint]
-    text = (
-        f"look at the click on {name} in {where}: {worst.reason}. Drag it to its place; "
-        "if it is right, mark it in another sharp frame (]) too"
+def _checked(live: Live) -> str:
+    """Which keypoints are checked; those without a position are not."""
+    model = live.solution.model if live.solution else None
+    missing = (
+        []
+        if model is None
+        else [n for n, known in zip(model.keypoints, model.known, strict=True) if not known]
     )
-    return Advice(text, worst.click.scene, worst.click.frame, worst.click.keypoint)
+    if not missing:
+        return "every keypoint is checked"
+    return f"every keypoint is checked but {', '.join(missing)}, which will have no label"
+
+
+def _contradiction(annotation: Annotation, live: Live) -> Advice | None:
+    """Mend a click that is wrong; where only some disagree, mark one more to find out which of them is."""
+    said = live.solution.statements if live.solution else ()
+    statements = [s for s in said if s.kind not in ("unchecked", "weak scene")]
+    if not statements:
+        return None
+    worst = statements[0]
+    click = worst.clicks[0]
+    if worst.kind == "disagree":
+        scene = _another_scene(annotation, live, click.keypoint)
+        same = {c.keypoint for c in worst.clicks} == {click.keypoint}
+        if same and scene is not None:
+            return Advice(worst.text, scene, None, click.keypoint)
+        return Advice(worst.text, click.scene, click.frame, click.keypoint)
+    also = "; if it is right, mark it in another sharp frame (]) too" if len(worst.clicks) == 1 else ""
+    return Advice(worst.text + also, click.scene, click.frame, click.keypoint)
+
+
+def _unchecked(annotation: Annotation, live: Live) -> Advice | None:
+    """A keypoint that a wrong click would move unseen wants a second scene, or a second frame."""
+    statements = live.solution.statements if live.solution else ()
+    for statement in statements:
+        if statement.kind == "unchecked":
+            click = statement.clicks[0]
+            scene = _another_scene(annotation, live, click.keypoint)
+            return Advice(statement.text, scene or click.scene, None, click.keypoint)
+    return None
+
+
+def _another_scene(annotation: Annotation, live: Live, keypoint: int) -> str | None:
+    """A placed scene in which the keypoint is neither marked nor skipped."""
+    marked = {click.scene for click in annotation.clicks if click.keypoint == keypoint}
+    placed = live.solution.scene_from_object if live.solution else {}
+    return min(
+        (s for s in placed if s not in marked and (keypoint, s) not in annotation.skipped), default=None
+    )
 
 
 def _open_scene(annotation: Annotation, live: Live, scenes: Sequence[str]) -> Advice | None:
@@ -105,6 +145,23 @@ def _asking(annotation: Annotation, scene: str, here: Sequence[int], keypoint: i
     why = f" ({live.loose[scene]})" if scene in live.loose and here else ""
     done = f"{len(here)} of {count} are{why}"
     return f"scene {scene}: mark keypoint {name}, {done}; not visible here? skip it (S)"
+
+
+def _most_helpful(annotation: Annotation, live: Live) -> Advice | None:
+    """The further click that lowers the expected error most, while it is worth the effort."""
+    for best in live.solution.next_clicks if live.solution else ():
+        if best.gain_mm < WORTH_MM:
+            break
+        if (best.keypoint, best.scene) in annotation.skipped:
+            continue
+        name = annotation.keypoints[best.keypoint]
+        text = (
+            f"scene {best.scene}, frame {best.frame}: mark keypoint {name} here; it should lower the error "
+            f"by {best.gain_mm:.1f} mm on average, to {best.left_mm:.1f} mm in this scene; not visible? mark "
+            "it in another frame, or skip it (S)"
+        )
+        return Advice(text, best.scene, best.frame, best.keypoint)
+    return None
 
 
 def _unsure(annotation: Annotation, live: Live) -> Advice | None:

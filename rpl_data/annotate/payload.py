@@ -16,7 +16,7 @@ from rpl_data.annotate.stores.scenes import PosedScene
 from rpl_data.clicks.log import Event
 from rpl_data.json_arrays import Json, numbers, rows_to_json
 from rpl_data.overlay import keypoint_color
-from rpl_data.types import ClickResidual, Solution
+from rpl_data.types import ClickResidual, Solution, Statement
 
 
 def scene_payload(posed: PosedScene) -> Json:
@@ -91,6 +91,7 @@ def result_payload(result: Result, scenes: Sequence[str]) -> Json:
         "seconds": round(live.seconds, 4),
         "loose": dict(live.loose),
         "warnings": [] if solution is None else list(solution.warnings),
+        "statements": [] if solution is None else [_statement(s) for s in solution.statements],
         "points_m": None if solution is None else rows_to_json(solution.model.points_object, 7),
         "sigma_mm": [] if solution is None else _sigmas_mm(solution),
         "scene_from_object": {}
@@ -112,6 +113,19 @@ def result_payload(result: Result, scenes: Sequence[str]) -> Json:
 def _sigmas_mm(solution: Solution) -> list[float | None]:
     deviations = 1e3 * np.sqrt(np.trace(solution.covariance, axis1=1, axis2=2) / 3)
     return [round(float(s), 2) if math.isfinite(s) else None for s in deviations]
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else round(value, 2)
+
+
+def _statement(statement: Statement) -> Json:
+    return {
+        "kind": statement.kind,
+        "text": statement.text,
+        "blames": statement.blames,
+        "clicks": [{"keypoint": c.keypoint, "scene": c.scene, "frame": c.frame} for c in statement.clicks],
+    }
 
 
 def _residual(residual: ClickResidual) -> Json:
@@ -138,13 +152,25 @@ def _scenes(revision: Revision, live: Live) -> dict[str, Json]:
         clicked = {click.keypoint for click in annotation.clicks if click.scene == scene}
         bad = sum(r.outlier for r in mine)
         placed = live.solution is not None and scene in live.solution.scene_from_object
-        state = "bad" if bad else "tied" if placed else "few" if len(clicked) < FEWEST else "loose"
+        doubt = any(r.reason for r in mine)
+        state = (
+            "bad"
+            if bad
+            else "doubt"
+            if doubt
+            else "tied"
+            if placed
+            else "few"
+            if len(clicked) < FEWEST
+            else "loose"
+        )
         found[scene] = {
             "state": state,
             "clicked": len(clicked),
             "bad": bad,
             "error_mm": round(1e3 * float(np.sqrt(np.mean(np.square(metres)))), 2) if metres else None,
             "error_px": round(float(np.median([r.error_px for r in mine])), 2) if mine else None,
+            "expected_mm": _rounded(live.solution.expected_mm.get(scene)) if live.solution else None,
             "text": live.loose.get(scene, ""),
         }
     return found

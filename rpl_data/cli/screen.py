@@ -79,7 +79,7 @@ def _show(bar: Progress, task: TaskID, done: int, total: int) -> None:
 
 
 def print_results(workspace: Workspace, ledger: Ledger, screen: Screen, until: str | None) -> None:
-    """After a build: timings, split, errors against truth, and the path of the report."""
+    """After a build: timings, split, errors against truth, what the clicks are worth, the report's path."""
     say = screen.console.print
     if not screen.ran:
         say("nothing to do: every stage is up to date; these are its results")
@@ -93,5 +93,8 @@ def print_results(workspace: Workspace, ledger: Ledger, screen: Screen, until: s
     rows = quality_rows(ledger)
     if rows and until in (None, "quality", "report"):
         say(f"\nerrors against the truth\n{format_table(rows)}")
+    known = [line for entry in ledger.of_stage("solve").values() for line in entry.outcome.messages]
+    if known:
+        say("\nWorth knowing\n" + "\n".join(f"    {line}" for line in known))
     if until in (None, "report"):
         say(f"\nreport: {workspace.report.resolve()}")

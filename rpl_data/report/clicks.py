@@ -1,4 +1,4 @@
-"""How well the solution explains every click: bars by scene, what needs a look, and the whole list."""
+"""How well the solution explains each click: bars per scene, clicks to look at, all clicks, distances."""
 
 from __future__ import annotations
 
@@ -14,14 +14,15 @@ HEADER = ("keypoint", "scene", "depth", "what was found", "frame", "px", "mm")
 
 
 def click_section(solution: Solution) -> str:
-    """Bars, the table of clicks that need a look, and all clicks folded."""
+    """Bars, a table of the clicks to look at, and all clicks in a part that unfolds."""
     residuals = solution.residuals
     if not residuals:
         return '<p class="note">No click residuals were kept.</p>'
     model = solution.model
-    outliers = [residual for residual in residuals if residual.outlier]
-    worst_first = sorted(outliers, key=lambda residual: -residual.error_px)
-    odd = table(HEADER, [_row(model, r) for r in worst_first], left=4, kinds=["bad"] * len(outliers))
+    doubted = [residual for residual in residuals if residual.outlier or residual.reason]
+    worst_first = sorted(doubted, key=lambda residual: (not residual.outlier, -residual.error_px))
+    kinds = ["bad" if residual.outlier else "" for residual in worst_first]
+    odd = table(HEADER, [_row(model, r) for r in worst_first], left=4, kinds=kinds)
     everything = table(
         HEADER,
         [_row(model, r) for r in residuals],
@@ -30,7 +31,7 @@ def click_section(solution: Solution) -> str:
     )
     return (
         f'<h3>Clicks</h3><p class="note">{text(_in_words(residuals))}</p>{_bars(model, residuals)}'
-        + (f"<h3>Clicks that contradict the others</h3>{odd}" if outliers else "")
+        + (f"<h3>Clicks to look at</h3>{odd}" if doubted else "")
         + folded(f"all {len(residuals)} clicks", everything)
     )
 
@@ -40,11 +41,12 @@ def _in_words(residuals: Sequence[ClickResidual]) -> str:
     states = Counter[str](r.depth_state for r in residuals)
     depths = ", ".join(f"{states[state]} {words}" for state, words in DEPTH_WORDS.items() if states[state])
     middle = f"median {number(float(np.median(pixels)), 1)} px; " if len(pixels) else ""
-    outliers = sum(r.outlier for r in residuals)
+    wrong = sum(r.outlier for r in residuals)
+    doubted = sum(bool(r.reason) and not r.outlier for r in residuals)
+    said = f"{wrong} wrong (red, full height)" + (f", {doubted} in doubt" if doubted else "")
     return (
-        f"Distance of every click from the projected keypoint: {len(residuals)} clicks, {middle}"
-        f"{outliers} outlier{'' if outliers == 1 else 's'} (red, full height). Depth: {depths}; "
-        "pale bars used no depth."
+        f"Distance of each click from where the solution puts its keypoint: {len(residuals)} clicks, {middle}"
+        f"{said}. Depth: {depths}; pale bars used no depth."
     )
 
 
@@ -57,7 +59,7 @@ DEPTH_WORDS = {
 
 
 def _bars(model: KeypointModel, residuals: Sequence[ClickResidual]) -> str:
-    """A bar a click, a group a scene; outliers would flatten the rest, so they are cut at full height."""
+    """One bar per click, grouped by scene; wrong clicks are cut, as they would flatten the rest."""
     ordinary = [r.error_px for r in residuals if not r.outlier]
     top_px = 1.1 * max(ordinary) if ordinary and max(ordinary) > 0 else 1.0
     groups = []
@@ -89,3 +91,16 @@ def _row(model: KeypointModel, residual: ClickResidual) -> list[str | Cell]:
         number(residual.error_px, 1),
         number(None if residual.error_m is None else 1e3 * residual.error_m, 1),
     ]
+
+
+def distance_table(solution: Solution) -> str:
+    """Distances between all keypoints that have a position: one that can be measured gives an error away."""
+    model = solution.model
+    known = np.flatnonzero(model.known)
+    names = [model.keypoints[k] for k in known]
+    gaps_m = np.linalg.norm(model.points_object[known][:, None] - model.points_object[known], axis=2)
+    rows: list[list[str | Cell]] = [
+        [name, *(number(1e3 * gap, 1) if b < a else "" for b, gap in enumerate(row))]
+        for a, (name, row) in enumerate(zip(names, gaps_m, strict=True))
+    ]
+    return table(("", *names[:-1]), [row[:-1] for row in rows[1:]])

@@ -10,9 +10,9 @@ import yaml
 
 from rpl_data.files import read_text, write_text
 from rpl_data.meshes import load_mesh
-from rpl_data.report.clicks import click_section
+from rpl_data.report.clicks import click_section, distance_table
 from rpl_data.report.counts import SceneReport, summarise_scene
-from rpl_data.report.html import Cell, number, page, section, table, text
+from rpl_data.report.html import Cell, folded, number, page, section, table, text
 from rpl_data.report.pictures import contact_sheet, frames_a_scene, legends
 from rpl_data.report.solid import solid
 from rpl_data.report.tables import labels_section, quality_section, timings_section
@@ -83,7 +83,7 @@ def _tiles(scenes: Sequence[SceneReport], solutions: Sequence[Solution]) -> str:
         "frames labelled": sum(len(scene.frames) for scene in scenes),
         "instances": sum(tally.instances for scene in scenes for tally in scene.tallies.values()),
         "clicks": len(residuals),
-        "outlier clicks": sum(residual.outlier for residual in residuals),
+        "wrong clicks": sum(residual.outlier for residual in residuals),
     }
     tiles = "".join(
         f"<div><b>{number(count, 0)}</b><span>{name}</span></div>" for name, count in counts.items()
@@ -94,7 +94,8 @@ def _tiles(scenes: Sequence[SceneReport], solutions: Sequence[Solution]) -> str:
 def _warnings(scenes: Sequence[SceneReport], solutions: Sequence[Solution], others: Sequence[str]) -> str:
     lines = list(others)
     for solution in solutions:
-        lines += [f"{solution.model.name}: {line}" for line in solution.warnings]
+        said = [statement.text for statement in solution.statements]
+        lines += [f"{solution.model.name}: {line}" for line in (*said, *solution.warnings)]
     for scene in scenes:
         recording = scene.recording
         lines += [f"scene {recording.scene.name}: {line}" for line in (*recording.skipped, *recording.notes)]
@@ -138,7 +139,8 @@ def _objects(workspace: Workspace, solutions: Sequence[Solution]) -> str:
         figure = solid(solution.model, mesh, with_library=number_of_object == 0)
         parts.append(
             f"<h3>{text(solution.model.name)}</h3>"
-            f'<div class="pair">{figure}<div>{_keypoint_table(solution)}</div></div>{click_section(solution)}'
+            f'<div class="pair">{figure}<div>{_keypoint_table(solution)}</div></div>'
+            f"{click_section(solution)}{folded('distances between keypoints, mm', distance_table(solution))}"
         )
     return section("objects", "Objects", "".join(parts)) if parts else ""
 
@@ -162,4 +164,4 @@ def _keypoint_table(solution: Solution) -> str:
             ]
         )
     kinds = ["" if known else "quiet" for known in model.known]
-    return table(("keypoint", "σ mm", "clicks", "outliers", "mean px"), body, kinds=kinds)
+    return table(("keypoint", "σ mm", "clicks", "wrong", "mean px"), body, kinds=kinds)

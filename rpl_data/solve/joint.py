@@ -91,7 +91,7 @@ class JointClicks:
         """
         state, held = self._state(scene_from_object, points_object), self.known_points is not None
         fitted = click_residuals(
-            self.observations, click_fit(self.rays, state, self.noise), self.solution.model.keypoints
+            self.observations, click_fit(self.rays, state, self.noise), self.solution.statements
         )
         by_click = {residual.click: residual for residual in fitted}
         residuals = tuple(by_click.get(old.click, old) for old in self.solution.residuals)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float64
@@ -13,46 +13,28 @@ from rpl_data.solve.search import Alternative
 
 SAID_BELOW = 8.0
 """Excess cost (squared standard deviations) below which another answer is mentioned: odds of 1 in 50."""
-UNSURE_BEYOND_M = 0.015
-"""Standard deviation per axis of the keypoints in a scene above which it is mentioned."""
 SAID_BEYOND_M = 0.01
 """Answers that put the keypoints nearer than this (mean over the keypoints) need not be mentioned."""
 
 
 def describe_near_ties(
     alternatives: Sequence[Alternative], state: State, scenes: Sequence[str], known: Bool[np.ndarray, " k"]
-) -> tuple[str, ...]:
-    """One line for each scene in which the object could stand elsewhere just as well."""
-    lines: dict[int, str] = {}
+) -> dict[str, str]:
+    """A line for each scene in which the object could stand elsewhere just as well, by its name."""
+    lines: dict[str, str] = {}
     for one in alternatives:  # cheapest first
         offsets_m = _offsets_m(one, state, one.scene)[known]
         apart_m = float(np.linalg.norm(offsets_m, axis=1).mean())
-        if one.scene in lines or one.excess > SAID_BELOW or apart_m < SAID_BEYOND_M:
+        if scenes[one.scene] in lines or one.excess > SAID_BELOW or apart_m < SAID_BEYOND_M:
             continue
         turned = one.state.scene_from_model[one.scene] @ invert(state.scene_from_model[one.scene])
         turned_deg = np.degrees(rotation_angle_rad(turned[:3, :3]))
-        lines[one.scene] = (
+        lines[scenes[one.scene]] = (
             f"scene {scenes[one.scene]}: its clicks fit almost as well with the object "
             f"{1000 * apart_m:.0f} mm away and turned by {turned_deg:.0f} "
             "degrees; click one more keypoint there, or one of them again in a frame seen from another side"
         )
-    return tuple(lines[scene] for scene in sorted(lines))
-
-
-def describe_unsure_scenes(
-    covariance_in_scene: Mapping[str, Float64[np.ndarray, "k 3 3"]], known: Bool[np.ndarray, " k"]
-) -> tuple[str, ...]:
-    """One line for each scene in which the clicks leave open where the object is."""
-    lines = []
-    for scene, covariance in covariance_in_scene.items():
-        sigma_m = float(np.sqrt(np.trace(covariance[known], axis1=1, axis2=2).mean() / 3))
-        if sigma_m > UNSURE_BEYOND_M:
-            lines.append(
-                f"scene {scene}: its clicks tell where the object is to {1000 * sigma_m:.0f} mm only "
-                "(standard deviation per axis); click one more keypoint there, or mend the clicks that "
-                "do not fit"
-            )
-    return tuple(lines)
+    return lines
 
 
 def widened_for_near_ties(

@@ -11,9 +11,10 @@ from jaxtyping import Float64
 from rpl_data.geometry import is_collinear
 from rpl_data.solve.bundle_adjustment import State, cross_matrices, linearise
 from rpl_data.solve.click_rays import Noise, Rays, rays_of
+from rpl_data.solve.diagnosis import Placed, diagnose
 from rpl_data.solve.hypotheses import hypotheses_of_scene
 from rpl_data.solve.initial_guess import LINE_M
-from rpl_data.solve.near_ties import describe_near_ties, describe_unsure_scenes, widened_for_near_ties
+from rpl_data.solve.near_ties import describe_near_ties, widened_for_near_ties
 from rpl_data.solve.noise import (
     USUAL,
     adjust_with_noise,
@@ -24,7 +25,14 @@ from rpl_data.solve.refusals import refuse_bad
 from rpl_data.solve.residuals import click_fit, click_residuals
 from rpl_data.solve.scene_poses import likely_poses
 from rpl_data.solve.search import Alternative
-from rpl_data.types import ClickResidual, DataError, KeypointModel, Observation
+from rpl_data.types import (
+    ClickResidual,
+    DataError,
+    KeypointModel,
+    NextClick,
+    Observation,
+    Statement,
+)
 
 
 class Registration(NamedTuple):
@@ -33,7 +41,7 @@ class Registration(NamedTuple):
     Attributes:
         residuals: one per click, in their order.
         covariance_in_scene: one 3x3 covariance per keypoint of its position, in m^2, scene frame.
-        warnings: lines for a person.
+        statements, next_clicks: see `Solution`.
     """
 
     scene_from_object: Float64[np.ndarray, "4 4"]
@@ -41,7 +49,8 @@ class Registration(NamedTuple):
     covariance_in_scene: Float64[np.ndarray, "k 3 3"]
     click_sigma_px: float
     depth_sigma_ratio: float
-    warnings: tuple[str, ...] = ()
+    statements: tuple[Statement, ...] = ()
+    next_clicks: tuple[NextClick, ...] = ()
 
 
 def register(
@@ -92,22 +101,24 @@ def register_scene(
     state, noise = adjust_with_noise(rays, states[0], prior=prior, hold_points=True)
     excess = poses.cost - poses.cost[0]
     others = [Alternative(0, other, e) for other, e in zip(states[1:], excess[1:], strict=True)]
+    joint = joint_covariance(rays, state, noise=noise, hold_points=True)
     in_scene = widened_for_near_ties(
-        _covariance_in_scene(rays, state, noise, model, covariance), others, state, 0
-    ) + trajectory_sigma_m**2 * np.eye(3)
-    fitted = iter(click_residuals(usable, click_fit(rays, state, noise), model.keypoints))
+        _covariance_in_scene(rays, state, noise, joint, model, covariance), others, state, 0
+    )
+    ties = describe_near_ties(others, state, [scene], model.known)
+    placed = Placed([scene], rays, state, noise, joint, {scene: in_scene}, model.known, ties)
+    diagnosis = diagnose(usable, model.keypoints, placed, hold_points=True)
+    fitted = iter(click_residuals(usable, click_fit(rays, state, noise), diagnosis.statements))
     return Registration(
         scene_from_object=state.scene_from_model[0],
         residuals=tuple(
             next(fitted) if model.known[o.click.keypoint] else _not_in_model(o, model) for o in observations
         ),
-        covariance_in_scene=in_scene,
+        covariance_in_scene=in_scene + trajectory_sigma_m**2 * np.eye(3),
         click_sigma_px=noise.click_px,
         depth_sigma_ratio=noise.depth_ratio,
-        warnings=(
-            *describe_near_ties(others, state, [scene], model.known),
-            *describe_unsure_scenes({scene: in_scene}, model.known),
-        ),
+        statements=diagnosis.statements,
+        next_clicks=diagnosis.next_clicks,
     )
 
 
@@ -129,6 +140,7 @@ def _covariance_in_scene(
     rays: Rays,
     state: State,
     noise: Noise,
+    joint: Float64[np.ndarray, "u u"],
     model: KeypointModel,
     covariance: Float64[np.ndarray, "k 3 3"] | None,
 ) -> Float64[np.ndarray, "k 3 3"]:
@@ -137,7 +149,6 @@ def _covariance_in_scene(
     A model that is off by e in its clicked keypoints turns the pose by -H e; so keypoint k is off by its own
     e_k, turned into the scene, less what the pose makes good of it.
     """
-    joint = joint_covariance(rays, state, noise=noise, hold_points=True)
     by_clicks = points_in_scene_covariance(joint, state, 0, model.known)
     if covariance is None:
         return by_clicks

@@ -8,14 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from rpl_data.geometry import invert, transform
 from rpl_data.solve.bundle_adjustment import State, points_in_cameras
-from rpl_data.solve.click_rays import KERNEL_SCALE_SIGMAS, NEAREST_DEPTH_M, Noise, Rays, misfit
-from rpl_data.types import (
-    ClickResidual,
-    DepthState,
-    Observation,
-)
+from rpl_data.solve.click_rays import KERNEL_SCALE_SIGMAS, Noise, Rays, misfit
+from rpl_data.types import Click, ClickResidual, DepthState, Observation, Statement
 
 
 class ClickFit(NamedTuple):
@@ -53,32 +48,29 @@ def click_fit(rays: Rays, state: State, noise: Noise) -> ClickFit:
 
 
 def click_residuals(
-    observations: Sequence[Observation], fit: ClickFit, keypoints: Sequence[str]
+    observations: Sequence[Observation], fit: ClickFit, statements: Sequence[Statement] = ()
 ) -> tuple[ClickResidual, ...]:
-    """What became of every click."""
-    return tuple(_residual(o, n, observations, fit, keypoints) for n, o in enumerate(observations))
+    """What became of every click, and what is said of it."""
+    said: dict[Click, Statement] = {}
+    for statement in sorted(statements, key=lambda s: s.blames):
+        if statement.kind not in ("unchecked", "weak scene"):
+            said |= dict.fromkeys(statement.clicks, statement)
+    return tuple(_residual(o, n, fit, said.get(o.click)) for n, o in enumerate(observations))
 
 
-def _residual(
-    observation: Observation,
-    n: int,
-    observations: Sequence[Observation],
-    fit: ClickFit,
-    keypoints: Sequence[str],
-) -> ClickResidual:
+def _residual(observation: Observation, n: int, fit: ClickFit, said: Statement | None) -> ClickResidual:
     error_px, depth_m = float(fit.error_px[n]), float(fit.depth_m[n])
     state = _depth_state(observation, depth_m, float(fit.depth_error_m[n] / fit.depth_sigma_m[n]))
     used = state in ("agrees", "other surface")
     lateral_m = error_px * observation.pixel_rad * (depth_m if used else 0)
-    outlier = error_px > max(4 * fit.sigma_px, 8.0)
     return ClickResidual(
         click=observation.click,
         error_px=error_px,
         error_m=float(np.hypot(lateral_m, fit.depth_error_m[n])) if used else None,
         depth_m=depth_m if used else None,
         depth_state=state,
-        outlier=outlier,
-        reason=_reason(observation, observations, fit, keypoints) if outlier else "",
+        outlier=said is not None and said.blames,
+        reason="" if said is None else said.text,
     )
 
 
@@ -90,28 +82,10 @@ def _depth_state(observation: Observation, depth_m: float, error_in_sigmas: floa
     return "agrees" if depth_m == observation.depths_m[0] else "other surface"
 
 
-def _reason(
-    observation: Observation, observations: Sequence[Observation], fit: ClickFit, keypoints: Sequence[str]
-) -> str:
-    """Why a click contradicts the others: two keypoints swapped, or simply elsewhere."""
-    scenes = sorted({o.click.scene for o in observations})
-    scene_from_model = fit.scene_from_model[scenes.index(observation.click.scene)]
-    in_camera = transform(invert(observation.scene_from_camera) @ scene_from_model, fit.points_model)
-    ahead = np.maximum(in_camera[:, 2:], NEAREST_DEPTH_M)
-    distances_px = (
-        np.linalg.norm(in_camera[:, :2] / ahead - observation.ray_camera[:2], axis=1) / observation.pixel_rad
-    )
-    nearest = int(distances_px.argmin())
-    own = observation.click.keypoint
-    if nearest != own and distances_px[nearest] < 3 * fit.sigma_px:
-        return f"keypoint {keypoints[own]} was clicked where keypoint {keypoints[nearest]} is: swapped?"
-    return f"{distances_px[own]:.0f} px away from where the other clicks put keypoint {keypoints[own]}"
-
-
 def describe_keypoints(
     keypoints: Sequence[str], observations: Sequence[Observation], known: Bool[np.ndarray, " k"]
 ) -> tuple[str, ...]:
-    """Lines about keypoints that have no position, or one that nothing checks."""
+    """Lines about keypoints that have no position."""
     seen_in: dict[int, set[str]] = {k: set() for k in range(len(keypoints))}
     for o in observations:
         seen_in[o.click.keypoint].add(o.click.scene)
@@ -123,10 +97,6 @@ def describe_keypoints(
             lines.append(
                 f"keypoint {keypoints[k]} was clicked, but neither depth nor other frames tell how far away "
                 "it is: it has no position and no label; click it where there is depth, or from another side"
-            )
-        elif len(scenes) == 1:
-            lines.append(
-                f"keypoint {keypoints[k]} was clicked in scene {min(scenes)} only: nothing checks it"
             )
     return tuple(lines)
 

@@ -10,7 +10,7 @@ Eq. 2 asks for the keypoints Q and one rigid transform per scene that explain al
 3. rays and depths are adjusted together, robustly (`bundle_adjustment`), and scenes and keypoints may
    jump to where the others would rather have them (`search`);
 4. the noise of clicks and depths is estimated, and with it the covariance (`noise`);
-5. every click is told what became of it (`residuals`).
+5. the clicks are diagnosed (`diagnosis`), and every click is told what became of it (`residuals`).
 """
 
 from __future__ import annotations
@@ -25,9 +25,10 @@ from scipy.spatial.transform import Rotation
 from rpl_data.geometry import invert, rigid, transform
 from rpl_data.solve.bundle_adjustment import State
 from rpl_data.solve.click_rays import Noise, Rays, rays_of
+from rpl_data.solve.diagnosis import Placed, diagnose
 from rpl_data.solve.hypotheses import hypotheses_of_scene
 from rpl_data.solve.initial_guess import Hypotheses, Start, join_clean, join_scenes
-from rpl_data.solve.near_ties import describe_near_ties, describe_unsure_scenes, widened_for_near_ties
+from rpl_data.solve.near_ties import describe_near_ties, widened_for_near_ties
 from rpl_data.solve.noise import (
     adjust_with_noise,
     estimate_noise,
@@ -215,11 +216,11 @@ def _solution(
         name: widened_for_near_ties(
             points_in_scene_covariance(joint, state, s, known), answer.alternatives, state, s
         )
-        + trajectory_sigma_m.get(name, 0.0) ** 2 * np.eye(3)
         for s, name in enumerate(answer.scenes)
     }
     ties = describe_near_ties(answer.alternatives, state, answer.scenes, known)
-    unsure = describe_unsure_scenes(in_scene, known)
+    placed = Placed(answer.scenes, answer.rays, state, answer.noise, joint, in_scene, known, ties)
+    diagnosis = diagnose(observations, keypoints, placed)
     return Solution(
         model=KeypointModel(object_name, tuple(keypoints), points, tuple(skeleton)),
         covariance=turn.T @ shape_covariance(joint, state, known) @ turn,
@@ -227,9 +228,16 @@ def _solution(
             name: scene_from_model @ model_from_object
             for name, scene_from_model in zip(answer.scenes, state.scene_from_model, strict=True)
         },
-        residuals=click_residuals(observations, click_fit(answer.rays, state, answer.noise), keypoints),
-        warnings=(*describe_keypoints(keypoints, observations, known), *ties, *unsure),
-        covariance_in_scene=in_scene,
+        residuals=click_residuals(
+            observations, click_fit(answer.rays, state, answer.noise), diagnosis.statements
+        ),
+        warnings=describe_keypoints(keypoints, observations, known),
+        covariance_in_scene={
+            name: covariance + trajectory_sigma_m.get(name, 0.0) ** 2 * np.eye(3)
+            for name, covariance in in_scene.items()
+        },
         click_sigma_px=answer.noise.click_px,
         depth_sigma_ratio=answer.noise.depth_ratio,
+        statements=diagnosis.statements,
+        next_clicks=diagnosis.next_clicks,
     )

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import asdict
 from pathlib import Path
+from typing import cast, get_args
 
 import numpy as np
 
@@ -37,11 +38,14 @@ from rpl_data.types import (
     InstanceLabel,
     Intrinsics,
     KeypointModel,
+    NextClick,
     Recording,
     Rle,
     Scene,
     Solution,
     SquareBox,
+    Statement,
+    StatementKind,
 )
 
 
@@ -130,6 +134,8 @@ def solution_to_json(solution: Solution) -> Json:
         },
         "click_sigma_px": solution.click_sigma_px,
         "depth_sigma_ratio": solution.depth_sigma_ratio,
+        "next_clicks": [asdict(click) for click in solution.next_clicks],
+        "statements": [asdict(statement) for statement in solution.statements],
     }
 
 
@@ -165,6 +171,34 @@ def solution_from_json(data: Json) -> Solution:
         },
         click_sigma_px=optional(number)(data.get("click_sigma_px")),
         depth_sigma_ratio=optional(number)(data.get("depth_sigma_ratio")),
+        statements=each(_statement_from_json)(data.get("statements", [])),
+        next_clicks=each(_next_click_from_json)(data.get("next_clicks", [])),
+    )
+
+
+def _statement_from_json(data: Json) -> Statement:
+    return Statement(
+        taken(data, "kind", _statement_kind),
+        taken(data, "clicks", each(_click_from_json)),
+        taken(data, "text", text),
+        taken(data, "evidence", number),
+    )
+
+
+def _statement_kind(value: object) -> StatementKind:
+    for kind in get_args(StatementKind):
+        if kind == value:
+            return cast(StatementKind, kind)
+    raise ValueError(f"{value!r:.60} is no kind of statement")
+
+
+def _next_click_from_json(data: Json) -> NextClick:
+    return NextClick(
+        taken(data, "scene", text),
+        taken(data, "frame", whole),
+        taken(data, "keypoint", whole),
+        taken(data, "gain_mm", number),
+        taken(data, "left_mm", number),
     )
 
 

@@ -130,7 +130,8 @@ def test_a_swapped_pair_is_named():
     assert error_mm(solution.model.points_object).max() < 6
     blamed = [r for r in solution.residuals if r.outlier]
     assert {(r.click.scene, r.click.keypoint) for r in blamed} == {("02", 1), ("02", 6)}
-    assert all("swapped?" in r.reason for r in blamed)
+    assert [s.kind for s in solution.statements] == ["swapped"]
+    assert all("keypoints b and g are swapped" in r.reason for r in blamed)
 
 
 def test_keypoints_clicked_once_or_never_are_said():
@@ -139,8 +140,12 @@ def test_keypoints_clicked_once_or_never_are_said():
     observations += click_scene("01", CUBE, pose(random), cameras(2), random, keypoints=[0, 1, 2, 3, 4, 5])
     solution = solve("cube", NAMES, observations)
     assert list(solution.model.known) == [True] * 7 + [False]
-    assert "keypoint h was never clicked" in solution.warnings[1]
-    assert "keypoint g was clicked in scene 00 only" in solution.warnings[0]
+    assert "keypoint h was never clicked" in solution.warnings[0]
+    assert not solution.statements  # the two frames of scene 00 check keypoint g
+    once = [o for o in observations if o.click.keypoint != 6 or o.click.frame == 0]
+    (said,) = solve("cube", NAMES, once).statements
+    assert (said.kind, said.clicks[0].keypoint) == ("unchecked", 6)
+    assert "keypoint g was clicked in one frame only (scene 00, frame 0): nothing checks it" in said.text
 
 
 def test_a_keypoint_whose_depth_nothing_tells_is_said():

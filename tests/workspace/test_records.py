@@ -17,10 +17,12 @@ from rpl_data.types import (
     InstanceLabel,
     Intrinsics,
     KeypointModel,
+    NextClick,
     Recording,
     Scene,
     Solution,
     SquareBox,
+    Statement,
 )
 from rpl_data.workspace import records
 
@@ -59,7 +61,16 @@ def test_solution_round_trip() -> None:
     )
     in_scene = {"01": 2 * covariance}
     solution = Solution(
-        model, covariance, transforms, residuals, ("keypoint b was never clicked",), in_scene, 1.5, 1.25
+        model,
+        covariance,
+        transforms,
+        residuals,
+        ("keypoint b was never clicked",),
+        in_scene,
+        1.5,
+        1.25,
+        (Statement("wrong place", (click,), "scene 00, frame 3: keypoint a ...", 21.5),),
+        (NextClick("01", 4, 1, 0.75, 3.25),),
     )
     back = records.solution_from_json(through_json(records.solution_to_json(solution)))
     np.testing.assert_array_equal(back.model.points_object, model.points_object)
@@ -67,6 +78,7 @@ def test_solution_round_trip() -> None:
     assert (back.model.keypoints, back.model.skeleton) == (model.keypoints, model.skeleton)
     assert (back.residuals, back.warnings) == (residuals, solution.warnings)
     assert (back.click_sigma_px, back.depth_sigma_ratio) == (1.5, 1.25)
+    assert (back.statements, back.next_clicks) == (solution.statements, solution.next_clicks)
     np.testing.assert_array_equal(back.covariance_in_scene["01"], in_scene["01"])
     assert list(back.scene_from_object) == ["00", "01"]
     for name, matrix in transforms.items():
@@ -76,7 +88,7 @@ def test_solution_round_trip() -> None:
 def test_solutions_of_older_versions_are_read() -> None:
     model = KeypointModel("cube", ("a",), np.array([[0.1, 0.2, 0.3]]))
     written = records.solution_to_json(Solution(model, np.eye(3)[None], {"00": np.eye(4)}))
-    for new in ("covariance_in_scene", "click_sigma_px", "depth_sigma_ratio"):
+    for new in ("covariance_in_scene", "click_sigma_px", "depth_sigma_ratio", "statements", "next_clicks"):
         del written[new]
     back = records.solution_from_json(through_json(written))
     assert (back.covariance_in_scene, back.click_sigma_px, back.depth_sigma_ratio) == ({}, None, None)

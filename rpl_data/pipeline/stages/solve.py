@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, replace
 
 import numpy as np
@@ -16,7 +16,7 @@ from rpl_data.geometry import transform
 from rpl_data.pipeline.context import Context, step
 from rpl_data.pipeline.ledger import Advance, Outcome, Step
 from rpl_data.pipeline.recipe import ObjectRecipe
-from rpl_data.solve.register import register_scene
+from rpl_data.solve.register import Registration, register_scene
 from rpl_data.solve.residuals import click_spreads_m
 from rpl_data.solve.solve import solve
 from rpl_data.types import (
@@ -30,7 +30,7 @@ from rpl_data.types import (
 )
 from rpl_data.workspace.workspace import Workspace
 
-VERSION = 2
+VERSION = 3
 """Raised when the stage writes something else for the same input; its steps then run again."""
 STRAYED_SHARE = 0.35
 """Standard deviation of drifting poses about their middle, per axis, as a share of what the meter reads."""
@@ -51,7 +51,8 @@ def _solve_step(context: Context, item: ObjectRecipe) -> Step:
         workspace.save_solution(solution)
         outliers = sum(residual.outlier for residual in solution.residuals)
         unused = clicks_without_pose(annotation.clicks, observations)
-        lines = [f"{item.name}: {line}" for line in (*unused, *solution.warnings)]
+        said = [statement.text for statement in solution.statements]
+        lines = [f"{item.name}: {line}" for line in (*said, *unused, *solution.warnings)]
         details = {
             "clicks": len(observations),
             "outliers": outliers,
@@ -177,8 +178,11 @@ def place_known(
         covariance=np.where(model.known[:, None, None], sigma_m**2 * np.eye(3), np.nan),
         scene_from_object={scene: one.scene_from_object for scene, one in found.items()},
         residuals=tuple(residuals[o.click.keypoint, o.click.scene, o.click.frame] for o in observations),
-        warnings=tuple(line for one in found.values() for line in one.warnings),
         covariance_in_scene={scene: one.covariance_in_scene for scene, one in found.items()},
+        statements=tuple(statement for one in found.values() for statement in one.statements),
+        next_clicks=tuple(
+            sorted((c for one in found.values() for c in one.next_clicks), key=lambda c: -c.gain_mm)
+        ),
     )
 
 
@@ -222,15 +226,34 @@ def register_step(context: Context, object_name: str, scene: str) -> Step:
                 scene_from_object={**solution.scene_from_object, scene: found.scene_from_object},
                 residuals=(*kept, *found.residuals),
                 covariance_in_scene=covariances,
+                statements=(
+                    *found.statements,
+                    *(s for s in solution.statements if all(click.scene != scene for click in s.clicks)),
+                ),
+                next_clicks=found.next_clicks,
             )
         )
-        mean_px = float(np.mean([residual.error_px for residual in found.residuals]))
-        fits = f"its {len(found.residuals)} clicks fit to {mean_px:.1f} px"
-        text = f"{object_name} stands in scene {scene}; {fits}"
-        return Outcome(messages=(text, *(f"{object_name}: {line}" for line in found.warnings)))
+        return Outcome(messages=tuple(_placed(solution.model, scene, found)))
 
     # It takes the place of the solve in the ledger, so that a build goes on from it and does not solve again.
     return replace(_solve_step(context, item), run=run)
+
+
+def _placed(model: KeypointModel, scene: str, found: Registration) -> Iterator[str]:
+    """How well a new scene's clicks place the object, what they contradict, and what to click next."""
+    mean_px = float(np.mean([residual.error_px for residual in found.residuals]))
+    expected_mm = 1e3 * float(np.sqrt(np.nanmean(np.trace(found.covariance_in_scene, axis1=1, axis2=2))))
+    yield (
+        f"{model.name} stands in scene {scene}; its {len(found.residuals)} clicks fit to {mean_px:.1f} px, "
+        f"and its keypoints should be {expected_mm:.1f} mm off"
+    )
+    yield from (f"{model.name}: {statement.text}" for statement in found.statements)
+    if found.next_clicks:
+        best = found.next_clicks[0]
+        yield (
+            f"the click that would help most: keypoint {model.keypoints[best.keypoint]} in frame "
+            f"{best.frame}, which should leave {best.left_mm:.1f} mm"
+        )
 
 
 def observe(workspace: Workspace, object_name: str, *, scene: str | None = None) -> list[Observation]:

@@ -95,7 +95,8 @@ function drawMask(context) {
 }
 
 function drawClick(context, click, projected) {
-  const at = toScreen([click.u_px, click.v_px]), bad = residualOf(click)?.outlier;
+  const at = toScreen([click.u_px, click.v_px]), found = residualOf(click), bad = found?.outlier;
+  const doubtful = !bad && found?.reason;
   if (projected) {
     context.strokeStyle = bad ? "#ff4040" : "#ffffff";
     context.lineWidth = bad ? 2.5 : 1;
@@ -111,8 +112,8 @@ function drawClick(context, click, projected) {
     line(context, [x, y + 2], [x, y + 7]);
   }
   if (picked) ring(context, at, 11, "#fff", 1.5);
-  if (bad) ring(context, at, 14, "#ff4040", 3);
-  label(context, at, bad ? `${title(click.keypoint)} ✗` : title(click.keypoint), picked);
+  if (bad || doubtful) ring(context, at, 14, bad ? "#ff4040" : "#ffc46b", 3);
+  label(context, at, `${title(click.keypoint)}${bad ? " ✗" : doubtful ? " ?" : ""}`, picked);
 }
 
 function drawGrasp(context) {

@@ -113,8 +113,8 @@ function draw() {
 
 function row({ name, color }, k) {
   const here = clicksIn(app.scene).filter((c) => c.keypoint === k);
-  const bad = here.some((click) => residualOf(click)?.outlier);
-  const [kind, word] = bad ? ["bad", "✗ bad"]
+  const bad = here.some((click) => residualOf(click)?.outlier), doubtful = here.some((click) => residualOf(click)?.reason);
+  const [kind, word] = bad ? ["bad", "✗ wrong"] : doubtful ? ["warn", "? doubtful"]
     : here.length ? ["good", here.length > 1 ? `✓ ×${here.length}` : "✓"]
     : isSkipped(k, app.scene) ? ["quiet", "skipped"] : ["quiet", "to mark"];
   const button = element("button", { title: `${keypointTitle(k)}: ${whereMarked(k)}` },

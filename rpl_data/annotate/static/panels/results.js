@@ -1,4 +1,4 @@
-// How good it is: errors a scene and a click, what is wrong, what is missing.
+// How good the result is: what the clicks contradict, errors per scene and per click, what is missing.
 
 import { element, refill } from "./dom.js";
 import { openScene } from "../image/frames.js";
@@ -9,10 +9,12 @@ const panel = document.getElementById("result");
 const STEPS = [
   "Choose keypoints: corners, screws, spouts that you will know again in every scene.",
   "In every scene, click at least four of them, in any frames. Skip what is hidden.",
-  "Errors appear here after each click; a bad click turns red and says why.",
+  "Errors appear here after each click; a wrong click turns red and says why.",
   "When every scene is placed: make the dense model and the labels, and look at them.",
 ];
 const DEPTH_WORDS = { agrees: "", "other surface": "other surface", rejected: "depth not used", none: "no depth" };
+
+const MISSING = ["unchecked", "weak scene"]; // statements about what is missing, not about what is wrong
 
 export function setUp() {
   onChange(draw, () => [app.state, app.result, app.scene, app.row, app.keypoint]);
@@ -24,7 +26,7 @@ function draw() {
   if (!app.state) return;
   if (!app.result || !app.state.clicks.length) return refill(panel, ...beginning());
   const { result } = app;
-  refill(panel, ...badClicks(result), ...ofScenes(result), ...missing(result), ...ofKeypoint(result));
+  refill(panel, ...statements(result), ...ofScenes(result), ...missing(result), ...ofKeypoint(result), ...distances(result));
 }
 
 const beginning = () => [
@@ -32,30 +34,32 @@ const beginning = () => [
   element("ol", { className: "steps" }, ...STEPS.map((text) => element("li", { textContent: text }))),
 ];
 
-function badClicks(result) {
-  const bad = result.clicks.filter((click) => click.outlier);
-  if (!bad.length) return [];
-  return [element("h2", { className: "bad", textContent: bad.length > 1 ? `${bad.length} bad clicks` : "A bad click" }),
-    ...bad.map((click) => {
-      const where = `${keypointTitle(click.keypoint)} · scene ${click.scene}, frame ${click.frame}`;
-      const button = element("button", { className: "fault", title: "show it" },
-        element("b", { textContent: where }), element("span", { textContent: click.reason }));
-      button.addEventListener("click", () => go(click));
+// What is said of clicks; a line leads to the first of them.
+function statements(result) {
+  const said = result.statements.filter((statement) => !MISSING.includes(statement.kind));
+  if (!said.length) return [];
+  const wrong = said.some((statement) => statement.blames);
+  return [element("h2", { className: wrong ? "bad" : "warn", textContent: wrong ? "Clicks to mend" : "Clicks that disagree" }),
+    ...said.map((statement) => {
+      const button = element("button", { className: statement.blames ? "fault" : "fault doubt", title: "show it" },
+        element("span", { textContent: statement.text }));
+      button.addEventListener("click", () => go(statement.clicks[0]));
       return button;
     })];
 }
 
 function ofScenes(result) {
   const rows = Object.entries(result.scenes).map(([name, s]) =>
-    [name, s.clicked, s.error_mm?.toFixed(1) ?? "—", s.error_px?.toFixed(1) ?? "—"]);
+    [name, s.clicked, s.error_mm?.toFixed(1) ?? "—", s.error_px?.toFixed(1) ?? "—", s.expected_mm?.toFixed(1) ?? "—"]);
   const problem = result.problem ? [element("p", { className: "note bad", textContent: result.problem })] : [];
   return [element("h2", { textContent: "Errors by scene" }), ...problem,
-    table(["scene", "keypoints", "mm", "px"], rows, (i) => openScene(rows[i][0], null, { view: "mark" }))];
+    table(["scene", "keypoints", "mm", "px", "± mm"], rows, (i) => openScene(rows[i][0], null, { view: "mark" }))];
 }
 
 function missing(result) {
   const lines = Object.entries(result.loose).map(([name, text]) => `scene ${name}: ${text}`);
-  const all = [...lines, ...result.warnings];
+  const unchecked = result.statements.filter((statement) => MISSING.includes(statement.kind));
+  const all = [...lines, ...result.warnings, ...unchecked.map((statement) => statement.text)];
   if (!all.length) return [];
   const rest = all.length > 6 ? [element("p", { className: "note quiet", textContent: `and ${all.length - 6} more` })] : [];
   return [element("h2", { className: "warn", textContent: "Tied too little" }),
@@ -71,10 +75,22 @@ function ofKeypoint(result) {
   const rows = mine.map((click) => {
     const found = residualOf(click);
     const here = click.scene === app.scene && click.frame === frame() ? "• " : "";
-    const state = found?.outlier ? "✗ bad" : DEPTH_WORDS[found?.depth_state] ?? "";
+    const state = found?.outlier ? "✗ wrong" : found?.reason ? "? doubtful" : DEPTH_WORDS[found?.depth_state] ?? "";
     return [`${here}${click.scene} / ${click.frame}`, found?.error_mm?.toFixed(1) ?? "—", found?.error_px.toFixed(1) ?? "—", state];
   });
   return [head, looks(mine, go), table(["scene / frame", "mm", "px", ""], rows, (i) => go(mine[i]))];
+}
+
+// Distances from the picked keypoint to the others: one that can be measured on the object gives an error away.
+function distances(result) {
+  const from = result.points_m?.[app.keypoint];
+  if (!from || from[0] == null) return [];
+  const rows = result.points_m.map((to, k) => [k, to]).filter(([k, to]) => k !== app.keypoint && to && to[0] != null)
+    .map(([k, to]) => element("tr", {}, element("td", { textContent: `to ${keypointTitle(k)}` }),
+      element("td", { textContent: (1e3 * Math.hypot(...from.map((x, i) => x - to[i]))).toFixed(1) })));
+  if (!rows.length) return [];
+  const head = element("tr", {}, element("th", { textContent: "distance, measure one" }), element("th", { textContent: "mm" }));
+  return [element("table", { id: "distances" }, head, ...rows)];
 }
 
 // A table whose rows lead somewhere, by mouse and by keyboard.

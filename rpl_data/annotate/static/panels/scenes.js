@@ -7,7 +7,7 @@ import { element, refill } from "./dom.js";
 
 const list = document.getElementById("scenes");
 const WORDS = {
-  tied: ["good", "tied"], bad: ["bad", "bad click"], loose: ["warn", "loose"], few: ["warn", "too few"],
+  tied: ["good", "tied"], bad: ["bad", "wrong click"], doubt: ["warn", "doubtful"], loose: ["warn", "loose"], few: ["warn", "too few"],
 };
 
 export function setUp() {

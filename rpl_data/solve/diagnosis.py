@@ -1,0 +1,264 @@
+"""What the clicks say about one another, in words: which are wrong, which disagree, which nothing checks."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float64
+
+from rpl_data.solve.bundle_adjustment import State, points_in_cameras
+from rpl_data.solve.click_rays import Noise, Rays, misfit
+from rpl_data.solve.explanations import Explanation, Fault, Trial, find_faults, first_trial
+from rpl_data.solve.precision import next_clicks
+from rpl_data.solve.refit import HAND_SIGMA_PX
+from rpl_data.types import Click, NextClick, Observation, Statement, StatementKind
+
+WEAK_MM = 10.0
+"""A scene whose keypoints should be farther off than this is placed badly."""
+LEFT_OUT_SIGMAS = 6.0
+"""A click this far from its keypoint, in standard deviations, has no say in the answer."""
+MOST_NEXT = 40
+"""Further clicks that are kept; some of them may be hidden or skipped."""
+TOO_MANY = 1 / 3
+"""With more than this share of the keypoints of all scenes in doubt, none of the clicks can be trusted."""
+
+
+class Placed(NamedTuple):
+    """What the solver found, and how well it is known.
+
+    Attributes:
+        joint: covariance of all unknowns (`noise.joint_covariance`).
+        covariance_in_scene: of each keypoint's position in each scene, from the clicks alone, in m^2.
+        ties: lines about the scenes in which the object could stand elsewhere just as well, by scene.
+    """
+
+    scenes: Sequence[str]
+    rays: Rays
+    state: State
+    noise: Noise
+    joint: Float64[np.ndarray, "u u"]
+    covariance_in_scene: Mapping[str, Float64[np.ndarray, "k 3 3"]]
+    known: Bool[np.ndarray, " k"]
+    ties: Mapping[str, str]
+
+
+class Diagnosis(NamedTuple):
+    """What the clicks say about one another, and which further clicks would help (see `Solution`)."""
+
+    statements: tuple[Statement, ...]
+    next_clicks: tuple[NextClick, ...]
+
+
+def diagnose(
+    observations: Sequence[Observation],
+    keypoints: Sequence[str],
+    placed: Placed,
+    *,
+    hold_points: bool = False,
+) -> Diagnosis:
+    """Statements about clicks, the strongest contradiction first, and the clicks that would help most.
+
+    Args:
+        observations: in the order of `placed.rays`.
+        hold_points: the model is known; only scenes were placed.
+    """
+    clicks = [o.click for o in observations]
+    trial = first_trial(placed.rays, *placed.state, hold_points=hold_points)
+    faults, mended = find_faults(trial)
+    words = _Words(placed.scenes, keypoints, clicks, mended)
+    statements = [
+        Statement(_kind(fault), _clicks(fault, clicks), words.of(fault), round(fault.best.gain, 1))
+        for fault in faults
+    ]
+    contradictions = [*_everything(trial, faults, clicks), *statements]
+    contradictions += left_out(clicks, placed, contradictions, keypoints)
+    contradicted = {c.scene for s in contradictions if s.kind == "whole scene" for c in s.clicks}
+    helpful = next_clicks(
+        placed.rays,
+        placed.state,
+        placed.noise,
+        placed.joint,
+        np.stack([placed.covariance_in_scene[name] for name in placed.scenes]),
+        [o.click for o in observations],
+        np.flatnonzero(placed.known).tolist(),
+        most=MOST_NEXT,
+    )
+    weak = _weak(clicks, placed, contradicted, helpful, keypoints)
+    unchecked = () if hold_points else _unchecked(clicks, keypoints)
+    return Diagnosis((*contradictions, *weak, *unchecked), helpful)
+
+
+def left_out(
+    clicks: Sequence[Click], placed: Placed, said: Sequence[Statement], keypoints: Sequence[str]
+) -> Iterator[Statement]:
+    """Clicks that the answer does not follow although nothing shows that they are wrong."""
+    known = {click for statement in said for click in statement.clicks}
+    error_px = np.linalg.norm(
+        misfit(placed.rays, points_in_cameras(placed.rays, placed.state)).error_px, axis=1
+    )
+    far_px = LEFT_OUT_SIGMAS * max(placed.noise.click_px, HAND_SIGMA_PX)
+    for n in np.flatnonzero((error_px > far_px) & placed.known[placed.rays.keypoint]).tolist():
+        click, name = clicks[n], keypoints[clicks[n].keypoint]
+        if click in known:
+            continue
+        text = (
+            f"scene {click.scene}, frame {click.frame}: keypoint {name} was clicked {error_px[n]:.0f} px "
+            "away from where the solution has it, but nothing tells which click is wrong; look at it, or "
+            f"mark {name} in one more scene or frame"
+        )
+        yield Statement("disagree", (click,), text)
+
+
+def _weak(
+    clicks: Sequence[Click],
+    placed: Placed,
+    contradicted: Collection[str],
+    helpful: Sequence[NextClick],
+    keypoints: Sequence[str],
+) -> Iterator[Statement]:
+    """Scenes that their clicks place badly, such as three on a line; and what would help there."""
+    for scene in placed.scenes:
+        covariance = placed.covariance_in_scene[scene][placed.known]
+        mm = 1e3 * float(np.sqrt(np.trace(covariance, axis1=1, axis2=2).mean()))
+        own = tuple(click for click in clicks if click.scene == scene)
+        if scene in contradicted:
+            continue
+        if scene in placed.ties:
+            yield Statement("weak scene", own, placed.ties[scene], round(mm, 1))
+        elif mm > WEAK_MM:
+            yield Statement(
+                "weak scene", own, _placed_badly(scene, own, mm, helpful, keypoints), round(mm, 1)
+            )
+
+
+def _placed_badly(
+    scene: str, own: Sequence[Click], mm: float, helpful: Sequence[NextClick], keypoints: Sequence[str]
+) -> str:
+    best = next((n for n in helpful if n.scene == scene), None)
+    advice = (
+        "mark one more keypoint away from the line through these"
+        if best is None
+        else f"marking keypoint {keypoints[best.keypoint]} in frame {best.frame} should leave "
+        f"{best.left_mm:.0f} mm"
+    )
+    names = ", ".join(keypoints[k] for k in sorted({click.keypoint for click in own}))
+    return (
+        f"scene {scene}: its clicks (keypoints {names}) place the object badly, keypoints should be "
+        f"{mm:.0f} mm off there; {advice}"
+    )
+
+
+def _kind(fault: Fault) -> StatementKind:
+    return "disagree" if fault.rivals else fault.best.kind
+
+
+def _clicks(fault: Fault, clicks: Sequence[Click]) -> tuple[Click, ...]:
+    numbers = {n for explanation in (fault.best, *fault.rivals) for n in explanation.clicks}
+    return tuple(clicks[n] for n in sorted(numbers))
+
+
+def _everything(trial: Trial, faults: Sequence[Fault], clicks: Sequence[Click]) -> Iterator[Statement]:
+    """That so much is wrong that nothing can be trusted."""
+    placed = len(trial.placements())
+    doubted = {(f.best.scene, k) for f in faults for k in f.best.keypoints}
+    if len(doubted) > TOO_MANY * placed:
+        text = (
+            f"{len(doubted)} of {placed} marked keypoints contradict the others: no result can be trusted; "
+            "check that all scenes show the same object and that its keypoints are named alike in all of them"
+        )
+        yield Statement("everything", tuple(clicks), text, round(sum(f.best.gain for f in faults), 1))
+
+
+def _unchecked(clicks: Sequence[Click], keypoints: Sequence[str]) -> Iterator[Statement]:
+    """Keypoints marked once: a wrong click there would go unnoticed."""
+    for k, name in enumerate(keypoints):
+        own = [click for click in clicks if click.keypoint == k]
+        if len({(click.scene, click.frame) for click in own}) == 1:
+            text = (
+                f"keypoint {name} was clicked in one frame only (scene {own[0].scene}, frame "
+                f"{own[0].frame}): nothing checks it; mark it in another scene, or in another frame seen "
+                "from another side"
+            )
+            yield Statement("unchecked", tuple(own), text)
+
+
+class _Words:
+    """Faults as sentences, with the names and distances that they need."""
+
+    def __init__(
+        self, scenes: Sequence[str], keypoints: Sequence[str], clicks: Sequence[Click], mended: Trial
+    ) -> None:
+        self.scenes, self.keypoints, self.clicks, self.mended = scenes, keypoints, clicks, mended
+
+    def of(self, fault: Fault) -> str:
+        """One sentence: what, where, what to do."""
+        if fault.rivals:
+            return self._disagree(fault)
+        kind = fault.best.kind
+        if kind == "swapped":
+            return self._swapped(fault.best)
+        if kind == "wrong name":
+            return self._wrong_name(fault.best)
+        return self._whole_scene(fault.best) if kind == "whole scene" else self._wrong_place(fault.best)
+
+    def _swapped(self, best: Explanation) -> str:
+        a, b = (self.keypoints[k] for k in best.keypoints)
+        return (
+            f"scene {self.scenes[best.scene]}: keypoints {a} and {b} are swapped; "
+            "each was clicked where the other one is: exchange them"
+        )
+
+    def _wrong_name(self, best: Explanation) -> str:
+        own, meant = self.keypoints[best.keypoints[0]], self.keypoints[best.meant[0]]
+        return (
+            f"{self._where(best)}: keypoint {own} was clicked where keypoint {meant} is; move it to its place"
+        )
+
+    def _wrong_place(self, best: Explanation) -> str:
+        name = self.keypoints[best.keypoints[0]]
+        return (
+            f"{self._where(best)}: keypoint {name} was clicked {self._distance_px(best):.0f} px away from "
+            "where all other clicks put it; move it to its place"
+        )
+
+    def _whole_scene(self, best: Explanation) -> str:
+        return (
+            f"scene {self.scenes[best.scene]}: its {len(best.clicks)} clicks contradict those of the other "
+            "scenes as a whole; check that it shows the same object and that left and right are not "
+            "exchanged, then mark it again"
+        )
+
+    def _disagree(self, fault: Fault) -> str:
+        """That one of several is wrong; what to click to find out which."""
+        everyone = (fault.best, *fault.rivals)
+        names = sorted({k for e in everyone for k in e.keypoints})
+        scenes = sorted({e.scene for e in everyone})
+        if len(names) == 1:
+            where = " and ".join(f"scene {self.scenes[s]}" for s in scenes)
+            return (
+                f"keypoint {self.keypoints[names[0]]}: its clicks in {where} disagree by "
+                f"{self._distance_px(fault.best):.0f} px, and nothing tells which is wrong; mark it in a "
+                "third scene, or in one more frame of each"
+            )
+        listed = "; ".join(f"scene {self.scenes[s]}: {self._names(everyone, s)}" for s in scenes)
+        return (
+            f"one of these keypoints was clicked in the wrong place, by about "
+            f"{self._distance_px(fault.best):.0f} px, and nothing tells which ({listed}); look at them, and "
+            f"mark one more keypoint of scene {self.scenes[fault.best.scene]}"
+        )
+
+    def _names(self, everyone: Sequence[Explanation], scene: int) -> str:
+        """Keypoints of one scene."""
+        numbers = {k for e in everyone if e.scene == scene for k in e.keypoints}
+        return ", ".join(self.keypoints[k] for k in sorted(numbers))
+
+    def _where(self, best: Explanation) -> str:
+        frames = sorted({self.clicks[n].frame for n in best.clicks})
+        word = "frame" if len(frames) == 1 else "frames"
+        return f"scene {self.scenes[best.scene]}, {word} {', '.join(map(str, frames))}"
+
+    def _distance_px(self, best: Explanation) -> float:
+        """How far the clicks lie from their keypoints once all mistakes are undone."""
+        return float(np.median(self.mended.miss_px(np.array(best.clicks))))

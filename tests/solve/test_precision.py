@@ -1,0 +1,76 @@
+"""The expected error of a scene, and the further click that lowers it most."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from rpl_data.geometry import rays, rigid, transform
+from rpl_data.solve.solve import register_scene, solve
+from rpl_data.types import Click, Intrinsics, KeypointModel, Observation
+
+CAMERA = Intrinsics(600.0, 600.0, 320.0, 240.0, 640, 480)
+NAMES = tuple("abcdef")
+POINTS = np.array([[0, 0, 0], [50, 1, 0], [100, 0, 1], [20, 60, 0], [70, 50, 40], [10, 20, -40]]) / 1000
+
+
+def clicked(scene, scene_from_object, keypoints, random, noise_px=2.0):
+    """One click per keypoint in frame 0, seen by a camera at the scene's origin."""
+    in_camera = transform(scene_from_object, POINTS)
+    found = []
+    for k in keypoints:
+        u, v = in_camera[k, :2] / in_camera[k, 2] * 600 + [320, 240] + random.normal(0, noise_px, 2)
+        found.append(
+            Observation(
+                Click("it", k, scene, 0, u, v),
+                rays(CAMERA, np.array([[u, v]]))[0],
+                np.eye(4),
+                np.array([in_camera[k, 2] + random.normal(0, 0.006)]),
+                np.array([0.006]),
+                1 / 600,
+            )
+        )
+    return found
+
+
+def pose(random):
+    return rigid(Rotation.random(rng=random).as_matrix(), np.array([0, 0, 0.6]))
+
+
+def test_the_expected_error_is_the_error():
+    """Over many draws the error of a new scene's keypoints has the size that was expected."""
+    random = np.random.default_rng(1)
+    model = KeypointModel("it", NAMES, POINTS)
+    ratios = []
+    for _ in range(40):
+        at = pose(random)
+        found = register_scene(model, clicked("new", at, range(5), random))
+        errors = transform(found.scene_from_object, POINTS) - transform(at, POINTS)
+        variance = np.trace(found.covariance_in_scene, axis1=1, axis2=2).mean()
+        ratios.append((errors**2).sum(axis=1).mean() / variance)
+    assert np.sqrt(np.mean(ratios)) == pytest.approx(1, abs=0.25)
+
+
+def test_three_clicks_nearly_on_a_line_place_a_scene_badly_and_one_off_it_is_asked_for():
+    random = np.random.default_rng(2)
+    observations = [o for s in range(3) for o in clicked(f"0{s}", pose(random), range(6), random, 0.5)]
+    observations += clicked("03", pose(random), [0, 1, 2], random, 0.5)
+    solution = solve("it", NAMES, observations)
+    (weak,) = [s for s in solution.statements if s.kind == "weak scene"]
+    assert "scene 03: its clicks (keypoints a, b, c) place the object badly" in weak.text
+    assert solution.expected_mm["03"] > 30 > 10 > solution.expected_mm["00"]
+    best = solution.next_clicks[0]
+    assert best.scene == "03" and best.keypoint in (3, 4, 5)
+    assert f"marking keypoint {NAMES[best.keypoint]} in frame 0 should leave" in weak.text
+
+
+def test_a_further_click_brings_what_was_foretold():
+    random = np.random.default_rng(3)
+    poses = [pose(random) for _ in range(4)]
+    observations = [o for s in range(3) for o in clicked(f"0{s}", poses[s], range(6), random, 0.5)]
+    observations += clicked("03", poses[3], [0, 3, 4], random, 0.5)
+    before = solve("it", NAMES, observations)
+    best = next(n for n in before.next_clicks if n.scene == "03")
+    after = solve("it", NAMES, [*observations, *clicked("03", poses[3], [best.keypoint], random, 0.5)])
+    fell_mm = np.mean([before.expected_mm[s] - after.expected_mm[s] for s in before.expected_mm])
+    assert best.gain_mm == pytest.approx(fell_mm, rel=0.5)
+    assert after.expected_mm["03"] < before.expected_mm["03"]
