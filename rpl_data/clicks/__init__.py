@@ -1,1 +1,1 @@
-"""What a person marks: the log of clicks, their depth, rigid bodies and grasps; for page and solver."""
+"""Clicks: their log, lifting to rays with candidate depths (Eq. 1), the rigidity test, and grasp frames."""

@@ -1,4 +1,4 @@
-"""A grasp frame from two clicks in one frame: where to grasp, and toward where its x axis points.
+"""A grasp frame from two clicks in one frame: the grasp point, and a point that its x axis points to.
 
 The frame is right-handed: z is the outward normal of the surface at the first click, x lies in the
 surface and points toward the second click, y = z × x. (RapidPoseLabels leaves the sign of the normal
@@ -14,9 +14,9 @@ from rpl_data.geometry import Transform, back_project, rays, rigid
 from rpl_data.types import DataError, DepthImage, Intrinsics
 
 REACH_M = 0.012
-"""The surface is taken as a plane this far around the click."""
-FEWEST = 12
-"""Depth pixels that make a plane."""
+"""The surface within this distance of the click is taken as a plane."""
+FEWEST_PIXELS = 12
+"""Depth pixels that the plane needs at least."""
 
 Vector = Float64[np.ndarray, "3"]
 
@@ -27,7 +27,11 @@ def grasp_frame(
     uv_px: tuple[float, float],
     toward_px: tuple[float, float],
 ) -> Transform:
-    """`camera_from_grasp` of two clicks.
+    """Compute `camera_from_grasp` from two clicks.
+
+    Args:
+        uv_px: the click on the grasp point.
+        toward_px: the click that the x axis points to.
 
     Raises:
         DataError: there is no depth at the first click, or the second one gives no direction.
@@ -46,7 +50,7 @@ def grasp_frame(
 def _surface_around(
     intrinsics: Intrinsics, depth_m: DepthImage, uv_px: tuple[float, float]
 ) -> Float64[np.ndarray, "n 3"]:
-    """Points of the surface that the click is on, camera frame."""
+    """Points of the surface around the click, in the camera frame."""
     u, v = (round(x) for x in uv_px)
     core = depth_m[max(0, v - 2) : v + 3, max(0, u - 2) : u + 3]
     measured = core[core > 0]
@@ -61,16 +65,16 @@ def _surface_around(
     points = back_project(intrinsics, np.column_stack([uu, vv]).astype(float), z)
     middle = back_project(intrinsics, np.array([[u, v]], dtype=float), np.array([centre_m]))
     near: Float64[np.ndarray, "n 3"] = points[(z > 0) & (np.linalg.norm(points - middle, axis=1) < REACH_M)]
-    if len(near) < FEWEST:
+    if len(near) < FEWEST_PIXELS:
         raise DataError(
             f"only {len(near)} depth pixels lie on the surface where the grasp was clicked, "
-            f"{FEWEST} are needed; click farther from the edge, or in a nearer frame"
+            f"{FEWEST_PIXELS} are needed; click farther from the edge, or in a nearer frame"
         )
     return near
 
 
 def _outward_normal(points: Float64[np.ndarray, "n 3"]) -> Vector:
-    """The direction in which the points spread least, toward the camera: its side of a surface is outside."""
+    """The direction in which the points spread least, pointing to the side of the camera."""
     centred = points - points.mean(axis=0)
     normal: Vector = np.linalg.svd(centred, full_matrices=False)[2][2]
     return -normal if normal @ points.mean(axis=0) > 0 else normal

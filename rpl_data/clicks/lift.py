@@ -1,8 +1,8 @@
 """Clicks lifted to space (paper section III-B, Eq. 1), without trusting the depth at the pixel.
 
 Keypoints sit on corners and edges, where a depth sensor bleeds: up to a third of the clicks land on
-the background or on a hole. So a click keeps every surface the sensor saw around it, nearest first;
-the solve decides between them.
+the background or on a hole. So a click keeps every surface that the sensor saw around it as a candidate,
+nearest first, and the solve chooses between them.
 """
 
 from __future__ import annotations
@@ -17,21 +17,22 @@ from rpl_data.geometry import depth_sigma_m, rays
 from rpl_data.types import Click, DataError, DepthImage, Intrinsics, Observation, ReadDepth, Scene, Trajectory
 
 RADIUS_PX = 14.0
-"""A D435 loses 5-10 px at depth edges, and a hand is off by 2-3 px."""
+"""Surfaces are searched within this distance of a click: a D435 loses 5-10 px at depth edges, and a person
+clicks 2-3 px off."""
 NEAR_PX = 5.0
-"""Pixels at this distance count half as much as those at the click."""
+"""Pixels at this distance from the click weigh half as much as those at the click."""
 NEAREST_DEPTH_M = 0.05
-"""Nothing is nearer to a camera than this."""
+"""Smallest depth that a surface can have."""
 LIFT_SIGMA_M = 0.002
 """A plane through the pixels around a keypoint misses the keypoint by about this much, beyond the noise of
 the sensor: edges are round, and a corner has more than one face."""
 EDGE_SIGMA_M = 0.005
-"""Where the surface fills at most half of the neighbourhood, the rest being other surfaces or holes, there
-is an edge of the object, and a sensor blurs what is on both sides of it by about this much."""
+"""Where the surface fills at most half of the neighbourhood (the rest being other surfaces or holes), an edge
+of the object is near, and the sensor blurs the depth on both sides of it by about this much."""
 SLOPE_SIGMA_PX = 2.2
-"""On a surface seen at a grazing angle, the depth is off by as much as it changes over this many pixels."""
+"""On a surface seen at a grazing angle, the depth error equals the change of depth over this many pixels."""
 STEEPEST = 4.0
-"""Tangent of the angle between line of sight and normal beyond which a fitted slope is not believed."""
+"""Tangent of the angle between line of sight and normal to which a steeper fitted slope is limited."""
 
 
 def lift_clicks(
@@ -40,12 +41,13 @@ def lift_clicks(
     trajectories: Mapping[str, Trajectory],
     depth_reader: Callable[[Scene], ReadDepth],
 ) -> list[Observation]:
-    """Lift clicks, in their order; every clicked depth image is read once, and only one is kept.
+    """Lift clicks to observations, in the same order.
 
-    A click in a frame without a depth image is a ray without candidates.
+    Every clicked depth image is read once, and only one is in memory at a time. A click in a frame without a
+    depth image becomes a ray without candidates.
 
     Args:
-        depth_reader: gives what reads the depth images of a scene.
+        depth_reader: returns, for a scene, the function that reads its depth images.
 
     Raises:
         DataError: a click names an unknown scene or frame, a frame without a pose, or lies outside the
@@ -74,7 +76,7 @@ def lift_clicks(
 
 
 def _pose(click: Click, trajectory: Trajectory) -> Float64[np.ndarray, "4 4"]:
-    """`scene_from_camera` of the clicked frame; the DataError says whose click has none."""
+    """`scene_from_camera` of the clicked frame; DataError naming the click when the frame has no pose."""
     try:
         return trajectory.at(click.frame)
     except DataError as error:
@@ -86,7 +88,7 @@ def _pose(click: Click, trajectory: Trajectory) -> Float64[np.ndarray, "4 4"]:
 def lift(
     click: Click, intrinsics: Intrinsics, scene_from_camera: Float64[np.ndarray, "4 4"], depth_m: DepthImage
 ) -> Observation:
-    """One click as a ray with candidate surfaces.
+    """Lift one click to a ray with candidate surfaces.
 
     Raises:
         DataError: the click lies outside the image.
@@ -126,7 +128,7 @@ class Candidates(NamedTuple):
 
 
 class _Piece(NamedTuple):
-    """Measured pixels of one surface: depth, and where they are relative to the click."""
+    """Measured pixels of one surface: their depth, and their position relative to the click."""
 
     depth_m: np.ndarray
     du_px: np.ndarray
@@ -136,16 +138,16 @@ class _Piece(NamedTuple):
 def candidate_depths_m(
     depth_m: DepthImage, u_px: float, v_px: float, *, pixel_rad: float
 ) -> tuple[Float64[np.ndarray, " candidates"], Float64[np.ndarray, " candidates"]]:
-    """Depths of the surfaces within `RADIUS_PX` of a position, nearest first, and their deviations."""
+    """Depths of the surfaces within `RADIUS_PX` of a pixel, nearest first, and their standard deviations."""
     found = candidate_surfaces(depth_m, u_px, v_px, pixel_rad=pixel_rad)
     return found.depths_m, found.sigmas_m
 
 
 def candidate_surfaces(depth_m: DepthImage, u_px: float, v_px: float, *, pixel_rad: float) -> Candidates:
-    """The surfaces within `RADIUS_PX` of a position.
+    """Find the surfaces within `RADIUS_PX` of a pixel.
 
-    The depths of the neighbourhood are sorted and cut where they jump by more than a sensor's noise;
-    each piece is continued to the click as a plane.
+    The depths of the neighbourhood are sorted and split where they jump by more than the sensor's noise; a
+    plane is fitted to each piece and extrapolated to the click.
     """
     pieces = _surfaces(depth_m, u_px, v_px)
     planes = np.array([_plane_at_click(piece) for piece in pieces], dtype=float).reshape(-1, 3)
@@ -168,7 +170,7 @@ def candidate_surfaces(depth_m: DepthImage, u_px: float, v_px: float, *, pixel_r
 
 
 def _surfaces(depth_m: DepthImage, u_px: float, v_px: float) -> list[_Piece]:
-    """Measured pixels within the radius, cut into surfaces where the depth jumps."""
+    """Measured pixels within the radius, split into surfaces where the depth jumps."""
     height, width = depth_m.shape
     left, right = max(0, int(np.ceil(u_px - RADIUS_PX))), min(width, int(u_px + RADIUS_PX) + 1)
     top, bottom = max(0, int(np.ceil(v_px - RADIUS_PX))), min(height, int(v_px + RADIUS_PX) + 1)
@@ -186,8 +188,8 @@ def _surfaces(depth_m: DepthImage, u_px: float, v_px: float) -> list[_Piece]:
 def _plane_at_click(piece: _Piece) -> tuple[float, float, float]:
     """Depth of the piece's plane at the click and its derivatives per pixel, in metres.
 
-    A robust fit that prefers near pixels. The inverse depth of a plane is linear in the pixel. The small
-    ridge on the slope keeps a thin piece from being continued wildly.
+    A robust fit of the inverse depth, which is linear in the pixel for a plane; pixels near the click weigh
+    more. The small ridge on the slope keeps the plane of a thin piece from tilting wildly.
     """
     columns = np.column_stack([np.ones_like(piece.du_px), piece.du_px, piece.dv_px])
     near = np.exp2(-((piece.du_px**2 + piece.dv_px**2) / NEAR_PX**2))

@@ -1,17 +1,18 @@
-"""The append-only log of what a person did to an object's keypoints; the state is its replay.
+"""The append-only log of what a person did to an object's keypoints; replaying it gives the state.
 
-A line of `clicks.jsonl` is one event:
+Each line of `clicks.jsonl` is one event:
 
-- `click` sets (and `move` moves) the mark of a keypoint in a frame, `delete` takes it away;
-- `skip` says that a keypoint is not visible in a scene, `unskip` takes that back, and so does a click;
-- `keypoints` names the keypoints; clicks on those beyond a shorter list are gone;
-- `order` puts keypoints in another order, or leaves some out, and their clicks follow them;
-- `model` gives the keypoints known positions (`points` null: they are to be found again);
+- `click` sets (and `move` moves) the click on a keypoint in a frame, `delete` removes it;
+- `skip` says that a keypoint is not visible in a scene, `unskip` or a click takes that back;
+- `keypoints` names the keypoints; if the list became shorter, clicks on the keypoints that were cut off are
+  dropped;
+- `order` reorders the keypoints or drops some; clicks stay with their keypoint;
+- `model` gives the keypoints known positions (`points` null: they are computed from the clicks again);
 - `grasp` marks where and in which direction to grasp, `crop` cuts the dense model to a box;
-- `batch` is several events that are undone as one;
-- `undo` and `redo` walk along the other events.
+- `batch` holds several events that are undone as one;
+- `undo` takes back the latest of the other events, `redo` restores it.
 
-Events may carry keys that the replay does not need (`id`, `time_s`).
+Events may carry keys that the replay ignores (`id`, `time_s`).
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ OPS = ("click", "move", "delete", "skip", "unskip", "keypoints", "order", "model
 
 @dataclass(frozen=True)
 class GraspClicks:
-    """Two clicks in a frame: where to grasp, and a place toward which the grasp's x axis points."""
+    """Two clicks in one frame: the grasp point, and a point that the grasp's x axis points to."""
 
     scene: str
     frame: int
@@ -46,13 +47,13 @@ class GraspClicks:
 
 @dataclass(frozen=True)
 class Annotation:
-    """The state of an object's log: its keypoints and at most one click a keypoint and frame.
+    """The state of an object's log: its keypoints, with at most one click per keypoint and frame.
 
     Attributes:
         skipped: pairs (keypoint, scene) that a person declared not visible.
-        known_points: positions of the keypoints where they were given, any frame, metres; None where
-            one was not. None as a whole: the positions are found from the clicks.
-        crop_m: lowest and highest corner of the box the dense model is cut to, object frame.
+        known_points: given positions of the keypoints, in any frame, metres; None for a keypoint without
+            one. None as a whole: the positions are computed from the clicks.
+        crop_m: lowest and highest corner of the box that the dense model is cut to, in the object frame.
     """
 
     object: str
@@ -65,7 +66,7 @@ class Annotation:
 
 
 def replay(object_name: str, events: Iterable[Event]) -> Annotation:
-    """The state after all events.
+    """Replay the events and return the state after the last one.
 
     Raises:
         DataError: an event that cannot be understood, with its number.
@@ -90,7 +91,7 @@ def replay(object_name: str, events: Iterable[Event]) -> Annotation:
 
 
 def effective(object_name: str, events: Iterable[Event]) -> tuple[list[Event], list[Event]]:
-    """The events that undo and redo leave standing, and those that a redo would bring back, next last.
+    """Split the events into those in force after undo and redo, and those that redo would restore, next last.
 
     Raises:
         DataError: an unknown event, with its number.
@@ -116,7 +117,7 @@ def effective(object_name: str, events: Iterable[Event]) -> tuple[list[Event], l
 
 @dataclass
 class _State:
-    """What a replay has come to."""
+    """The state of the log after the events replayed so far."""
 
     object: str
     keypoints: tuple[str, ...] = ()
@@ -160,7 +161,7 @@ class _State:
                 raise DataError(f"clicks of {self.object}: unknown op {op!r} in a batch")
 
     def _renumber(self, new_of: dict[int, int], names: tuple[str, ...]) -> None:
-        """Give keypoints other numbers; what belongs to those left out is gone."""
+        """Renumber the keypoints, and drop the clicks, skips and positions of those left out."""
         kept = [c for c in self.marks.values() if c.keypoint in new_of]
         moved = [Click(c.object, new_of[c.keypoint], c.scene, c.frame, c.u_px, c.v_px) for c in kept]
         self.marks = {(c.keypoint, c.scene, c.frame): c for c in moved}
@@ -196,7 +197,7 @@ def keypoints_event(names: Sequence[str]) -> Event:
 
 
 def events_to(annotation: Annotation, keypoints: Sequence[str], clicks: Iterable[Click]) -> list[Event]:
-    """The events after which the log says exactly these keypoints and clicks; none when it does already.
+    """The events that bring the log to exactly these keypoints and clicks; empty when it already has them.
 
     A later click on the same keypoint in the same frame replaces an earlier one.
     """
@@ -226,12 +227,12 @@ def objects_in_csv(text: str, *, source: str) -> list[str]:
 
 
 def clicks_from_csv(text: str, *, source: str, object_name: str, keypoints: Sequence[str]) -> list[Click]:
-    """Clicks of one object from CSV text; a keypoint is given by name, or by number from 0.
+    """Read the clicks of one object from CSV text; keypoints are given by name, or by number from 0.
 
     Raises:
-        DataError: a missing column, a line with more or fewer values than columns, an unknown keypoint, a
-            number that is none or not finite, two different clicks on a keypoint in one frame, or no line
-            for this object; the message names the line.
+        DataError: a column is missing, a line has more or fewer values than columns, a keypoint is unknown,
+            a value is not a finite number, two different clicks are on one keypoint in one frame, or no line
+            is about this object; the message names the line.
     """
     numbers = {str(i): i for i in range(len(keypoints))} | {name: i for i, name in enumerate(keypoints)}
     clicks, others = [], set()

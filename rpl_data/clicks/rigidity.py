@@ -1,9 +1,11 @@
-"""Whether the clicks tie all scenes together (paper, "Selection of Keypoints").
+"""Test whether the clicks tie all scenes together rigidly (paper, "Selection of Keypoints").
 
-Three shared, non-collinear keypoints tie a pair of scenes, but fewer can do when the graph as a
-whole is rigid. So the whole graph is tested: small motions (w_s, v_s) of the scenes and d_k of the
-keypoints that leave every click as it is, ``w_s x q_k + v_s = d_k``, may be nothing but one motion
-of all together.
+Three shared, non-collinear keypoints tie a pair of scenes, but fewer can do when the graph of scenes and
+keypoints as a whole is rigid. So the whole graph is searched for free motions. A free motion turns and shifts
+each scene a little (w_s, v_s), displaces the keypoints (d_k), and yet changes no click:
+``w_s x q_k + v_s = d_k`` for every click. All scenes moving together as one is always free; when nothing else
+is, the graph is rigid. A scene is loose when some free motion moves it relative to the largest group of
+scenes that no free motion moves apart.
 """
 
 from __future__ import annotations
@@ -14,15 +16,16 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 LEVER = 0.02
-"""A motion that moves the clicks by less than this share of itself is free: with clicks good to
-2 mm on an object of 10 cm, no turn about a line can be told when all points lie that near to it."""
+"""A motion counts as free when it moves the clicks by less than this share of its own size. Clicks are good
+to 2 mm on an object of 10 cm, so a rotation about a line cannot be observed when all keypoints lie that near
+to it."""
 
 
 def loose_scenes(points_model: Float64[np.ndarray, "k 3"], clicked: Bool[np.ndarray, "s k"]) -> list[int]:
-    """Scenes that can move against the largest group of tied scenes.
+    """Find the loose scenes: those that a free motion moves relative to the largest group of tied scenes.
 
     Args:
-        points_model: keypoints, any frame and scale; rows of keypoints never clicked are not used.
+        points_model: keypoints, in any frame and scale; rows of keypoints never clicked are ignored.
         clicked: which scene saw which keypoint.
     """
     scenes = len(clicked)
@@ -36,12 +39,12 @@ def loose_scenes(points_model: Float64[np.ndarray, "k 3"], clicked: Bool[np.ndar
 
 
 def generic_points(keypoints: int) -> Float64[np.ndarray, "k 3"]:
-    """Points in general position, to ask whether the pattern of clicks alone can tie the scenes."""
+    """Points in general position, to test whether the pattern of clicks can tie the scenes at all."""
     return np.random.default_rng(0).uniform(-1, 1, (keypoints, 3))
 
 
 def _constraints(points: np.ndarray, clicked: np.ndarray) -> np.ndarray:
-    """Rows of ``w_s x q_k + v_s - d_k = 0`` for every click."""
+    """The three equations ``w_s x q_k + v_s - d_k = 0`` of every click, as rows of a matrix."""
     scenes, keypoints = clicked.shape
     rows = np.zeros((int(clicked.sum()), 3, 6 * scenes + 3 * keypoints))
     for row, (s, k) in zip(rows, np.argwhere(clicked), strict=True):
@@ -53,7 +56,7 @@ def _constraints(points: np.ndarray, clicked: np.ndarray) -> np.ndarray:
 
 
 def _outside_largest_group(free: Float64[np.ndarray, "n s 6"]) -> list[int]:
-    """Scenes that do not move as one with most others, in every free motion."""
+    """Scenes outside the largest group whose members move as one in every free motion."""
     scenes = free.shape[1]
     together = np.array(
         [
@@ -68,7 +71,7 @@ def _outside_largest_group(free: Float64[np.ndarray, "n s 6"]) -> list[int]:
 def describe_loose(
     loose: Sequence[int], clicked: Bool[np.ndarray, "s k"], scenes: Sequence[str], keypoints: Sequence[str]
 ) -> str:
-    """What ties each loose scene to the rest, and what to click."""
+    """Say, for each loose scene, which keypoints it shares with the rest and what to click."""
     lines = []
     for s in loose:
         rest = [r for r in range(len(scenes)) if r != s]

@@ -1,1 +1,1 @@
-"""Surfaces of the scenes -> the dense model of an object (paper III-D)."""
+"""Segmentation of an object from the surfaces of its scenes: the dense model (paper III-D)."""

@@ -1,4 +1,4 @@
-"""Points of an object seen from some sides to a closed mesh that has the object's outline."""
+"""Close the surface of an object seen from some sides to a watertight mesh with the object's outline."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ class ClosedMesh:
     """A surface around the whole object.
 
     Attributes:
-        seen: whether a triangle lies on surface that some scene saw; the others close unseen sides.
-        open_edges: edges without exactly two triangles; 0 = the mesh is watertight. It may touch or cross
-            itself where it was pressed onto the convex hull.
+        seen: for each triangle, whether it lies on surface that a scene saw; the others close unseen sides.
+        open_edges: edges without exactly two triangles; 0 = the mesh is watertight. The mesh may touch
+            or cross itself where it was projected onto the convex hull.
     """
 
     mesh: Mesh
@@ -34,16 +34,16 @@ class ClosedMesh:
 def closed_mesh(
     cloud: PointCloud, anchors: Points, *, voxel_m: float, views: Sequence[DepthView] = ()
 ) -> ClosedMesh:
-    """A mesh through the cloud; sides nobody saw are closed as far out as the evidence allows.
+    """Fit a mesh to the cloud, and close unseen sides as far out as the depth images allow.
 
     Where no surface was seen (the bottom, a side no camera went to), the object may fill all space within
     the convex hull of the cloud and the anchors that no depth image saw through. The border of that space is
-    added as points, so that Poisson reconstruction has no hole to bulge out of; the result is then pressed
-    into the hull.
+    added as points, so that Poisson reconstruction has no hole to bulge out of; vertices outside the hull
+    are then moved onto it.
 
     Args:
-        anchors: points known to be on the object but not in the cloud: keypoints on corners, the points
-            where the object touches what it stands on.
+        anchors: points on the object that the cloud lacks: keypoints on corners, and the points where the
+            object touches its support.
         views: depth images; without them unseen sides are closed by the convex hull.
 
     Returns:
@@ -80,7 +80,7 @@ def _seen(mesh: Mesh, cloud: PointCloud, voxel_m: float) -> Bool[np.ndarray, " m
 
 
 def _away_from(border: PointCloud, cloud: PointCloud, voxel_m: float) -> PointCloud:
-    """The border where no surface was seen: neither near it, nor below it."""
+    """The points of the border that are neither near the seen surface nor in front of it."""
     distance, nearest = cKDTree(cloud.points).query(border.points)
     offset = border.points - cloud.points[nearest]
     floating = (offset * cloud.normals[nearest]).sum(axis=1) > 0.5 * distance
@@ -88,7 +88,7 @@ def _away_from(border: PointCloud, cloud: PointCloud, voxel_m: float) -> PointCl
 
 
 def _poisson(cloud: PointCloud, voxel_m: float) -> Mesh:
-    """Screened Poisson reconstruction (Kazhdan and Hoppe, TOG 2013), its largest piece."""
+    """The largest piece of a screened Poisson reconstruction (Kazhdan and Hoppe, TOG 2013)."""
     import open3d as o3d
 
     legacy = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(cloud.points))
@@ -106,7 +106,7 @@ def _poisson(cloud: PointCloud, voxel_m: float) -> Mesh:
 
 
 def _clamped(points: Points, hull: Any, *, passes: int = 30) -> Points:
-    """Points outside the convex hull moved onto it (projection onto its facets in turn)."""
+    """Move points outside the convex hull onto it, by repeated projection onto the most violated facet."""
     moved = points.copy()
     for _ in range(passes):
         excess: Float64[np.ndarray, "n f"] = moved @ hull.equations[:, :3].T + hull.equations[:, 3]

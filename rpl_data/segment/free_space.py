@@ -1,7 +1,7 @@
-"""Space that the camera saw through: where a depth image measures something behind, there is nothing.
+"""Free space: a point is empty where depth images measured a surface behind it.
 
-The surfaces of the scenes say where the object is; depth images also say where it is not. That decides what
-to make of the sides that no camera saw.
+The surfaces of the scenes say where the object is; depth images also say where it is not. That limits how far
+the sides that no camera saw can reach.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from rpl_data.geometry import NEAREST_M, Points, Transform, invert, project, tra
 from rpl_data.types import DepthImage, Intrinsics, Mesh, PointCloud
 
 CELL_M = 0.005
-"""Edge of the cells in which unseen space is divided into free and possibly filled."""
+"""Edge of the cells that are each called free or possibly filled."""
 MARGIN_M = 0.008
-"""A depth image sees through a point when it measures something this much behind it."""
+"""A depth image sees through a point when it measures a surface at least this far behind it."""
 WITNESSES = 2
-"""One depth image may be wrong; two that see through a place make it free."""
+"""Depth images that must see through a point to make it free: a single one may be wrong."""
 
 
 @dataclass(frozen=True)
 class DepthView:
-    """A depth image and where the object stood in front of it.
+    """A depth image, and the pose of the object relative to its camera.
 
     Attributes:
-        scene: which scene it is of.
-        depth_m: 0 = not measured, which says nothing.
+        scene: name of the scene.
+        depth_m: 0 = not measured, which is no evidence.
     """
 
     scene: str
@@ -41,7 +41,7 @@ class DepthView:
 
 
 def witnesses(points: Points, views: Sequence[DepthView], *, margin_m: float) -> Int64[np.ndarray, " n"]:
-    """How many views see through each point.
+    """Count, for each point, the views that see through it.
 
     Args:
         points: object frame.
@@ -60,13 +60,13 @@ def witnesses(points: Points, views: Sequence[DepthView], *, margin_m: float) ->
 
 
 def _farthest_certain(depth_m: DepthImage) -> DepthImage:
-    """The nearest depth within a pixel of each pixel; 0 beside pixels without depth, where edges smear."""
+    """The nearest depth within a pixel of each; 0 beside pixels without depth, where sensors smear edges."""
     nearest: DepthImage = cv2.erode(depth_m, np.ones((3, 3), np.uint8))
     return nearest
 
 
 def free_share(mesh: Mesh, views: Sequence[DepthView]) -> float:
-    """Share of a mesh's area that lies in space the camera saw through: false area."""
+    """Share of a mesh's area that lies in free space, where the object cannot be."""
     corners = mesh.vertices[mesh.triangles]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     free = witnesses(corners.mean(axis=1), views, margin_m=MARGIN_M) >= WITNESSES
@@ -76,12 +76,12 @@ def free_share(mesh: Mesh, views: Sequence[DepthView]) -> float:
 def unseen_border(
     facets: Float64[np.ndarray, "f 4"], points: Points, views: Sequence[DepthView]
 ) -> PointCloud:
-    """The border of all space that the object can fill: within its convex hull, and not seen through.
+    """The border of the space that the object can fill: inside its convex hull, and not free.
 
     Args:
         facets: of the convex hull; ``normal @ p + offset <= 0`` inside.
-        points: corners of the hull, which bound the space.
-        views: none = the hull itself, at the resolution of the cells.
+        points: corners of the hull.
+        views: empty = the border of the hull itself, at the resolution of the cells.
 
     Returns:
         Points with normals that point out of that space, about `CELL_M` apart.
@@ -95,7 +95,7 @@ def unseen_border(
 
 
 def _border(filled: Bool[np.ndarray, "x y z"], low: Float64[np.ndarray, "3"]) -> PointCloud:
-    """Where a smoothed filling falls to one half, at the outermost filled cells."""
+    """The outermost filled cells, each shifted to where the smoothed filling falls to one half."""
     smooth = ndimage.gaussian_filter(filled.astype(float), 1.0)
     edge = filled & ~ndimage.binary_erosion(filled)
     slope = np.stack(np.gradient(smooth), axis=-1)[edge]
@@ -114,5 +114,5 @@ def view_of(
     scene_from_object: Transform,
     depth_m: DepthImage,
 ) -> DepthView:
-    """A frame of a scene as a view of the object."""
+    """Make the view of an object from a frame's depth image, its camera pose and the object's pose."""
     return DepthView(scene, intrinsics, invert(scene_from_camera) @ scene_from_object, depth_m)

@@ -1,6 +1,6 @@
-"""What region growing on surfaces is made of: oriented points, planes, regions, which side is seen.
+"""Planes, connected regions and visibility tests on oriented points, for region growing.
 
-Everything here works on points with unit normals that point out of the surface, in one frame.
+All points are in one frame and have unit normals that point out of the surface.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from rpl_data.types import PointCloud
 
 @dataclass(frozen=True)
 class Plane:
-    """Points p with ``normal @ p == offset_m``; the normal points to the side that was seen."""
+    """The points p with ``normal @ p == offset_m``; the normal points to the side that was seen."""
 
     normal: Float64[np.ndarray, "3"]
     offset_m: float
@@ -34,13 +34,13 @@ class Plane:
 def smooth_or_convex_pairs(
     cloud: PointCloud, *, radius_m: float, max_concave_rad: float
 ) -> Int64[np.ndarray, "m 2"]:
-    """Neighbour pairs a region may grow across.
+    """Find the pairs of neighbouring points that a region may grow across: smooth or convex ones.
 
-    An object's own edges are mostly convex, its contact with what it stands on is concave (LCCP,
-    Stein et al., CVPR 2014). Two oriented points are joined over a concave edge when the nearer
-    one along its normal sees the other in front of it: ``(n_a - n_b) @ (p_a - p_b) < 0``.
+    An object's own edges are mostly convex, while its contact with the support is concave (LCCP, Stein et
+    al., CVPR 2014). An edge between two oriented points is convex where ``(n_a - n_b) @ (p_a - p_b) > 0``.
 
     Args:
+        radius_m: largest distance between neighbours.
         max_concave_rad: angle between the normals up to which a concave pair counts as smooth.
     """
     pairs = cKDTree(cloud.points).query_pairs(radius_m, output_type="ndarray")
@@ -53,7 +53,7 @@ def smooth_or_convex_pairs(
 
 
 def components(count: int, pairs: Int64[np.ndarray, "m 2"]) -> Int64[np.ndarray, " n"]:
-    """Number of the connected component of each of `count` points."""
+    """The number of the connected component that each of `count` points belongs to."""
     graph = coo_matrix((np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
     labels: Int64[np.ndarray, " n"] = connected_components(graph, directed=False)[1].astype(np.int64)
     return labels
@@ -70,15 +70,16 @@ def planes_below(
     hypotheses: int = 600,
     seed: int = 0,
 ) -> list[Plane]:
-    """Planes the object stands on or before: large, and all keypoints on their seen side.
+    """Find the planes that the object stands on or in front of: large, with all keypoints on their seen side.
 
-    An object's own flat faces never qualify: its other keypoints lie behind them. Neither does the
-    floor of a bowl: a plane must reach beyond the keypoints.
+    An object's own flat faces never qualify, since its other keypoints lie behind them. Neither does the
+    floor of a bowl, since a plane must reach beyond the keypoints.
 
     Args:
         tolerance_m: distance from the plane up to which a point lies on it.
         keypoint_tolerance_m: how far a keypoint may lie behind it.
-        min_share: least share of the points.
+        min_share: smallest share of the points that must lie on a plane.
+        hypotheses: planes tried per search.
     """
     generator = np.random.default_rng(seed)
     centre = keypoints.mean(axis=0)
@@ -94,7 +95,7 @@ def planes_below(
         if on.sum() < least:
             break
         if np.median(np.linalg.norm(rest.points[on] - centre, axis=1)) > reach_m:
-            planes.append(_refined(best, rest.points[on]))
+            planes.append(_least_squares_plane(best, rest.points[on]))
         rest = select(rest, ~on)
     return planes
 
@@ -107,13 +108,11 @@ def _best_plane(
     hypotheses: int,
     generator: np.random.Generator,
 ) -> Plane | None:
-    """RANSAC over triples of points, only planes with all keypoints on their seen side."""
+    """The plane with most points (RANSAC over triples) among those with all keypoints on one side of it."""
     triples = cloud.points[generator.integers(0, len(cloud.points), (hypotheses, 3))]
-    seen_side = cloud.normals[generator.integers(0, len(cloud.points), hypotheses)]
     normals = np.cross(triples[:, 1] - triples[:, 0], triples[:, 2] - triples[:, 0])
     length = np.linalg.norm(normals, axis=1)
     normals = normals[length > 1e-6] / length[length > 1e-6, None]
-    del seen_side
     offsets = (normals * triples[length > 1e-6, 0]).sum(axis=1)
     heights = keypoints @ normals.T - offsets  # k x h
     sign = np.where(heights.mean(axis=0) >= 0, 1.0, -1.0)
@@ -134,8 +133,8 @@ def _on_plane(plane: Plane, cloud: PointCloud, tolerance_m: float) -> Bool[np.nd
     return on
 
 
-def _refined(plane: Plane, points: Points) -> Plane:
-    """Least-squares plane of the points, facing as before."""
+def _least_squares_plane(plane: Plane, points: Points) -> Plane:
+    """Fit a plane to the points, with its normal on the same side as that of `plane`."""
     centre = points.mean(axis=0)
     normal = np.linalg.svd(points - centre, full_matrices=False)[2][2]
     normal = normal * np.sign(normal @ plane.normal)
@@ -145,29 +144,30 @@ def _refined(plane: Plane, points: Points) -> Plane:
 def beyond_footprint_m(
     plane: Plane, shape: Points, points: Float64[np.ndarray, "m 3"]
 ) -> Float64[np.ndarray, " m"]:
-    """How far points lie outside the convex footprint of a shape on a plane; negative inside."""
+    """Distance of points from the convex footprint of a shape on a plane; negative inside it."""
     axes = np.linalg.svd(plane.normal[None])[2][1:]
     corners = shape @ axes.T
     if len(corners) < 3 or np.linalg.svd(corners - corners.mean(axis=0), compute_uv=False)[1] < 1e-6:
-        return np.full(len(points), -np.inf)  # no area to compare with: nothing is known to be outside
+        return np.full(len(points), -np.inf)  # without an area, no point can be called outside
     edges = ConvexHull(corners).equations
     beyond: Float64[np.ndarray, " n"] = (points @ axes.T @ edges[:, :2].T + edges[:, 2]).max(axis=1)
     return beyond
 
 
 def height_above(
-    surface: PointCloud, tree: cKDTree, points: Points, *, max_tilt: float = 0.7
+    surface: PointCloud, tree: cKDTree, points: Points, *, least_cosine: float = 0.7
 ) -> Float64[np.ndarray, " n"]:
-    """How far points float before the surface; 0 or less behind it, NaN beside its border.
+    """Height of points in front of the surface; 0 or less behind it, NaN beside its border.
 
-    From the nearest surface point: a point straight along its normal is in space the camera saw
-    through; one that lies sideways of it is beyond where the surface was seen, so nothing is known.
+    The height is measured along the normal of the nearest surface point. A point straight above the surface
+    is in space that the camera saw through; one beside its border is where nothing was seen.
 
     Args:
-        max_tilt: cosine of the angle to the normal from which a point is 'straight above'.
+        tree: of the points of the surface.
+        least_cosine: of the angle to the normal, at which a point still counts as straight above.
     """
     distance, nearest = tree.query(points)
     along: Float64[np.ndarray, " n"] = ((points - surface.points[nearest]) * surface.normals[nearest]).sum(
         axis=1
     )
-    return np.where(np.abs(along) >= max_tilt * distance - 1e-9, along, np.nan)
+    return np.where(np.abs(along) >= least_cosine * distance - 1e-9, along, np.nan)

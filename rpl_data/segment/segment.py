@@ -1,4 +1,4 @@
-"""From the scenes' surfaces and the sparse model to the dense model of the object (paper III-D)."""
+"""Segment the object from the scenes' surfaces by its keypoints: the dense model (paper III-D)."""
 
 from __future__ import annotations
 
@@ -32,12 +32,13 @@ class DenseModel:
     """The object's surface in the object frame.
 
     Attributes:
-        mesh: closed, for masks. cloud: only what was seen.
-        seen: whether each triangle lies on surface that was seen; the others close unseen sides.
+        mesh: closed triangles, from which masks are rendered.
+        cloud: points of the surface that was seen.
+        seen: for each triangle, whether it lies on surface that was seen; the others close unseen sides.
         open_edges: edges without exactly two triangles; 0 = the mesh is watertight.
-        free_share: share of the mesh's area in space that depth images saw through, which is false; NaN
-            where no depth image was given.
-        warnings: lines for a person.
+        free_share: share of the mesh's area in space that depth images saw through, where the object cannot
+            be; NaN without depth images.
+        warnings: lines for the user.
     """
 
     mesh: Mesh
@@ -49,12 +50,18 @@ class DenseModel:
 
 
 @dataclass(frozen=True)
-class _View:
-    """One scene's surface in the object frame, cut to the surroundings of the object."""
+class _Surroundings:
+    """One scene's surface around the object, in the object frame.
+
+    Attributes:
+        surface: all points near the object.
+        planes: what the object stands on or in front of.
+        above: the points that are not on those planes.
+    """
 
     surface: PointCloud
     planes: list[Plane]
-    above: PointCloud  # without what the object stands on
+    above: PointCloud
 
 
 def segment_object(
@@ -65,25 +72,25 @@ def segment_object(
     crop_m: CropBox | None = None,
     depth_views: Sequence[DepthView] = (),
 ) -> DenseModel:
-    """The dense model: regions grown from the keypoints in each scene's surface, merged and closed.
+    """Make the dense model: grow regions from the keypoints in each scene's surface, merge and close them.
 
-    1. every scene's surface is brought to the object frame and cut to the keypoints' surroundings;
-    2. planes with all keypoints before them (table, wall) are removed;
-    3. regions grow from the keypoints over smooth and convex places;
-    4. what other scenes saw through is removed; the rest is merged and closed.
+    1. Every scene's surface is transformed to the object frame and cropped around the keypoints.
+    2. Planes with all keypoints in front of them (table, wall) are removed.
+    3. Regions grow from the keypoints across smooth and convex edges.
+    4. Points that other scenes saw through are removed; the rest is merged and closed.
 
     Args:
-        surfaces: scene frame, by scene name; scenes the solution does not place are not used.
+        surfaces: by scene name, in the scene frame; scenes that the solution does not place are ignored.
         voxel_m: resolution of the surfaces.
         crop_m: lowest and highest corner of a box in the object frame; everything outside is cut.
-        depth_views: depth images of the scenes, which tell where the object is not.
+        depth_views: depth images of the scenes, which show where space is free.
 
     Raises:
         DataError: no scene is placed, or no surface is found at the keypoints.
     """
     keypoints = solution.model.points_object[solution.model.known]
-    views = _views(surfaces, solution, voxel_m, crop_m)
-    grown = _grown(views, keypoints, voxel_m)
+    surroundings = _all_surroundings(surfaces, solution, voxel_m, crop_m)
+    grown = _regions(surroundings, keypoints, voxel_m)
     if not grown:
         raise DataError(
             f"object {solution.model.name}: none of {len(surfaces)} scene surfaces has points at the "
@@ -91,10 +98,11 @@ def segment_object(
             "measured there at all (dark and shiny parts give none): film such a part nearer or longer"
         )
     agreed = [
-        _not_seen_through(region, scene, views, depth_views, voxel_m) for scene, region in grown.items()
+        _not_seen_through(region, scene, surroundings, depth_views, voxel_m)
+        for scene, region in grown.items()
     ]
     cloud = _around_keypoints(thinned(joined(agreed), voxel_m=voxel_m * 0.7), keypoints, voxel_m)
-    anchors = np.concatenate([keypoints, _contact_points(cloud, views)])
+    anchors = np.concatenate([keypoints, _contact_points(cloud, surroundings)])
     warnings = tuple(
         f"scene {scene} has no surface at the keypoints" for scene in surfaces if scene not in grown
     )
@@ -110,38 +118,40 @@ def grown_regions(
     voxel_m: float = 0.003,
     crop_m: CropBox | None = None,
 ) -> dict[str, PointCloud]:
-    """The object's surface as each scene saw it, in the object frame, without what the object stands on.
+    """The object's surface as each scene saw it, in the object frame, without its support.
 
     Args:
         surfaces, voxel_m, crop_m: as in `segment_object`.
 
     Returns:
-        By scene; those without a surface at the keypoints are left out.
+        By scene name; scenes without a surface at the keypoints are absent.
     """
-    views = _views(surfaces, solution, voxel_m, crop_m)
-    return _grown(views, solution.model.points_object[solution.model.known], voxel_m)
+    surroundings = _all_surroundings(surfaces, solution, voxel_m, crop_m)
+    return _regions(surroundings, solution.model.points_object[solution.model.known], voxel_m)
 
 
-def _views(
+def _all_surroundings(
     surfaces: Mapping[str, Mesh], solution: Solution, voxel_m: float, crop_m: CropBox | None
-) -> dict[str, _View]:
-    """The surroundings of the object in every scene that is placed and has a surface there."""
+) -> dict[str, _Surroundings]:
+    """The surroundings of the object, by scene; scenes not placed or without a surface there are absent."""
     keypoints = solution.model.points_object[solution.model.known]
-    views: dict[str, _View] = {}
+    surroundings: dict[str, _Surroundings] = {}
     for scene, mesh in surfaces.items():
         if scene in solution.scene_from_object:
             surface = _near_object(mesh, solution.scene_from_object[scene], keypoints, voxel_m, crop_m)
             if len(surface.points) >= 50:
                 planes = planes_below(surface, keypoints)
-                views[scene] = _View(surface, planes, _without_planes(surface, planes))
-    return views
+                surroundings[scene] = _Surroundings(surface, planes, _without_planes(surface, planes))
+    return surroundings
 
 
-def _grown(views: Mapping[str, _View], keypoints: Points, voxel_m: float) -> dict[str, PointCloud]:
-    """The regions grown from the keypoints, by scene."""
+def _regions(
+    surroundings: Mapping[str, _Surroundings], keypoints: Points, voxel_m: float
+) -> dict[str, PointCloud]:
+    """The regions grown from the keypoints, by scene; empty ones are absent."""
     grown = {
-        scene: _without_support_halo(_grow(view.above, keypoints, voxel_m), view.planes, keypoints)
-        for scene, view in views.items()
+        scene: _without_support_halo(_grow(around.above, keypoints, voxel_m), around.planes, keypoints)
+        for scene, around in surroundings.items()
     }
     return {scene: region for scene, region in grown.items() if len(region.points)}
 
@@ -153,7 +163,7 @@ def _near_object(
     voxel_m: float,
     crop_m: CropBox | None,
 ) -> PointCloud:
-    """Points of the surface around the keypoints, object frame, with smoothed normals."""
+    """Points of the surface around the keypoints, in the object frame, with smoothed normals."""
     moved = Mesh(transform(invert(scene_from_object), mesh.vertices), mesh.triangles, mesh.colors)
     cloud = oriented_points(moved)
     low, high = keypoints.min(axis=0), keypoints.max(axis=0)
@@ -165,7 +175,7 @@ def _near_object(
 
 
 def _without_planes(cloud: PointCloud, planes: list[Plane], *, band_m: float = 0.006) -> PointCloud:
-    """The points before all planes; near a plane only those that do not face the same way."""
+    """The points in front of all planes; near a plane, only those whose normal differs from the plane's."""
     kept = np.ones(len(cloud.points), bool)
     for plane in planes:
         height = plane.height_m(cloud.points)
@@ -195,9 +205,9 @@ def _without_support_halo(
     low_m: float = 0.02,
     reach_m: float = 0.008,
 ) -> PointCloud:
-    """The region without its halo on the support: flat tails along the table, or bumps of its depth.
+    """Remove the support halo: points of the table around the object, raised by noise or smoothing.
 
-    Low points are kept only below or near points that stand higher, or the keypoints.
+    Low points are kept only within `reach_m` of the footprint of the higher points and the keypoints.
     """
     kept = np.ones(len(region.points), bool)
     for plane in planes:
@@ -211,21 +221,21 @@ def _without_support_halo(
 def _not_seen_through(
     region: PointCloud,
     own: str,
-    views: Mapping[str, _View],
+    surroundings: Mapping[str, _Surroundings],
     depth_views: Sequence[DepthView],
     voxel_m: float,
     *,
     margin_m: float = 0.004,
 ) -> PointCloud:
-    """The region without points that float before a surface seen in another scene (carving).
+    """Remove points that float in front of a surface seen in another scene (space carving).
 
-    Where another scene has depth images, one of them must also see through the point: a surface that was
-    measured only in part has thin and dark parts of the object floating before it.
+    Where other scenes have depth images, one of them must also see through the point: where a scene's surface
+    lacks thin or dark parts of the object, they would seem to float in front of what lies behind them.
     """
     floating = np.zeros(len(region.points), bool)
-    for scene, view in views.items():
+    for scene, around in surroundings.items():
         if scene != own:
-            height = height_above(view.surface, cKDTree(view.surface.points), region.points)
+            height = height_above(around.surface, cKDTree(around.surface.points), region.points)
             floating |= (height > max(0.006, 2 * voxel_m)) & (height < 0.05)
     others = [view for view in depth_views if view.scene != own]
     if others:
@@ -236,7 +246,7 @@ def _not_seen_through(
 def _around_keypoints(
     cloud: PointCloud, keypoints: Points, voxel_m: float, *, seed_radius_m: float = 0.008
 ) -> PointCloud:
-    """The pieces of the merged cloud that keypoints lie on, and large ones, without crumbs."""
+    """The pieces of the merged cloud that keypoints lie on, and other large ones; small ones are dropped."""
     tree = cKDTree(cloud.points)
     pairs = tree.query_pairs(3 * voxel_m, output_type="ndarray").astype(np.int64)
     piece = components(len(cloud.points), pairs)
@@ -248,12 +258,12 @@ def _around_keypoints(
 
 
 def _contact_points(
-    cloud: PointCloud, views: Mapping[str, _View], *, reach_m: float = 0.012
+    cloud: PointCloud, surroundings: Mapping[str, _Surroundings], *, reach_m: float = 0.012
 ) -> Float64[np.ndarray, "_ 3"]:
-    """Where the object touches its support: its lowest points, moved down to the plane below it."""
+    """Points where the object touches its support: its lowest points, projected onto the plane below."""
     contact = [np.empty((0, 3))]
-    for view in views.values():
-        for plane in view.planes:
+    for around in surroundings.values():
+        for plane in around.planes:
             height = plane.height_m(cloud.points)
             low = (height > -0.002) & (height < reach_m)
             contact.append(cloud.points[low] - height[low, None] * plane.normal)

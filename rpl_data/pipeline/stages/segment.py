@@ -1,4 +1,4 @@
-"""Depth near the objects -> surfaces of the scenes and dense models of the objects."""
+"""Stage `segment`: make the dense model of each object from the surfaces of its scenes."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from rpl_data.types import Mesh, Solution
 from rpl_data.workspace.workspace import Workspace
 
 VIEWS_PER_SCENE = 8
-"""Depth images per scene that say where the object is not."""
+"""Depth images per scene that show where space is free."""
 MOST_FALSE_AREA = 0.03
-"""Share of a mesh's area in free space above which a person is told."""
-VERSION = 2
+"""Share of a mesh's area in free space above which the user is warned."""
+VERSION = 3
 """Raised when the stage writes something else for the same input; its steps then run again."""
 
 if TYPE_CHECKING:
@@ -30,14 +30,14 @@ Box3 = tuple[tuple[float, float, float], tuple[float, float, float]]
 
 
 def segment_steps(context: Context) -> list[Step]:
-    """Surfaces of the scenes -> the dense model, an object."""
+    """Plan the steps that make the dense models, one per object."""
     return [_segment_step(context, item) for item in context.objects]
 
 
 def _segment_step(context: Context, item: ObjectRecipe) -> Step:
     workspace, voxel_m = context.workspace, context.recipe.reconstruct.voxel_m
-    places = workspace.load_solution(item.name).scene_from_object
-    scenes = [name for name in context.placed_scenes() if name in places]
+    scene_from_object = workspace.load_solution(item.name).scene_from_object
+    scenes = [name for name in context.placed_scenes() if name in scene_from_object]
     crop, given = crop_of(workspace, item), given_mesh(workspace, item.name)
 
     def run(advance: Advance) -> Outcome:
@@ -76,7 +76,7 @@ def _segment_step(context: Context, item: ObjectRecipe) -> Step:
 
 
 def depth_views(workspace: Workspace, scene_name: str, solution: Solution) -> list[DepthView]:
-    """Some depth images of a scene, spread over its steady frames, as views of an object."""
+    """Read some depth images of a scene, spread over its steady frames, as views of an object."""
     from rpl_data.reconstruct.surface import steady_frames
     from rpl_data.segment.free_space import view_of
 
@@ -94,7 +94,7 @@ def depth_views(workspace: Workspace, scene_name: str, solution: Solution) -> li
 
 
 def mesh_remarks(dense: DenseModel) -> list[str]:
-    """What a person should know of a mesh before using it."""
+    """Lines that warn the user of faults of a mesh."""
     lines = []
     if dense.free_share > MOST_FALSE_AREA:
         lines.append(
@@ -107,9 +107,9 @@ def mesh_remarks(dense: DenseModel) -> list[str]:
 
 
 def given_mesh(workspace: Workspace, object_name: str) -> Mesh | None:
-    """The mesh a person has of an object with known keypoints, object frame; None where there is none.
+    """The user's own mesh of an object with known keypoints, in the object frame; None where there is none.
 
-    A mesh without known keypoints is only there to pick them on, and has no place in the object frame yet.
+    A mesh without known keypoints only serves to pick them; its pose in the object frame is not known yet.
     """
     annotation, path = workspace.load_annotation(object_name), workspace.given_mesh_file(object_name)
     if annotation.known_points is None or not path.exists():
@@ -119,7 +119,7 @@ def given_mesh(workspace: Workspace, object_name: str) -> Mesh | None:
 
 
 def _keep_given(workspace: Workspace, object_name: str, mesh: Mesh) -> Outcome:
-    """The given mesh is the dense model: nothing has to be segmented."""
+    """Use the given mesh as the dense model, without segmentation."""
     cloud = oriented_points(mesh)
     save_mesh(workspace.mesh_file(object_name), mesh)
     save_cloud(workspace.cloud_file(object_name), cloud)
@@ -129,7 +129,7 @@ def _keep_given(workspace: Workspace, object_name: str, mesh: Mesh) -> Outcome:
 
 
 def crop_of(workspace: Workspace, item: ObjectRecipe) -> Box3 | None:
-    """The box the dense model is cut to: that of the annotation page, else the recipe's; object frame."""
+    """The box, in the object frame, that the dense model is cut to: the page's, else the recipe's."""
     drawn = workspace.load_annotation(item.name).crop_m
     if drawn is not None or item.crop is None:
         return drawn

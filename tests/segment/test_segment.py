@@ -1,0 +1,144 @@
+"""Section III-D on a box that stands on a table: its dense model is the box, without the table."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+import pytest
+
+from rpl_data.geometry import Transform, rigid, transform
+from rpl_data.pipeline.stages.surface import joined_meshes
+from rpl_data.segment.region_growing import height_above
+from rpl_data.segment.segment import DenseModel, grown_regions, segment_object
+from rpl_data.types import DataError, KeypointModel, Mesh, Solution
+
+SIZE_M = np.array([0.12, 0.08, 0.06])
+CORNERS = SIZE_M * (np.array(list(product((0, 1), repeat=3))) - 0.5)
+STEP_M = 0.003
+NOISE_M = 0.0005
+TABLE_M = 0.25
+"""Half the edge of the square of table that each scene's surface holds."""
+TURNED = np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])
+"""The rotation that stands the box on another face: its x axis points down, along -z of the scene."""
+
+
+def sheet(corner: np.ndarray, a: np.ndarray, b: np.ndarray) -> Mesh:
+    """A parallelogram in small triangles; its normal is along a x b."""
+    rows, columns = (round(float(np.linalg.norm(edge)) / STEP_M) + 1 for edge in (a, b))
+    i, j = np.meshgrid(np.linspace(0, 1, rows), np.linspace(0, 1, columns), indexing="ij")
+    vertices = corner + i.reshape(-1, 1) * a + j.reshape(-1, 1) * b
+    number = np.arange(rows * columns).reshape(rows, columns)
+    p, q, r, s = (n.ravel() for n in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]))
+    return Mesh(vertices, np.concatenate([np.column_stack([p, q, r]), np.column_stack([p, r, s])]))
+
+
+def box_faces(hidden: tuple[int, int]) -> list[Mesh]:
+    """The faces of the box in the object frame, but for the one (axis, sign) that it stands on."""
+    faces = []
+    for axis, sign in product(range(3), (-1, 1)):
+        a, b = np.eye(3)[(axis + 1) % 3] * SIZE_M, np.eye(3)[(axis + 2) % 3] * SIZE_M
+        if (axis, sign) != hidden:
+            low = -SIZE_M / 2 + (sign > 0) * np.eye(3)[axis] * SIZE_M
+            faces.append(sheet(low, a, b) if sign > 0 else sheet(low, b, a))
+    return faces
+
+
+def table_around(low: np.ndarray, high: np.ndarray) -> list[Mesh]:
+    """The plane z = 0 of a scene around the rectangle that the box covers."""
+    x, y = np.eye(3)[:2]
+    edges_x, edges_y = [-TABLE_M, low[0], high[0], TABLE_M], [-TABLE_M, low[1], high[1], TABLE_M]
+    return [
+        sheet(edges_x[i] * x + edges_y[j] * y, np.diff(edges_x)[i] * x, np.diff(edges_y)[j] * y)
+        for i, j in product(range(3), repeat=2)
+        if (i, j) != (1, 1)
+    ]
+
+
+def surface(scene_from_object: Transform, hidden: tuple[int, int], seed: int) -> Mesh:
+    """The surface of a scene, scene frame: the box on the table, with the noise of a fused surface."""
+    faces = [Mesh(transform(scene_from_object, face.vertices), face.triangles) for face in box_faces(hidden)]
+    corners = transform(scene_from_object, CORNERS)
+    whole = joined_meshes([*faces, *table_around(corners.min(axis=0), corners.max(axis=0))])
+    noise_m = np.random.default_rng(seed).normal(0, NOISE_M, whole.vertices.shape)
+    return Mesh(whole.vertices + noise_m, whole.triangles)
+
+
+def two_scenes() -> tuple[dict[str, Mesh], Solution]:
+    """The box on its bottom, and on its side at another place; every face is seen in one of the scenes."""
+    yaw = np.array([[np.cos(0.5), -np.sin(0.5), 0], [np.sin(0.5), np.cos(0.5), 0], [0, 0, 1]])
+    poses = {
+        "00": rigid(np.eye(3), np.array([0.02, -0.01, SIZE_M[2] / 2])),
+        "01": rigid(TURNED, np.array([-0.03, 0.02, SIZE_M[0] / 2])),
+    }
+    surfaces = {"00": surface(poses["00"], (2, -1), 0), "01": surface(poses["01"], (0, 1), 1)}
+    world = {"00": rigid(yaw, np.array([1.0, 2, 3])), "01": rigid(yaw.T, np.array([-1.0, 0, 0.5]))}
+    moved = {n: Mesh(transform(world[n], m.vertices), m.triangles) for n, m in surfaces.items()}
+    names = tuple(str(k) for k in range(8))
+    model = KeypointModel("box", names, CORNERS)
+    return moved, Solution(model, np.zeros((8, 3, 3)), {n: world[n] @ poses[n] for n in poses})
+
+
+@pytest.fixture(scope="module")
+def dense() -> DenseModel:
+    return segment_object(*two_scenes())
+
+
+def inside(mesh: Mesh, points: np.ndarray) -> np.ndarray:
+    """Which points a closed mesh contains, as Open3D counts crossings."""
+    import open3d as o3d
+
+    scene = o3d.t.geometry.RaycastingScene()
+    scene.add_triangles(
+        o3d.core.Tensor(mesh.vertices.astype(np.float32)), o3d.core.Tensor(mesh.triangles.astype(np.uint32))
+    )
+    found: np.ndarray = scene.compute_occupancy(o3d.core.Tensor(points.astype(np.float32))).numpy() > 0
+    return found
+
+
+def test_the_dense_model_is_the_box_to_a_millimetre(dense: DenseModel) -> None:
+    axes = [np.arange(-0.6 * size - 0.02, 0.6 * size + 0.02, 0.002) for size in SIZE_M]
+    points = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 3)
+    true, found = (np.abs(points) < SIZE_M / 2).all(axis=1), inside(dense.mesh, points)
+    a_millimetre_too_small = np.prod(SIZE_M - 0.002) / np.prod(SIZE_M)
+    assert (true & found).sum() / (true | found).sum() > a_millimetre_too_small
+    assert dense.open_edges == 0
+
+
+def test_the_support_is_removed(dense: DenseModel) -> None:
+    beyond_m = (np.abs(dense.cloud.points) - SIZE_M / 2).max(axis=1)
+    assert beyond_m.max() < 0.004
+    assert (np.abs(dense.mesh.vertices) - SIZE_M / 2).max() < 0.004
+
+
+def test_each_region_is_what_its_scene_saw() -> None:
+    surfaces, solution = two_scenes()
+    regions = grown_regions(surfaces, solution)
+    assert set(regions) == {"00", "01"}
+    faces_down = {"00": (2, -1), "01": (0, 1)}
+    for scene, (axis, sign) in faces_down.items():
+        offset_m = np.abs(regions[scene].points[:, axis] - sign * SIZE_M[axis] / 2)
+        facing_down = regions[scene].normals[:, axis] * sign > 0.9
+        assert not (facing_down & (offset_m < 0.002)).any()
+        opposite = regions[scene].normals[:, axis] * sign < -0.9
+        assert opposite.sum() > 0.5 * np.prod(np.delete(SIZE_M, axis)) / STEP_M**2
+
+
+def test_a_scene_without_a_surface_at_the_keypoints_is_named() -> None:
+    surfaces, solution = two_scenes()
+    far = Mesh(surfaces["01"].vertices + 1.0, surfaces["01"].triangles)
+    found = segment_object({"00": surfaces["00"], "01": far}, solution)
+    assert found.warnings == ("scene 01 has no surface at the keypoints",)
+    with pytest.raises(DataError, match="none of 1 scene surfaces"):
+        segment_object({"01": far}, solution)
+
+
+def test_height_is_known_only_straight_above_the_surface() -> None:
+    from scipy.spatial import cKDTree
+
+    from rpl_data.meshes import oriented_points
+
+    flat = oriented_points(sheet(np.zeros(3), np.array([0.03, 0, 0]), np.array([0, 0.03, 0])))
+    points = np.array([[0.015, 0.015, 0.01], [0.015, 0.015, -0.01], [0.08, 0.015, 0.01]])
+    height_m = height_above(flat, cKDTree(flat.points), points)
+    np.testing.assert_allclose(height_m, [0.01, -0.01, np.nan], atol=1e-12)
