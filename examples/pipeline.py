@@ -54,11 +54,12 @@ def main(recording: str, clicks_csv: str, name: str, out: str) -> None:
     workspace.save_solution(solution)
     save_mesh(workspace.mesh_file(name), dense.mesh)
     for scene, scene_from_object in solution.scene_from_object.items():
-        read = depth_reader(scenes[scene])
         body = SceneObject(solution.model, solution.covariance, dense.mesh, scene_from_object)
-        frames = ((frame, read(frame)) for frame in scenes[scene].frames)
         workspace.save_recording(recordings[scene])
-        workspace.save_labels(scene, label_frames(scenes[scene], trajectories[scene], [body], frames))
+        labels = label_frames(
+            scenes[scene], trajectories[scene], [body], scenes[scene].frames, depth_reader(scenes[scene])
+        )
+        workspace.save_labels(scene, labels)
     print(workspace)
 
 

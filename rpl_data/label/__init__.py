@@ -1,1 +1,1 @@
-"""Poses and the dense model -> labels of every frame (paper III-E)."""
+"""Labels of every frame, made from poses and dense models (paper III-E)."""

@@ -1,9 +1,9 @@
-"""Labels of every frame from one solution a scene: pose, keypoints, masks (paper III-E, Eq. 3).
+"""Label every frame from one object pose per scene: pose, keypoints, masks (paper III-E, Eq. 3).
 
-``camera_from_object = invert(scene_from_camera) @ scene_from_object`` carries the object into every
-frame; the rest is seen from there: keypoints are projected, masks are cast as rays inside the
-projected region only, and what hides the object is decided from its own mesh, the other objects'
-meshes and the measured depth. Frames are independent: ranges of them may be labelled in parallel.
+``camera_from_object = invert(scene_from_camera) @ scene_from_object`` gives the object's pose
+in every frame. From there keypoints are projected and masks are ray cast, inside the projected region only.
+Occlusion is decided from the object's own mesh, the other objects' meshes and the measured depth. Frames are
+independent of one another: ranges of them may be labelled in parallel.
 """
 
 from __future__ import annotations
@@ -36,23 +36,25 @@ from rpl_data.types import (
     Intrinsics,
     KeypointModel,
     Mesh,
+    ReadDepth,
     Scene,
     SquareBox,
     Trajectory,
 )
 
 MARGIN_PX = 3
-"""Rim around the projected region: room for the neighbourhoods below."""
+"""Margin around the projected region, for filters that look at neighbouring pixels."""
 
 
 @dataclass(frozen=True)
 class SceneObject:
-    """An object as it stands in one scene.
+    """An object and its pose in one scene.
 
     Attributes:
-        covariance: one 3x3 covariance per keypoint of its position in the scene (shape and pose together),
-            in m^2, along the axes of the object frame; NaN where never clicked.
-        mesh: triangles in the object frame.
+        model: the sparse model.
+        covariance: One 3x3 covariance per keypoint, in m^2, in the object frame. It is that of the
+            keypoint's position in the scene (shape and pose together); NaN where never clicked.
+        mesh: the dense model, in the object frame.
     """
 
     model: KeypointModel
@@ -62,7 +64,7 @@ class SceneObject:
 
 
 def sample_frames(frames: Sequence[Frame], *, rate_hz: float | None) -> list[Frame]:
-    """The frames to label: the first of every period by timestamp; None = all of them.
+    """Choose the frames to label: the first of every period by timestamp; all of them for None.
 
     Raises:
         DataError: the rate is not positive.
@@ -86,17 +88,22 @@ def label_frames(
     scene: Scene,
     trajectory: Trajectory,
     objects: Sequence[SceneObject],
-    frames_with_depth: Iterable[tuple[Frame, DepthImage | None]],
+    frames: Iterable[Frame],
+    read_depth: ReadDepth,
     *,
     camera_from_object: Mapping[tuple[int, str], Transform] | None = None,
     tolerances: Tolerances | None = None,
 ) -> Iterator[FrameLabel]:
-    """Labels of the given frames, one at a time, in constant memory.
+    """Label the given frames, one at a time, in constant memory.
 
     Args:
-        frames_with_depth: frames of the scene and their depth in metres; None or 0 = not measured,
-            which hides nothing.
-        camera_from_object: refined poses by (frame index, object name); they replace Eq. 3's.
+        scene: gives the camera and the name that the labels carry.
+        objects: all labelled objects of the scene; each may hide the others.
+        frames: which frames to label.
+        read_depth: reads the depth image of a frame; not called for frames without one. Missing depth hides
+            nothing.
+        camera_from_object: refined poses by (frame index, object name); they replace those of Eq. 3.
+        tolerances: by how much surfaces must differ in depth for one to hide the other.
 
     Raises:
         DataError: depth and colour are not registered, a mesh has no triangles, or the trajectory
@@ -108,7 +115,7 @@ def label_frames(
             "wrong; align depth to colour when recording, or warp the depth images to it first"
         )
     return _label_frames(
-        scene, trajectory, objects, frames_with_depth, camera_from_object or {}, tolerances or Tolerances()
+        scene, trajectory, objects, frames, read_depth, camera_from_object or {}, tolerances or Tolerances()
     )
 
 
@@ -116,27 +123,37 @@ def _label_frames(
     scene: Scene,
     trajectory: Trajectory,
     objects: Sequence[SceneObject],
-    frames_with_depth: Iterable[tuple[Frame, DepthImage | None]],
+    frames: Iterable[Frame],
+    read_depth: ReadDepth,
     refined: Mapping[tuple[int, str], Transform],
     tolerances: Tolerances,
 ) -> Iterator[FrameLabel]:
     camera = PixelTable.of(scene.intrinsics)
     bodies = [_Body.of(item) for item in objects]
-    for frame, depth_m in frames_with_depth:
+    for frame in frames:
+        depth_m = None if frame.depth is None else read_depth(frame)
         camera_from_scene = invert(trajectory.at(frame.index))
-        views = []
+        objects_alone = []
         for body in bodies:
             eq3 = camera_from_scene @ body.item.scene_from_object
-            view = _look(camera, body, refined.get((frame.index, body.item.model.name), eq3))
-            if view is not None:
-                views.append(view)
-        instances = tuple(_instance(camera, view, views, depth_m, tolerances) for view in views)
+            alone = _object_alone(camera, body, refined.get((frame.index, body.item.model.name), eq3))
+            if alone is not None:
+                objects_alone.append(alone)
+        instances = tuple(
+            _instance(camera, alone, objects_alone, depth_m, tolerances) for alone in objects_alone
+        )
         yield FrameLabel(scene.name, frame.index, frame.timestamp_s, instances)
 
 
 @dataclass(frozen=True)
 class _Body:
-    """An object with its rays, the vertices that bound it, and the surface around its keypoints."""
+    """An object prepared for ray casting.
+
+    Attributes:
+        rays: its mesh.
+        hull: vertices of its convex hull, in the object frame.
+        around: its surface around the keypoints.
+    """
 
     item: SceneObject
     rays: RayScene
@@ -153,17 +170,17 @@ class _Body:
         return _Body(item, rays, item.mesh.vertices[corners], around)
 
 
-# One object in one frame, as if nothing else were there -------------------------------------------
+# One object in one frame, without occluders -------------------------------------------------------
 
 
 @dataclass(frozen=True)
-class _View:
-    """An object alone in the camera; depths and mask of the window only.
+class _ObjectAlone:
+    """One object rendered without occluders, in the window of the image that holds it.
 
     Attributes:
         window: rows and columns of the image.
-        depth_m: of the mesh; FAR_M = nothing there.
-        mask: what the object covers.
+        depth_m: depth of the mesh in the window; FAR_M where the mesh is not.
+        mask: pixels of the window that the object covers.
     """
 
     body: _Body
@@ -174,8 +191,11 @@ class _View:
     mask: MaskPatch
 
 
-def _look(camera: PixelTable, body: _Body, camera_from_object: Transform) -> _View | None:
-    """The object alone; None when it does not cover a pixel."""
+def _object_alone(camera: PixelTable, body: _Body, camera_from_object: Transform) -> _ObjectAlone | None:
+    """Render one object without occluders; None when it covers no pixel.
+
+    Its depth, mask and projected keypoints are computed in the window of the image that holds it.
+    """
     keypoints_px = camera.project(transform(camera_from_object, body.item.model.points_object))
     window = _window(camera, transform(camera_from_object, body.hull), keypoints_px)
     if window is None:
@@ -186,13 +206,13 @@ def _look(camera: PixelTable, body: _Body, camera_from_object: Transform) -> _Vi
     mask = cleaned(depth_m < FAR_M, "close", size_px=3)
     if not mask.any():
         return None
-    return _View(body, camera_from_object, keypoints_px, window, depth_m, mask)
+    return _ObjectAlone(body, camera_from_object, keypoints_px, window, depth_m, mask)
 
 
 def _window(
     camera: PixelTable, hull_camera: Points, keypoints_px: Float64[np.ndarray, "k 2"]
 ) -> Window | None:
-    """Part of the image that holds the object, its keypoints and a margin; None when not in view."""
+    """Part of the image that holds the object, its keypoints and a margin; None when out of view."""
     window = camera.window(hull_camera)
     if window is None:
         return None
@@ -202,66 +222,66 @@ def _window(
 
 
 def _widened(span: slice, numbers: Int64[np.ndarray, " n"], size: int) -> slice:
-    """The span with those numbers and the margin, inside 0..size."""
+    """The span extended to those numbers and by the margin, limited to 0..size."""
     low = min(span.start, numbers.min(initial=size)) - MARGIN_PX
     high = max(span.stop, numbers.max(initial=-1) + 1) + MARGIN_PX
     return slice(max(int(low), 0), min(int(high), size))
 
 
-# What the others hide -----------------------------------------------------------------------------
+# Occlusion ----------------------------------------------------------------------------------------
 
 
 def _instance(
     camera: PixelTable,
-    view: _View,
-    views: Sequence[_View],
+    alone: _ObjectAlone,
+    objects_alone: Sequence[_ObjectAlone],
     depth_m: DepthImage | None,
     tolerances: Tolerances,
 ) -> InstanceLabel:
-    measured = np.zeros_like(view.depth_m) if depth_m is None else depth_m[view.window]
-    others = _nearest_other(view, views)
-    visible = view.mask & ~hidden_pixels(view.depth_m, others, measured, tolerances)
-    visibility = _visibility(camera, view, others, measured, tolerances)
-    sigma_px = _sigma_px(camera.intrinsics, view.body.item, view.camera_from_object)
-    box_full = box_of(view.mask, view.window)
+    measured = np.zeros_like(alone.depth_m) if depth_m is None else depth_m[alone.window]
+    others = _nearest_other(alone, objects_alone)
+    visible = alone.mask & ~hidden_pixels(alone.depth_m, others, measured, tolerances)
+    visibility = _visibility(camera, alone, others, measured, tolerances)
+    sigma_px = _sigma_px(camera.intrinsics, alone.body.item, alone.camera_from_object)
+    box_full = box_of(alone.mask, alone.window)
     size = {"width": camera.intrinsics.width, "height": camera.intrinsics.height}
     return InstanceLabel(
-        object=view.body.item.model.name,
-        camera_from_object=view.camera_from_object,
-        keypoints_px=view.keypoints_px,
+        object=alone.body.item.model.name,
+        camera_from_object=alone.camera_from_object,
+        keypoints_px=alone.keypoints_px,
         visibility=visibility,
         sigma_px=np.where(visibility > 0, sigma_px, np.nan),
-        square_box=_square_box(view.keypoints_px, box_full),
-        box=box_of(visible, view.window) if visible.any() else None,
+        square_box=_square_box(alone.keypoints_px, box_full),
+        box=box_of(visible, alone.window) if visible.any() else None,
         box_full=box_full,
-        mask=encode(visible, view.window, **size),
-        mask_full=encode(view.mask, view.window, **size),
-        visib_fract=float(visible.sum() / view.mask.sum()),
+        mask=encode(visible, alone.window, **size),
+        mask_full=encode(alone.mask, alone.window, **size),
+        visib_fract=float(visible.sum() / alone.mask.sum()),
         truncated=reaches_border(box_full, **size),
-        quality=depth_agreement(view.depth_m, visible, measured, tolerances),
+        quality=depth_agreement(alone.depth_m, visible, measured, tolerances),
     )
 
 
 def _visibility(
-    camera: PixelTable, view: _View, others: DepthPatch, measured: DepthPatch, tolerances: Tolerances
+    camera: PixelTable, alone: _ObjectAlone, others: DepthPatch, measured: DepthPatch, tolerances: Tolerances
 ) -> Int64[np.ndarray, " k"]:
-    """COCO's v: 0 never clicked, behind the camera or outside the image; 1 hidden; 2 seen."""
-    visibility = np.zeros(len(view.keypoints_px), dtype=np.int64)
-    inside = inside_image(camera.intrinsics, view.keypoints_px)
-    z_m = transform(view.camera_from_object, view.body.item.model.points_object)[inside, 2]
-    body = view.body
-    seen = body.around.faces(body.rays, view.camera_from_object, keypoints=len(inside))[inside]
-    seen &= keypoints_seen(view.keypoints_px[inside], z_m, view.window, others, measured, tolerances)
+    """COCO's v per keypoint: 0 never clicked, behind the camera or outside the image; 1 hidden; 2 seen."""
+    visibility = np.zeros(len(alone.keypoints_px), dtype=np.int64)
+    inside = inside_image(camera.intrinsics, alone.keypoints_px)
+    z_m = transform(alone.camera_from_object, alone.body.item.model.points_object)[inside, 2]
+    body = alone.body
+    seen = body.around.faces(body.rays, alone.camera_from_object, keypoints=len(inside))[inside]
+    seen &= keypoints_seen(alone.keypoints_px[inside], z_m, alone.window, others, measured, tolerances)
     visibility[inside] = np.where(seen, 2, 1)
     return visibility
 
 
-def _nearest_other(view: _View, views: Sequence[_View]) -> DepthPatch:
-    """Depth of the nearest other object in the view's window; FAR_M = none."""
-    nearest = np.full_like(view.depth_m, FAR_M)
-    for other in views:
-        common = overlap(view.window, other.window)
-        if other is not view and common is not None:
+def _nearest_other(alone: _ObjectAlone, objects_alone: Sequence[_ObjectAlone]) -> DepthPatch:
+    """Depth of the nearest other object in the window; FAR_M = none."""
+    nearest = np.full_like(alone.depth_m, FAR_M)
+    for other in objects_alone:
+        common = overlap(alone.window, other.window)
+        if other is not alone and common is not None:
             here, there = common
             nearest[here] = np.minimum(nearest[here], other.depth_m[there])
     return nearest
@@ -273,10 +293,10 @@ def _nearest_other(view: _View, views: Sequence[_View]) -> DepthPatch:
 def _sigma_px(
     intrinsics: Intrinsics, item: SceneObject, camera_from_object: Transform
 ) -> Float64[np.ndarray, " k"]:
-    """Standard deviation on an axis of each projected keypoint (root mean square of u and v).
+    """Standard deviation of each projected keypoint per axis (root mean square of u and v).
 
-    First order: the covariance through the derivative of the pinhole projection; the lens is left
-    out, which changes a pixel by a few per cent at most.
+    The covariance is propagated to first order through the pinhole projection. Lens distortion is ignored; it
+    changes the result by a few per cent at most.
     """
     x, y, z = transform(camera_from_object, item.model.points_object).T
     zero = np.zeros_like(x)
@@ -290,7 +310,7 @@ def _sigma_px(
 
 
 def _square_box(keypoints_px: Pixels, box_full: Box) -> SquareBox:
-    """The paper's box of the keypoints; of the mask where no keypoint projects."""
+    """The paper's square box around the keypoints; around the mask where no keypoint projects."""
     known = keypoints_px[np.isfinite(keypoints_px).all(axis=1)]
     if not len(known):
         known = np.array(box_full).reshape(2, 2) - 0.5

@@ -1,6 +1,6 @@
-"""Masks known in a window of an image: their boxes, their run-length code, their clean-up.
+"""Masks stored for a window of an image: their boxes, run-length code and clean-up.
 
-Outside its window (a slice of rows and one of columns) a mask is empty, so no full frame is touched.
+Outside its window (a slice of rows and one of columns) a mask is empty, so no full image is allocated.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ MaskPatch = Bool[np.ndarray, "h w"]
 
 
 def box_of(mask: MaskPatch, window: Window) -> Box:
-    """Smallest box in the image, with COCO's edges, of a mask with at least one pixel."""
+    """The smallest box, with COCO's edges, around a mask with at least one pixel."""
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     top, left = window[0].start, window[1].start
     x0, y0 = left + columns[0], top + rows[0]
@@ -28,7 +28,7 @@ def box_of(mask: MaskPatch, window: Window) -> Box:
 
 
 def reaches_border(box: Box, *, width: int, height: int) -> bool:
-    """Whether a box touches the edge of the image: what it holds may go on beyond."""
+    """Whether a box touches the edge of the image, so that what it holds may extend beyond."""
     return box[0] <= 0 or box[1] <= 0 or box[2] >= width or box[3] >= height
 
 
@@ -47,16 +47,16 @@ def overlap(a: Window, b: Window) -> tuple[Window, Window] | None:
 
 
 def cleaned(mask: MaskPatch, operation: Literal["open", "close"], *, size_px: int) -> MaskPatch:
-    """The mask without bits ("open") or without gaps ("close") narrower than `size_px`."""
+    """Remove specks ("open") or fill gaps ("close") narrower than `size_px`."""
     code = cv2.MORPH_OPEN if operation == "open" else cv2.MORPH_CLOSE
     changed = cv2.morphologyEx(mask.view(np.uint8), code, np.ones((size_px, size_px), np.uint8))
     return changed.view(np.bool_)
 
 
 def encode(mask: MaskPatch, window: Window, *, width: int, height: int) -> Rle:
-    """COCO's run-length code of the mask in an image of that size; pycocotools decodes it.
+    """Encode the mask as COCO's run-length code of an image of that size; pycocotools decodes it.
 
-    Runs are counted in the window only: encoding two whole frames would cost a fifth of a label.
+    Runs are counted in the window only: encoding two whole images would take a fifth of the labelling time.
     """
     from pycocotools import mask as coco
 

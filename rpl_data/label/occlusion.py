@@ -1,35 +1,38 @@
-"""What hides an object: itself, other objects, anything the depth sensor saw in front of it.
+"""Occlusion: what hides an object - itself, other objects, or anything that the sensor measured before it.
 
-Everything here works on patches of depth in metres along the optical axis, all of the same window.
-A model's depth is FAR_M where it is not; a measured depth is 0 where there is none, and hides nothing.
+All functions take patches of depth, in metres along the optical axis, of the same window of the image. The
+depth of a model is FAR_M where the model is not. Measured depth is 0 where it is missing, and then hides
+nothing.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int64
+from jaxtyping import Bool, Float, Float32, Float64, Int64
 
 from rpl_data.geometry import Pixels, Points, Transform, depth_sigma_m, invert
 from rpl_data.label.masks import MaskPatch, Window, cleaned
 from rpl_data.raycast import RayScene
 
 AROUND_M = 0.005
-"""The surface this near to a keypoint stands for it: clicks and meshes are off by millimetres."""
+"""A keypoint is judged by the surface within this distance of it, since clicks and meshes are off by
+millimetres."""
 
 DIRECTIONS = 40
-"""Points of that surface that are looked at, a keypoint."""
+"""Points of that surface tested per keypoint."""
 
 ENTERED_M = 0.005
-"""A ray may enter the mesh this far before a point of its surface and still see it."""
+"""A ray may hit the mesh up to this far in front of a surface point that still counts as seen."""
 
 SEEN_SHARE = 0.05
-"""A keypoint is seen when this share of the surface around it is: two faces of three may turn away."""
+"""A keypoint is seen when this share of the surface around it is seen; at a corner, two of three faces may
+turn away."""
 
 DepthPatch = Float32[np.ndarray, "h w"]
+Depths = Float[np.ndarray, "*shape"]
 
 FAR_M = 1e3
 """Depth of "nothing there" where depths are compared; finite, so that it can be squared."""
@@ -37,30 +40,34 @@ FAR_M = 1e3
 
 @dataclass(frozen=True)
 class Tolerances:
-    """When one surface hides another.
+    """By how much depths must differ for one surface to hide another.
 
     Attributes:
-        depth_m, depth_sigmas: measured depth hides what lies behind it by more than the larger of
-            the two; the second in standard deviations of the sensor.
-        neighbourhood_px: half the window in which depths are compared; absorbs misalignment.
+        depth_m, depth_sigmas: measured depth hides what lies farther behind it than the larger of the
+            two; the second is in standard deviations of the sensor.
+        neighbourhood_px: half the size of the neighbourhood in which depths are compared, which absorbs
+            misalignment.
     """
 
     depth_m: float = 0.015
     depth_sigmas: float = 4.0
     neighbourhood_px: int = 2
 
-    def depth_at_m(self, depth_m: Any) -> Any:
-        """The difference that matters at a depth."""
-        return np.maximum(np.float32(self.depth_m), np.float32(self.depth_sigmas) * depth_sigma_m(depth_m))
+    def depth_at_m(self, depth_m: Depths) -> Depths:
+        """The smallest difference in depth that hides, at each depth."""
+        found: Depths = np.maximum(
+            np.float32(self.depth_m), np.float32(self.depth_sigmas) * depth_sigma_m(depth_m)
+        )
+        return found
 
 
 def hidden_pixels(
     model_m: DepthPatch, others_m: DepthPatch, measured_m: DepthPatch, tolerances: Tolerances
 ) -> MaskPatch:
-    """Pixels where another object, or something measured, stands in front of the object.
+    """Find the pixels where another object, or measured depth, lies in front of the object.
 
-    Measured depth is compared with the nearest part of the object nearby, so that the object's own
-    edges, a pixel off, do not hide it; specks of wrong depth are dropped and gaps are filled.
+    Measured depth is compared with the nearest depth of the object in the neighbourhood, so that the object
+    does not hide itself where its edges are a pixel off. Specks of wrong depth are dropped, gaps are filled.
     """
     size = 2 * tolerances.neighbourhood_px + 1
     nearest = cv2.erode(model_m, np.ones((size, size), np.uint8))
@@ -79,14 +86,14 @@ def keypoints_seen(
     measured_m: DepthPatch,
     tolerances: Tolerances,
 ) -> Bool[np.ndarray, " n"]:
-    """Which keypoints nothing but the object itself hides.
+    """Find the keypoints that nothing else hides; whether the object hides them itself is not tested here.
 
-    Keypoints lie on edges and corners, where depth jumps from pixel to pixel: one is seen when any
-    pixel beside it sees as far as the keypoint.
+    Keypoints lie on edges and corners, where depth jumps from pixel to pixel. So a keypoint is seen when any
+    pixel of its neighbourhood is at least as far as the keypoint.
 
     Args:
-        uv_px: where they project, in the image and inside the window.
-        z_m: their depth.
+        uv_px: projections of the keypoints, in pixels of the image, inside the window.
+        z_m: depths of the keypoints.
     """
     patch = _neighbours(uv_px, window, tolerances.neighbourhood_px, others_m.shape)
     others, measured = others_m[patch], measured_m[patch]
@@ -99,11 +106,11 @@ def keypoints_seen(
 
 @dataclass(frozen=True)
 class KeypointSurface:
-    """The surface of an object around each of its keypoints; object frame.
+    """Points on the surface of an object around each of its keypoints, in the object frame.
 
     Attributes:
-        points, normals: some points of it, unit normals pointing out.
-        keypoint: the keypoint that each stands for.
+        points, normals: the points, and their unit normals, which point out of the object.
+        keypoint: number of the keypoint that each point belongs to.
     """
 
     points: Points
@@ -112,7 +119,7 @@ class KeypointSurface:
 
     @staticmethod
     def around(rays: RayScene, points_object: Float64[np.ndarray, "k 3"]) -> KeypointSurface:
-        """Points of the mesh nearest to those of a small sphere about each keypoint with a position."""
+        """Project a small sphere around each known keypoint onto the mesh."""
         known = np.flatnonzero(np.isfinite(points_object).all(axis=1))
         spheres = points_object[known, None] + AROUND_M * _directions()
         closest = rays.closest(spheres.reshape(-1, 3))
@@ -121,7 +128,7 @@ class KeypointSurface:
     def faces(
         self, rays: RayScene, camera_from_object: Transform, *, keypoints: int
     ) -> Bool[np.ndarray, " keypoints"]:
-        """Which keypoints the object itself does not hide: enough of the surface about them is seen."""
+        """Find the keypoints that the object itself does not hide: the surface around them is seen."""
         towards = self.points - invert(camera_from_object)[:3, 3]
         far_m = np.linalg.norm(towards, axis=1)
         eye = np.broadcast_to(invert(camera_from_object)[:3, 3], towards.shape)
@@ -132,7 +139,7 @@ class KeypointSurface:
 
 
 def _directions() -> Points:
-    """Unit vectors spread evenly over the sphere (a Fibonacci lattice)."""
+    """Unit vectors spread evenly over a sphere (a Fibonacci lattice)."""
     number = np.arange(DIRECTIONS) + 0.5
     z, turn = 1 - 2 * number / DIRECTIONS, number * np.pi * (1 + 5**0.5)
     across = np.sqrt(1 - z**2)
@@ -142,7 +149,7 @@ def _directions() -> Points:
 def _neighbours(
     uv_px: Pixels, window: Window, radius_px: int, shape: tuple[int, ...]
 ) -> tuple[Int64[np.ndarray, "n m"], Int64[np.ndarray, "n m"]]:
-    """Rows and columns, in the window, of the square around each position."""
+    """Rows and columns, in the window, of the square neighbourhood of each position."""
     offsets = np.arange(-radius_px, radius_px + 1)
     rows, columns = (side.ravel() for side in np.meshgrid(offsets, offsets, indexing="ij"))
     centre = np.rint(uv_px).astype(np.int64)
@@ -154,7 +161,7 @@ def _neighbours(
 def depth_agreement(
     model_m: DepthPatch, visible: MaskPatch, measured_m: DepthPatch, tolerances: Tolerances
 ) -> float:
-    """Share of the visible, measured pixels whose depth agrees with the model; 1 when there are none."""
+    """Share of the visible and measured pixels whose depth agrees with the model; 1 when there are none."""
     compared = visible & (measured_m > 0) & (model_m < FAR_M)
     if not compared.any():
         return 1.0

@@ -16,7 +16,7 @@ import resource
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import cv2
@@ -24,10 +24,10 @@ import numpy as np
 import open3d as o3d
 
 from rpl_data.geometry import from_rotvec, invert, project, transform
-from rpl_data.images import read_depth_m
+from rpl_data.images import depth_reader, read_depth_m
 from rpl_data.label.label import SceneObject, label_frames
 from rpl_data.raycast import RayScene, render_depth_m
-from rpl_data.types import DepthImage, Frame, FrameLabel, Intrinsics, KeypointModel, Mesh, Scene, Trajectory
+from rpl_data.types import Frame, FrameLabel, Intrinsics, KeypointModel, Mesh, Scene, Trajectory
 from rpl_data.workspace.workspace import Workspace
 
 CAMERA = Intrinsics(600.0, 600.0, 319.5, 239.5, 640, 480)
@@ -67,12 +67,6 @@ def make_scene(folder: Path, mesh: Mesh, count: int) -> tuple[Scene, Trajectory]
     return Scene("bench", CAMERA, 0.001, frames), trajectory
 
 
-def with_depth(scene: Scene, count: int) -> Iterator[tuple[Frame, DepthImage]]:
-    """Frames with their depth, read when asked for."""
-    for frame in scene.frames[:count]:
-        yield frame, read_depth_m(scene, frame)
-
-
 def splat_mask(points_camera: np.ndarray) -> np.ndarray:
     """The original's mask: discs, closing, first contour."""
     mask = np.zeros((480, 640), np.uint8)
@@ -108,23 +102,21 @@ def main(count: int) -> None:
         scene, trajectory = make_scene(Path(folder), mesh, count)
         workspace = Workspace(Path(folder) / "workspace")
 
-        def labels(
-            frames: Iterator[tuple[Frame, DepthImage]] | list[tuple[Frame, DepthImage]],
-        ) -> list[FrameLabel]:
-            return list(label_frames(scene, trajectory, [item], frames))
+        def labels(frames: Sequence[Frame]) -> list[FrameLabel]:
+            return list(label_frames(scene, trajectory, [item], frames, decoded.__getitem__))
 
         start = time.process_time()
         for i in range(FILES):
             splat_mask(transform(invert(trajectory.scene_from_camera[i]), points))
         splat = time.process_time() - start
-        decoded = list(with_depth(scene, FILES))
-        found = labels(decoded[:2])  # warm
+        decoded = {frame: read_depth_m(scene, frame) for frame in scene.frames[:FILES]}
+        found = labels(scene.frames[:2])  # warm
         start = time.process_time()
-        labels(decoded)
+        labels(scene.frames[:FILES])
         warm = time.process_time() - start
         start = time.process_time()
-        for _ in with_depth(scene, FILES):
-            pass
+        for frame in scene.frames[:FILES]:
+            read_depth_m(scene, frame)
         decoding = time.process_time() - start
         area = sum(int(c) for c in _areas(found)) / len(found)
         print(
@@ -136,7 +128,8 @@ def main(count: int) -> None:
         print(f"reading depth PNG alone               {rate(FILES, decoding)}")
         for frames in (100, count):
             start = time.process_time()
-            workspace.save_labels("bench", label_frames(scene, trajectory, [item], with_depth(scene, frames)))
+            made = label_frames(scene, trajectory, [item], scene.frames[:frames], depth_reader(scene))
+            workspace.save_labels("bench", made)
             seconds = time.process_time() - start
             print(
                 f"{frames:6d} frames, PNG to labels on disk  {rate(frames, seconds)}  "

@@ -49,18 +49,26 @@ def at(x: float, y: float, z: float, rotvec: Iterable[float] = (0, 0, 0)) -> np.
     return from_rotvec(np.array(list(rotvec), dtype=float), np.array([x, y, z], dtype=float))
 
 
+def no_depth(frame: Frame) -> np.ndarray:
+    """Reads the depth of frames without a depth image: it must not be called."""
+    raise AssertionError(f"frame {frame.index} has no depth image")
+
+
 def label(
     objects: dict[str, tuple[SceneObject, np.ndarray]],
     depth_m: np.ndarray | None = None,
     intrinsics: Intrinsics = CAMERA,
 ) -> dict[str, InstanceLabel]:
     """Instances of one frame by object name; the camera stands in the scene's origin."""
-    frame = Frame(0, 0.0, Path("c.png"), None)
+    frame = Frame(0, 0.0, Path("c.png"), None if depth_m is None else Path("d.png"))
     scene = Scene("s", intrinsics, 0.001, (frame,))
     trajectory = Trajectory(np.array([0]), np.eye(4)[None])
     poses = {(0, name): pose for name, (_, pose) in objects.items()}
     items = [item for item, _ in objects.values()]
-    (answer,) = label_frames(scene, trajectory, items, [(frame, depth_m)], camera_from_object=poses)
+    read = {0: depth_m}
+    (answer,) = label_frames(
+        scene, trajectory, items, [frame], lambda asked: read[asked.index], camera_from_object=poses
+    )
     return {instance.object: instance for instance in answer.instances}
 
 
@@ -85,7 +93,7 @@ def test_eq3_joins_trajectory_and_object() -> None:
     frame = Frame(7, 1.5, Path("c.png"), None)
     scene = Scene("s", CAMERA, 0.001, (frame,))
     trajectory = Trajectory(np.array([7]), scene_from_camera[None])
-    (found,) = label_frames(scene, trajectory, [item], [(frame, None)])
+    (found,) = label_frames(scene, trajectory, [item], [frame], no_depth)
     assert (found.scene, found.frame, found.timestamp_s) == ("s", 7, 1.5)
     expected = np.linalg.inv(scene_from_camera) @ scene_from_object
     np.testing.assert_allclose(found.instances[0].camera_from_object, expected, atol=1e-12)
@@ -239,7 +247,7 @@ def test_far_points_folded_into_the_image_by_a_lens_are_not_keypoints() -> None:
 def test_unregistered_depth_is_refused() -> None:
     scene = Scene("kitchen", CAMERA, 0.001, (), registered=False)
     with pytest.raises(DataError, match="kitchen.*not registered"):
-        label_frames(scene, Trajectory(np.zeros(0, int), np.zeros((0, 4, 4))), [cube()], [])
+        label_frames(scene, Trajectory(np.zeros(0, int), np.zeros((0, 4, 4))), [cube()], [], no_depth)
 
 
 def test_labels_are_lazy_and_frames_independent() -> None:
@@ -249,16 +257,20 @@ def test_labels_are_lazy_and_frames_independent() -> None:
     trajectory = Trajectory(np.arange(6), poses)
     pulled = []
 
-    def source(indices: Iterable[int]) -> Iterable[tuple[Frame, None]]:
+    def source(indices: Iterable[int]) -> Iterable[Frame]:
         for i in indices:
             pulled.append(i)
-            yield frames[i], None
+            yield frames[i]
 
-    everything = label_frames(scene, trajectory, [cube()], source(range(6)))
+    everything = label_frames(scene, trajectory, [cube()], source(range(6)), no_depth)
     first = next(iter(everything))
     assert pulled == [0]
     whole: list[FrameLabel] = [first, *everything]
-    parts = [x for r in (range(3), range(3, 6)) for x in label_frames(scene, trajectory, [cube()], source(r))]
+    parts = [
+        x
+        for r in (range(3), range(3, 6))
+        for x in label_frames(scene, trajectory, [cube()], source(r), no_depth)
+    ]
     assert [x.instances[0].mask for x in whole] == [x.instances[0].mask for x in parts]
 
 
@@ -298,7 +310,8 @@ def test_a_rigid_motion_of_the_scene_changes_nothing() -> None:
         placed = SceneObject(
             item.model, item.covariance, item.mesh, scene_from @ at(0, 0, 0.6, (0.2, 0.1, 0.4))
         )
-        (found,) = label_frames(scene, Trajectory(np.array([0]), scene_from[None]), [placed], [(frame, None)])
+        trajectory = Trajectory(np.array([0]), scene_from[None])
+        (found,) = label_frames(scene, trajectory, [placed], [frame], no_depth)
         answers.append(found.instances[0])
     np.testing.assert_allclose(answers[0].keypoints_px, answers[1].keypoints_px, atol=1e-9)
     assert iou(decoded(answers[0].mask), decoded(answers[1].mask)) > 0.999

@@ -1,4 +1,4 @@
-"""Dense models and poses -> labels of every chosen frame."""
+"""Stage `label`: label the chosen frames from dense models and poses."""
 
 from __future__ import annotations
 
@@ -79,20 +79,18 @@ def _label_step(context: Context, video: str) -> Step:
 def label_range(
     root: Path, name: str, video: str, objects: Sequence[str], indices: Sequence[int]
 ) -> Iterator[FrameLabel]:
-    """Labels of some frames of a scene, under the name of its recording; runs here or in another process."""
+    """Label some frames of a scene, under the name of its recording; runs in this or another process."""
     workspace = Workspace(root)
     scene = workspace.load_scene(name)
     trajectory = workspace.load_trajectory(scene)
     bodies = [scene_object(workspace, item, name) for item in objects]
     chosen = set(indices)
     frames = [frame for frame in scene.frames if frame.index in chosen]
-    read = workspace.depth_reader(scene)
-    depths = ((f, None if f.depth is None else read(f)) for f in frames)
-    return label_frames(replace(scene, name=video), trajectory, bodies, depths)
+    return label_frames(replace(scene, name=video), trajectory, bodies, frames, workspace.depth_reader(scene))
 
 
 def scene_object(workspace: Workspace, object_name: str, scene: str) -> SceneObject:
-    """An object as it stands in a scene."""
+    """Load an object and its pose in a scene."""
     solution = workspace.load_placed(object_name)
     scene_from_object: Transform = solution.scene_from_object[scene]
     mesh = load_mesh(workspace.mesh_file(object_name))
