@@ -1,11 +1,11 @@
-"""How far the poses of a scene stray over time, and where to cut it so that no part strays too far.
+"""Measure how far the poses of a scene drift over time, and where to cut it so that no part drifts too far.
 
-Labels carry one `scene_from_object` through a whole scene (Eq. 3), so they are wrong by what the poses
-have strayed since the clicked frames. Depth images say how much that is: some frames, evenly spread, are
-moved into one another by their poses; what they disagree by beyond the disagreement of neighbours, which
-is noise, is drift. Only what changes depth is seen, about a third to a half of a drift in any direction, and
-nothing of a slide along a table. Where a corrected path is known (`reconstruct.path_correction`, which looks
-at brightness, too), what it says counts where it is more.
+Labels carry one `scene_from_object` through a whole scene (Eq. 3), so they are wrong by the drift of the
+poses since the clicked frames. Depth images measure it: the depth of some frames, evenly spread, is
+reprojected into one another by their poses. The error beyond that between neighbouring frames, which is
+noise, is drift. Only motion that changes depth is measured, about a third to a half of a drift in any
+direction, and nothing of a slide along a table. Where a corrected path is known
+(`reconstruct.path_correction`, which uses brightness, too), the larger of the two measurements counts.
 """
 
 from __future__ import annotations
@@ -30,26 +30,26 @@ from rpl_data.geometry import (
 from rpl_data.types import DepthImage, Frame, Intrinsics, ReadDepth, Scene, Span, Trajectory
 
 MAX_DRIFT_MM = 15.0
-"""Poses that stray farther are cut, unless the recipe says otherwise."""
+"""Recordings that drift farther are cut, unless the recipe sets another limit."""
 
 SAME_SIDE_RAD = 0.87
-"""Views turned farther apart (50 degrees) see other sides of things: depth differs, whatever the poses."""
+"""Views turned farther apart than this (50 degrees) are not compared: they see other sides of things."""
 
 FEWEST_NEIGHBOURS = 4
-"""Views as many frames apart are compared however far they turn: a sparse recording has no others."""
+"""In a sparse recording the limit rises to this many times the usual turn between the compared frames."""
 
 FEWEST_PAIRS = 3
-"""Fewer pairs of frames say little: one may be off by what hides between its views."""
+"""Fewest pairs whose median is taken: a single pair may be wrong by occlusion."""
 
 
 @dataclass(frozen=True)
 class Drift:
-    """How far apart the poses of some frames of a scene have strayed.
+    """The drift of the poses between some frames of a scene.
 
     Attributes:
-        frames: `Frame.index` of the frames that were looked at, in order.
-        between_m: drift between two of them, beyond the noise; NaN where their views hardly overlap.
-        noise_m: what neighbouring frames of the recording disagree by.
+        frames: `Frame.index` of the measured frames, in order.
+        between_m: drift between each two of them, beyond the noise; NaN where their views hardly overlap.
+        noise_m: depth reprojection error between neighbouring frames of the recording.
     """
 
     frames: Int64[np.ndarray, " n"]
@@ -57,15 +57,15 @@ class Drift:
     noise_m: float
 
     def of_stretch(self, first: int, behind: int) -> float:
-        """Drift in metres over the frames looked at, rows first to behind - 1.
+        """Drift in metres over the measured frames in rows first to behind - 1.
 
-        Pairs of frames are taken together with those about as far apart, as many as there are frames; it
-        is the median of such a group, of the group where that is largest.
+        Pairs of frames are grouped by how far apart they are, with about as many pairs per group as there are
+        frames. The drift is the largest median of a group.
         """
         return max((float(np.median(group)) for group in self._groups(first, behind)), default=0.0)
 
     def sure_beyond(self, limit_m: float, *, resamples: int = 200) -> float:
-        """Share of bootstrap resamples of the pairs in which the whole scene strays farther than that."""
+        """Share of bootstrap resamples of the pairs in which the drift of the whole scene exceeds a limit."""
         groups = self._groups(0, len(self.frames))
         if not groups:
             return 0.0
@@ -74,7 +74,7 @@ class Drift:
         return float((np.median(chosen, axis=1) > limit_m).mean())
 
     def _groups(self, first: int, behind: int) -> list[Float64[np.ndarray, " pairs"]]:
-        """Drift of the pairs of frames, in groups of those about as far apart."""
+        """Drift of the pairs of frames, grouped by how far apart they are."""
         count = behind - first
         i, j = np.triu_indices(count, 1)
         between = self.between_m[first:behind, first:behind][i, j]
@@ -99,13 +99,13 @@ def measure_drift(
     most_neighbours: int = 8,
     advance: Callable[[int, int], None] = lambda done, total: None,
 ) -> Drift:
-    """Compare `most_frames` depth images with one another, and some with their neighbours.
+    """Measure drift by comparing `most_frames` depth images pairwise, and some with their neighbours.
 
     Args:
         read_depth: reads the depth images of the scene.
-        corrected: the path as the images correct it; it also says how far apart views of different sides
-            have strayed, and how far along a table.
-        advance: called with the images read and how many will be.
+        corrected: the path corrected by the images; it also shows drift between views of different sides,
+            and along a table.
+        advance: called with the number of images read and of all images.
     """
     posed = set(trajectory.frames.tolist())
     frames = [frame for frame in scene.frames if frame.index in posed and frame.depth is not None]
@@ -129,7 +129,7 @@ def measure_drift(
     known = set() if corrected is None else set(corrected.frames.tolist())
 
     def moved_m(a: int, b: int) -> float:
-        """How far the correction moves what frame b sees in the middle of its image, seen from frame a."""
+        """Distance, seen from frame a, by which the correction moves the middle of what frame b sees."""
         if corrected is None or not {frames[a].index, frames[b].index} <= known:
             return float("nan")
         seen_m = depths_m[b][depths_m[b] > 0]
@@ -156,12 +156,12 @@ def _between(path: Trajectory, a: Frame, b: Frame) -> Transform:
 
 
 def _turn_rad(path: Trajectory, a: Frame, b: Frame) -> float:
-    """How far the camera turned between two frames."""
+    """Angle by which the camera turned between two frames."""
     return rotation_angle_rad(_between(path, a, b)[:3, :3])
 
 
 def _spread(count: int, most: int) -> list[int]:
-    """At most so many of the numbers from 0 to count - 1, evenly spread."""
+    """At most `most` of the numbers from 0 to count - 1, evenly spread."""
     if count < 1:
         return []
     rows: list[int] = np.unique(np.linspace(0, count - 1, min(most, count)).round().astype(int)).tolist()
@@ -175,14 +175,14 @@ def cut(
     most_parts: int = 6,
     allowed: Callable[[int, int], bool] = lambda first, last: True,
 ) -> list[Span] | None:
-    """The fewest stretches that stray no farther than allowed, the worst of them as little as can be.
+    """Cut a scene into the fewest parts within the limit, with the least drift in the worst of them.
 
     Args:
-        allowed: whether frames first to last may be a part.
+        allowed: whether frames first to last may form a part.
 
     Returns:
-        First and last frame (`Frame.index`) of every part, between them all frames; a single one for a
-        scene that need not be cut, none without frames. None when `most_parts` would not do.
+        First and last frame (`Frame.index`) of every part; together they cover all frames. A single part when
+        the scene need not be cut, an empty list without frames, None when `most_parts` parts are too few.
     """
     count = len(drift.frames)
     if count == 0:
@@ -192,7 +192,7 @@ def cut(
         for a in range(count)
         for b in range(a + 1, count + 1)
     }
-    # By the rows that are dealt out: drift of the worst part, and where parts begin, of their best cut.
+    # For the first b rows: the drift of the worst part of their best cut, and where its parts begin.
     best: dict[int, tuple[float, tuple[int, ...]]] = {
         b: (drift.of_stretch(0, b) if b == count else strayed_m[0, b], (0,)) for b in range(1, count + 1)
     }
@@ -210,40 +210,40 @@ def cut(
 
 
 def _span(frames: Int64[np.ndarray, " n"], a: int, b: int) -> Span:
-    """Frames of the part of rows a to b - 1; a cut lies in the middle between the frames looked at."""
+    """Frames of the part with rows a to b - 1; a cut lies midway between two measured frames."""
     first = int(frames[0]) if a == 0 else int(frames[a - 1] + frames[a]) // 2 + 1
     last = int(frames[-1]) if b == len(frames) else int(frames[b - 1] + frames[b]) // 2
     return first, last
 
 
 def drift_to_json(drift: Drift) -> dict[str, Any]:
-    """JSON-ready; null where views hardly overlap."""
+    """Convert to JSON-ready values; null where views hardly overlap."""
     between = [[None if np.isnan(m) else round(float(m), 6) for m in row] for row in drift.between_m]
     return {"frames": drift.frames.tolist(), "between_m": between, "noise_m": drift.noise_m}
 
 
 def drift_from_json(data: dict[str, Any]) -> Drift:
-    """The drift of `drift_to_json`."""
+    """Read the drift from what `drift_to_json` made."""
     between_m = np.array(data["between_m"], dtype=float).reshape(2 * (len(data["frames"]),))
     return Drift(np.array(data["frames"], dtype=np.int64), between_m, data["noise_m"])
 
 
 STEP_PX = 4
-"""Every fourth pixel in both directions is looked at: 19,200 of an image of 640 x 480."""
+"""Every fourth pixel in both directions is used: 19,200 of an image of 640 x 480."""
 
 LEAST_PIXELS = 500
-"""Views with fewer common pixels than this do not overlap enough to be compared."""
+"""Views with fewer common pixels than this overlap too little to be compared."""
 
 
 @dataclass(frozen=True)
 class GapErrors:
-    """Depth reprojection errors of pairs of frames a gap apart.
+    """Depth reprojection errors of pairs of frames that are `gap` apart.
 
     Attributes:
-        gap: frames between the two of a pair.
+        gap: difference of the `Frame.index` of a pair.
         pairs: indices (k, k + gap) of the frames.
-        errors_m: median over the pixels of |moved - measured depth|, a pair; NaN where the two views
-            hardly overlap.
+        errors_m: for each pair, the median over its pixels of |predicted - measured depth|; NaN where the two
+            views hardly overlap.
     """
 
     gap: int
@@ -265,13 +265,12 @@ def reprojection_over_gap(
     read_depth: ReadDepth,
     most_pairs: int = 40,
 ) -> GapErrors:
-    """Depth reprojection errors between frames `gap` apart, in constant memory.
+    """Measure depth reprojection errors between frames `gap` apart, in constant memory.
 
     Args:
-        gap: in frames of the recording (of `Frame.index`); pairs with a frame that has no pose or no
-            depth are left out.
+        gap: difference of `Frame.index`; pairs with a frame that lacks a pose or depth are left out.
         read_depth: reads the depth images of the scene.
-        most_pairs: this many pairs, spread over the recording, are looked at.
+        most_pairs: largest number of pairs, which are spread over the recording.
     """
     posed = set(trajectory.frames.tolist())
     frames = {f.index: f for f in scene.frames if f.index in posed and f.depth is not None}

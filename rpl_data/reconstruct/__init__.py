@@ -1,1 +1,1 @@
-"""Scene -> trajectory (`tracking`, `path`) and, from poses given or tracked, the surface (`surface`)."""
+"""Camera tracking, correction of given poses, and fusion of depth to a surface (paper III-A)."""

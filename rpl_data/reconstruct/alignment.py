@@ -1,9 +1,10 @@
-"""A frame against a keyframe: pixel by pixel, brightness and depth.
+"""Align a frame to a keyframe by the brightness and depth of its pixels.
 
-Pixels of the frame are moved into the keyframe by the pose in question; there the keyframe should be as
-bright (Steinbruecker et al., ICCV workshops 2011) and as far away, with robust weights for both (Kerl et
-al., IROS 2013). What else is known of the pose enters the same normal equations as a Gaussian with its
-own information, so each source decides where it knows more: on a plane brightness alone holds the camera.
+Pixels of the frame are projected into the keyframe by an estimated pose. There the brightness
+(Steinbruecker et al., ICCV workshops 2011) and the depth of the keyframe should be the same; the differences
+are the residuals, with robust weights (Kerl et al., IROS 2013). A prior on the pose enters the same normal
+equations with its own information matrix. So each source counts where it is certain: on a plane, only
+brightness constrains the camera.
 """
 
 from __future__ import annotations
@@ -21,13 +22,13 @@ from rpl_data.reconstruct.model_map import Keyframe
 from rpl_data.reconstruct.view import View
 
 ITERATIONS = 4
-"""Gauss-Newton steps a level."""
+"""Largest number of Gauss-Newton steps per level."""
 
 CONVERGED = 3e-4
-"""Steps smaller than this, in radians and metres, are the last of a level."""
+"""The iteration at a level ends after a step smaller than this, in radians and metres."""
 
 PLAIN = 6.0
-"""Brightness that varies less than this (standard deviation, of 255) shows nothing to correlate."""
+"""Brightness with a smaller standard deviation than this (of 255) is too uniform to correlate."""
 
 
 @dataclass(frozen=True)
@@ -35,10 +36,10 @@ class Fit:
     """A frame aligned to a keyframe.
 
     Attributes:
-        estimate: with the information of brightness, depth and what was known before.
-        seen: share of the frame's pixels that lie in the keyframe's image.
-        agreeing: share of those that are as far away as the keyframe says.
-        correlation: of the brightness of those; NaN where there is nothing to see.
+        estimate: the pose, with the information of brightness, depth and the prior.
+        seen: share of the frame's pixels that project into the keyframe's image.
+        agreeing: share of the seen pixels whose depth agrees with the keyframe's.
+        correlation: correlation of the brightness of the agreeing pixels; NaN where it is too uniform.
     """
 
     estimate: Estimate
@@ -56,13 +57,13 @@ def align(
     levels: Sequence[int],
     color_trust: float = 1.0,
 ) -> Fit:
-    """The pose of a frame that fits a keyframe's brightness and depth, and what is known before.
+    """Find the pose of a frame that fits a keyframe's brightness and depth, and the prior.
 
     Args:
-        start: the pose to start at.
-        prior: what is known before.
-        levels: sizes of the images to use, in this order; 0 is the largest.
-        color_trust: weight of brightness; 1 where depth lies on the pixels of the colour image.
+        start: `scene_from_camera` of the frame, where the search starts.
+        prior: what is known of the pose beforehand.
+        levels: pyramid levels to use, in this order; 0 is the largest.
+        color_trust: weight of brightness; 1 where depth is registered to colour.
     """
     pose = start
     for level in levels:
@@ -83,7 +84,7 @@ def align(
 
 
 def _agreement(pixels: Pixels, compared: Compared) -> tuple[float, float, float]:
-    """Shares seen and agreeing, and the correlation of brightness."""
+    """The shares `seen` and `agreeing` and the `correlation` of a `Fit`."""
     total, use = len(compared.seen), compared.agrees
     seen, agreeing = int(np.count_nonzero(compared.seen)), int(np.count_nonzero(use))
     correlation = float("nan")

@@ -1,4 +1,4 @@
-"""The pixels of a frame in a keyframe: how bright and how far it is there, and what motion does to that."""
+"""Compare the pixels of a frame with a keyframe: residuals of brightness and depth, and their derivatives."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rpl_data.reconstruct.view import Level
 
 STEEP_PIXELS = 2000
 EVEN_PIXELS = 600
-"""Pixels compared a level: about so many of the steepest brightness, and so many spread evenly."""
+"""Pixels compared per level: about this many where brightness changes steeply, and this many elsewhere."""
 
 Values = Float32[np.ndarray, " n"]
 Derivative = Float32[np.ndarray, "6 n"]
@@ -23,7 +23,7 @@ Derivative = Float32[np.ndarray, "6 n"]
 
 @dataclass(frozen=True)
 class Pixels:
-    """Pixels of the frame: points in its camera, a column a pixel, and brightness."""
+    """Pixels of a frame: their points in its camera frame, one column per pixel, and their brightness."""
 
     points: Float32[np.ndarray, "3 n"]
     grey: Values
@@ -31,15 +31,17 @@ class Pixels:
 
 @dataclass(frozen=True)
 class Compared:
-    """The pixels in the keyframe.
+    """The pixels of a frame projected into a keyframe.
 
     Attributes:
-        seen: they lie in its image where it has depth.
-        agrees: at about its depth.
-        smooth: and it has depth all around.
-        grey, step_m: the keyframe's brightness, and how much farther than the pixel it is.
-        u_by_motion, v_by_motion: derivatives of the place in its image by a motion along its axes.
-        grey_by_motion, step_by_motion: of the other two.
+        seen: the pixel projects into the keyframe's image, where that has depth.
+        agrees: the pixel is seen, and its depth differs from the keyframe's by less than 2 % and 5 mm.
+        smooth: the pixel agrees, and the keyframe has depth all around it.
+        grey: brightness of the keyframe there.
+        step_m: depth of the keyframe there, minus that of the pixel.
+        u_by_motion, v_by_motion: derivatives of the projection by a motion of the frame along the keyframe's
+            axes.
+        grey_by_motion, step_by_motion: derivatives of `grey` and `step_m` by the same motion.
     """
 
     seen: Bool[np.ndarray, " n"]
@@ -54,7 +56,7 @@ class Compared:
 
 
 def chosen_pixels(level: Level) -> Pixels:
-    """The steep half of the pixels, thinned evenly, and some of all: a few edges alone are one-sided."""
+    """Choose pixels where brightness is steep, and some others: a few edges may constrain one side only."""
     measured = level.depth_m > 0
     steep = cv2.magnitude(cv2.Sobel(level.grey, cv2.CV_32F, 1, 0), cv2.Sobel(level.grey, cv2.CV_32F, 0, 1))
     sample = steep[measured][::7]
@@ -79,7 +81,15 @@ def _thinned(numbers: np.ndarray, count: int) -> np.ndarray:
 def compare(
     pixels: Pixels, keyframe: Keyframe, number: int, scene_from_camera: Transform
 ) -> tuple[Compared, Information]:
-    """The pixels in the keyframe, and the axes that take a motion of the frame to one along its axes."""
+    """Project pixels into a keyframe and compare them with it.
+
+    Args:
+        number: of the pyramid level.
+
+    Returns:
+        The comparison, and the matrix that turns a motion along the frame's axes into one along the
+        keyframe's.
+    """
     level = keyframe.levels[number]
     camera = level.camera
     keyframe_from_camera = (invert(keyframe.scene_from_camera) @ scene_from_camera).astype(np.float32)
@@ -115,7 +125,7 @@ def compare(
 def _by_motion(
     turned: Float32[np.ndarray, "3 n"], fx_per_z: Values, fy_per_z: Values, x_per_z: Values, y_per_z: Values
 ) -> tuple[Derivative, Derivative, Derivative]:
-    """Derivatives of u, v and z of points by a motion, with axes turned to the keyframe's.
+    """Derivatives of u, v and z of points by a motion along the keyframe's axes.
 
     A motion (w, t) moves a point by ``w x turned + t``.
     """

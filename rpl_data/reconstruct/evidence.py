@@ -1,4 +1,4 @@
-"""Differences between a frame and a keyframe -> what they say about the motion (normal equations)."""
+"""Turn the differences between a frame and a keyframe into normal equations for the motion."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from rpl_data.reconstruct.comparison import Compared, Derivative, Pixels, Values
 from rpl_data.reconstruct.information import INDEPENDENT, Information, Motion, above_noise
 
 LEAST_PIXELS = 100
-"""Fewer say nothing."""
+"""With fewer pixels than this, the differences are ignored."""
 
 GREY_NOISE, DEPTH_NOISE = 0.35, 0.15
-"""Noise of a slope (of the smoothed depth, for depth) for one of the difference of two pixels; half of that
-difference's variance is the keyframe's, and the filters of the slopes do the rest."""
+"""Standard deviation of the noise of a slope, per unit of the noise of the difference of two pixels. Half of
+the difference's variance comes from the keyframe; the filters that compute slopes reduce the rest."""
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """What one kind of difference says about the motion.
+    """The normal equations of one kind of difference.
 
     Attributes:
-        information, pull: of the normal equations.
-        weights: of the pixels.
-        slope_noise: standard deviation of the keyframe's slopes.
+        information, pull: matrix and right-hand side of the normal equations.
+        weights: robust weight of each pixel.
+        slope_noise: standard deviation of the noise of the keyframe's slopes.
     """
 
     information: Information
@@ -34,7 +34,7 @@ class Evidence:
     slope_noise: float
 
     def above_noise(self, compared: Compared) -> Information:
-        """The information without what noisy slopes show where there are none."""
+        """The information less that which the noise of the slopes alone would give."""
         weights = self.weights * np.float32(self.slope_noise**2)
         u, v = compared.u_by_motion, compared.v_by_motion
         noise = (u * weights) @ u.T + (v * weights) @ v.T
@@ -42,7 +42,7 @@ class Evidence:
 
 
 def of_brightness(pixels: Pixels, compared: Compared) -> Evidence:
-    """Differences of brightness, with a gain and an offset between the exposures."""
+    """Evidence from brightness; a gain and an offset between the exposures are removed first."""
     gain, offset = _exposure(compared.grey[compared.agrees], pixels.grey[compared.agrees])
     residuals = pixels.grey - (gain * compared.grey + offset)
     return _evidence(
@@ -51,7 +51,7 @@ def of_brightness(pixels: Pixels, compared: Compared) -> Evidence:
 
 
 def of_depth(compared: Compared) -> Evidence:
-    """Differences of depth."""
+    """Evidence from depth."""
     return _evidence(
         -compared.step_m, compared.step_by_motion, compared.smooth, slope_noise=DEPTH_NOISE, floor=5e-4
     )
@@ -65,10 +65,10 @@ def _evidence(
     slope_noise: float,
     floor: float,
 ) -> Evidence:
-    """Normal equations with Cauchy's weights; the scale is the residuals' own, and `floor` more.
+    """Normal equations with Cauchy weights, whose scale is the residuals' own plus `floor`.
 
     Args:
-        slope_noise: for a scale of 1.
+        slope_noise: noise of the slopes for residuals of scale 1.
     """
     count = int(np.count_nonzero(use))
     if count < LEAST_PIXELS:
@@ -83,7 +83,7 @@ def _evidence(
 
 
 def _exposure(there: Values, here: Values) -> tuple[np.float32, np.float32]:
-    """Gain and offset between two exposures by quartiles: edges that do not meet yet hardly move them."""
+    """Gain and offset between two exposures, from quartiles, which misaligned edges hardly change."""
     if len(there) < LEAST_PIXELS:
         return np.float32(1), np.float32(0)
     quartiles = (np.array([0.25, 0.5, 0.75]) * len(there[::4])).astype(int)

@@ -1,6 +1,6 @@
-"""Small motions of the camera and how well they are known: the algebra that joins colour and depth.
+"""Small camera motions and their information matrices, by which colour and depth are combined.
 
-A motion is six numbers (rotation vector, then translation) of the camera in its own frame; it changes a
+A motion is six numbers (rotation vector, then translation) in the camera's own frame; it changes a
 pose to ``scene_from_camera @ moved(motion)``. That is also small_gicp's convention.
 """
 
@@ -15,10 +15,11 @@ from jaxtyping import Float64
 from rpl_data.geometry import Transform, invert, rigid
 
 INDEPENDENT = 0.1
-"""Neighbouring pixels and points err alike: each is worth this much of an independent measurement."""
+"""Errors of neighbouring pixels and points are correlated, so each counts as this share of an independent
+measurement."""
 
 LEVER_M = 0.7
-"""A turn is as large as its arc at this distance, a usual one between camera and object."""
+"""A rotation counts as long as its arc at this distance, which is typical between camera and object."""
 
 Motion = Float64[np.ndarray, "6"]
 Information = Float64[np.ndarray, "6 6"]
@@ -26,11 +27,11 @@ Information = Float64[np.ndarray, "6 6"]
 
 @dataclass(frozen=True)
 class Estimate:
-    """A pose and how well it is known.
+    """A pose and its certainty.
 
     Attributes:
         scene_from_camera: the pose.
-        information: inverse covariance of the motion that would mend it; radians and metres.
+        information: inverse covariance of the motion that corrects the pose; radians and metres.
     """
 
     scene_from_camera: Transform
@@ -51,7 +52,7 @@ def motion_between(a: Transform, b: Transform) -> Motion:
 def distances_m(
     poses: Float64[np.ndarray, "n 4 4"], scene_from_camera: Transform
 ) -> Float64[np.ndarray, " n"]:
-    """Size of the motions from some poses to another, as `size_m` has it."""
+    """Size of the motion from each of some poses to another pose, as defined by `size_m`."""
     turned = (np.einsum("nij,ij->n", poses[:, :3, :3], scene_from_camera[:3, :3]) - 1) / 2  # cosines
     moved_m = np.linalg.norm(poses[:, :3, 3] - scene_from_camera[:3, 3], axis=1)
     sizes_m: Float64[np.ndarray, " n"] = np.hypot(moved_m, LEVER_M * np.arccos(np.clip(turned, -1, 1)))
@@ -59,12 +60,12 @@ def distances_m(
 
 
 def size_m(motion: Motion) -> float:
-    """Size of a motion in metres, a turn as its arc at `LEVER_M`."""
+    """Size of a motion in metres; a rotation counts as its arc at `LEVER_M`."""
     return float(np.hypot(np.linalg.norm(motion[3:]), LEVER_M * np.linalg.norm(motion[:3])))
 
 
 def above_noise(information: Information, noise: Information) -> Information:
-    """Information without what measurements of a featureless scene would show of their noise alone."""
+    """Information less that which noise alone would give in a featureless scene."""
     values, vectors = np.linalg.eigh(information - noise)
     left: Information = (vectors * np.maximum(values, 0)) @ vectors.T
     return left

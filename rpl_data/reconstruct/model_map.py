@@ -1,4 +1,4 @@
-"""What frames are aligned to: keyframes with their images, and a map of Gaussians of all their depth."""
+"""The map that frames are aligned to: keyframes with their images, and Gaussians of all their depth."""
 
 from __future__ import annotations
 
@@ -22,26 +22,26 @@ from rpl_data.reconstruct.relocalise import Landmarks, landmarks_of
 from rpl_data.reconstruct.view import Level, View
 
 VOXEL_M = 0.04
-"""A Gaussian a voxel: 2 to 4 cm were measured to be the best of all."""
+"""Edge of a voxel; each voxel holds one Gaussian. Of all sizes tried, 2 to 4 cm were best."""
 
 NORMALS_RAD = 0.15
-"""Error of a point's normal, fitted to its neighbours' noisy depth."""
+"""Standard deviation of a point's normal, which is fitted to the noisy depth of its neighbours."""
 
 BIAS = 0.02
-"""Voxels blur edges, so many points err alike: the map's word counts this much less than its noise says."""
+"""Voxels blur edges, so errors of many points are correlated: the map's information is scaled by this."""
 
 Slopes = Float32[np.ndarray, "_ _ 4"]
-"""Change of brightness a pixel in u and in v, then of depth in m; depth is NaN near missing depth."""
+"""Change of brightness per pixel in u and in v, then of depth in metres; NaN near missing depth."""
 
 
 @dataclass(frozen=True)
 class Keyframe:
-    """A frame the map was made of; other frames are aligned to its images.
+    """A frame that other frames are aligned to.
 
     Attributes:
-        index: of the frame.
-        levels, slopes: its images, largest first.
-        landmarks: by which it is found again when the track was lost.
+        index: `Frame.index`.
+        levels, slopes: its images and their derivatives, largest first.
+        landmarks: corners by which the camera is relocalised after the track was lost.
     """
 
     index: int
@@ -52,7 +52,7 @@ class Keyframe:
 
 
 def keyframe_of(index: int, view: View, scene_from_camera: Transform) -> Keyframe:
-    """A frame with what other frames need to be aligned to it."""
+    """Make a keyframe of a frame's view and pose."""
     slopes = tuple(_slopes(level) for level in view.levels)
     return Keyframe(index, scene_from_camera, view.levels, slopes, landmarks_of(view.levels[0]))
 
@@ -60,8 +60,8 @@ def keyframe_of(index: int, view: View, scene_from_camera: Transform) -> Keyfram
 class ModelMap:
     """Keyframes, and Gaussians in voxels for VGICP (Koide et al., ICRA 2021).
 
-    It grows with the space the camera sees and with the directions it sees it from, not with the length
-    of the recording.
+    Its memory grows with the space that the camera sees and the directions it sees it from, not with the
+    length of the recording.
     """
 
     def __init__(self) -> None:
@@ -72,13 +72,13 @@ class ModelMap:
         self.keyframes: list[Keyframe] = []
 
     def add(self, index: int, view: View, scene_from_camera: Transform) -> Keyframe:
-        """Make a keyframe of a frame."""
+        """Add a frame as a keyframe."""
         self._gaussians.insert(view.cloud, scene_from_camera)
         self.keyframes.append(keyframe_of(index, view, scene_from_camera))
         return self.keyframes[-1]
 
     def by_distance(self, scene_from_camera: Transform) -> Sequence[tuple[float, Keyframe]]:
-        """The keyframes, most similar view first, and how far the camera was from there in m."""
+        """The keyframes, most similar view first, each with its distance from this pose (`size_m`)."""
         poses = np.stack([keyframe.scene_from_camera for keyframe in self.keyframes])
         found_m = distances_m(poses, scene_from_camera)
         return [(float(found_m[row]), self.keyframes[row]) for row in np.argsort(found_m)]
@@ -100,11 +100,11 @@ class ModelMap:
 
 
 def _information(view: View, found: Any) -> Information:
-    """What point-to-plane distances say about the motion; nothing about sliding along a plane.
+    """Information matrix of the point-to-plane distances, which leaves sliding along a plane free.
 
-    small_gicp's own Hessian cannot be used: it also pulls points to the middle of the voxels they are in
-    at the moment, a friction that is not there. Nor can the normals as they are, whose noise looks like
-    slopes to hold on to: what it would show of a plane is taken off.
+    small_gicp's own Hessian also pulls points to the middle of their voxels, so it would claim to know such
+    sliding. The noise of the normals would claim it too: the information that noise alone gives is
+    subtracted.
     """
     points, normals = view.cloud.points()[:, :3], view.cloud.normals()[:, :3]
     noise = np.zeros((6, 6))
@@ -120,7 +120,7 @@ def _information(view: View, found: Any) -> Information:
 
 
 def _outer(points: Any, directions: Any) -> Information:
-    """Sum of J^T J where J is the derivative of ``directions . points`` by the motion."""
+    """Sum of J^T J, where J is the derivative of ``directions . points`` by the motion."""
     derivative = np.hstack([np.cross(points, directions), directions])
     product: Information = derivative.T @ derivative
     return product

@@ -1,4 +1,4 @@
-"""Tracked frames -> the path of the camera, and what was lost of it, for a person."""
+"""Collect tracked frames to a trajectory, and tell the user which frames were lost."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from rpl_data.types import DataError, Scene, Trajectory
 
 @dataclass(frozen=True)
 class Track:
-    """The path of the camera in a recording.
+    """The tracked path of the camera in a recording.
 
     Attributes:
-        trajectory: of the frames that were tracked.
-        lost: indices of the others.
+        trajectory: poses of the tracked frames.
+        lost: `Frame.index` of the other frames.
     """
 
     trajectory: Trajectory
@@ -25,10 +25,10 @@ class Track:
 
 
 def collected(scene: Scene, tracked: Iterable[Tracked]) -> Track:
-    """All frames of a recording.
+    """Collect the tracked frames of a recording.
 
     Raises:
-        DataError: hardly anything could be tracked.
+        DataError: fewer than two frames could be tracked.
     """
     found = [(item.frame.index, item.scene_from_camera) for item in tracked]
     good = [(index, pose) for index, pose in found if pose is not None]
@@ -46,7 +46,7 @@ def collected(scene: Scene, tracked: Iterable[Tracked]) -> Track:
 
 
 def losses(scene: Scene, track: Track) -> list[str]:
-    """What was lost, a line each: frames in between, and the rest when the track was never found again."""
+    """Lines for the user about lost frames: those in between, and those after the track was lost for good."""
     last = int(track.trajectory.frames[-1])
     rest = [index for index in track.lost if index > last]
     between = [index for index in track.lost if index < last]

@@ -1,9 +1,10 @@
-"""A path of the camera that is nearly right -> the path that the images agree with.
+"""Correct a given camera path by the images of its frames.
 
-Given poses drift, or are off in fast frames, and what labels need is how frames lie to one another. Pairs of
-frames that see nearly the same are aligned by brightness and depth (`alignment`), each pair by itself, and a
-pose graph joins them (`pose_graph`). Pairs close in view but not in time close loops, so that errors do not
-add up over a recording. Keyframes are joined first; every other frame then hangs on the keyframes near it.
+Given poses drift, or are wrong in fast frames, while labels depend on the relative poses of frames. So pairs
+of frames with similar views are aligned by brightness and depth (`alignment`), each pair by itself, and a
+pose graph combines them (`pose_graph`). Pairs with similar views that are far apart in time close loops, so
+that errors do not accumulate. Keyframes are optimised first; every other frame is then aligned to the
+keyframes near it.
 """
 
 from __future__ import annotations
@@ -27,26 +28,28 @@ from rpl_data.reconstruct.view import View
 from rpl_data.types import Frame, Intrinsics, Scene, Trajectory
 
 NEAR_KEYFRAMES, NEAR_FRAME = 4, 3
-"""Keyframes that a keyframe, and another frame, is aligned to: those with the most similar view."""
+"""Number of keyframes that a keyframe, and any other frame, is aligned to: those with the most similar
+views."""
 
 ROUNDS = 3
 SAME_START_M = 0.01
-"""Pairs are aligned again, from the corrected poses, until these move by less: far from its end an alignment
-may stop on the way."""
+"""Pairs are aligned again, from the corrected poses, until no pose moves farther than this (or for that many
+rounds): from a distant start, an alignment may stop too early."""
 
 GIVEN = np.diag([0.02**-2] * 6)
-"""How well the given poses are known: 1 degree and 2 cm. It decides only what no pair of frames says."""
+"""Information of the given poses: 1 degree and 2 cm. It matters only where no pair of frames constrains
+them."""
 
 
 @dataclass(frozen=True)
 class CorrectedPath:
-    """A corrected path and how far it moved.
+    """A corrected path and how far the correction moved it.
 
     Attributes:
-        trajectory: the frames of the path that was given.
-        moved_px: for each frame, how far the correction moves the image (median over the surface it sees).
-        tied: for each frame, whether pairs that could be aligned join it to most others; the motion between
-            it and them is the given one where they do not.
+        trajectory: corrected poses of the frames of the given path.
+        moved_px: for each frame, how far the correction moves its image (median over the surface it sees).
+        tied: for each frame, whether aligned pairs connect it to the largest group of frames; where they do
+            not, its pose relative to that group is the given one.
     """
 
     trajectory: Trajectory
@@ -55,7 +58,7 @@ class CorrectedPath:
 
     @property
     def most_px(self) -> float:
-        """How far the images move, but for a tenth of them that move more."""
+        """90th percentile of `moved_px`."""
         return float(np.quantile(self.moved_px, 0.9)) if len(self.moved_px) else 0.0
 
     @property
@@ -76,8 +79,8 @@ def correct_path(
     Memory grows with the space that the camera sees, not with the number of frames.
 
     Args:
-        look: reads a frame and makes the view of it; called once per frame.
-        advance: called with the frames done and how many there are.
+        look: reads a frame and returns its view; called once per frame.
+        advance: called with the number of frames done and of all frames.
     """
     given = dict(zip(trajectory.frames.tolist(), trajectory.scene_from_camera, strict=True))
     frames = [frame for frame in scene.frames if frame.index in given and frame.depth is not None]
@@ -108,11 +111,11 @@ def correct_path(
             continue
         advance(len(found), len(frames))
         view = look(frame)
-        pose, hung_on = _hang(view, given, frame.index, keyframes, known, trust)
-        found[frame.index], tied[frame.index] = pose, bool(hung_on & joined)
+        pose, aligned_to = _align_between(view, given, frame.index, keyframes, known, trust)
+        found[frame.index], tied[frame.index] = pose, bool(aligned_to & joined)
         moved_px[frame.index] = _moved_px(scene.intrinsics, view, invert(pose) @ given[frame.index])
 
-    for index in given.keys() - found.keys():  # without depth: as the nearest frame with it was moved
+    for index in given.keys() - found.keys():  # a frame without depth moves as the nearest one that has it
         nearest = min(found, key=lambda other: abs(other - index), default=None)
         found[index] = (
             given[index] if nearest is None else found[nearest] @ invert(given[nearest]) @ given[index]
@@ -127,7 +130,7 @@ def correct_path(
 
 
 def choose_keyframes(poses: Sequence[Transform]) -> list[int]:
-    """Rows of the poses whose view is unlike that of every keyframe before them."""
+    """Choose as keyframes the poses (by row) whose view differs from that of every keyframe before."""
     chosen: list[int] = []
     for row, pose in enumerate(poses):
         if not chosen or distances_m(np.array([poses[k] for k in chosen]), pose).min() > KEYFRAME_M:
@@ -136,7 +139,7 @@ def choose_keyframes(poses: Sequence[Transform]) -> list[int]:
 
 
 def largest_piece(frames: Sequence[int], edges: Sequence[Edge]) -> set[int]:
-    """The most frames that edges join, directly or through others."""
+    """The largest group of frames that edges connect, directly or through others."""
     row = {frame: number for number, frame in enumerate(frames)}
     pairs = np.array([(row[edge.first], row[edge.second]) for edge in edges], dtype=int).reshape(-1, 2)
     ones, size = np.ones(len(pairs)), len(frames)
@@ -146,7 +149,7 @@ def largest_piece(frames: Sequence[int], edges: Sequence[Edge]) -> set[int]:
 
 
 def _keyframe_edges(keyframes: Mapping[int, Keyframe], views: Mapping[int, View], trust: float) -> list[Edge]:
-    """Pairs of keyframes that could be aligned: with the most similar views, and with the next one."""
+    """Align every keyframe to those with the most similar views and to the next; drop failures."""
     order = list(keyframes)
     poses = np.array([keyframes[index].scene_from_camera for index in order])
     edges = []
@@ -163,7 +166,7 @@ def _keyframe_edges(keyframes: Mapping[int, Keyframe], views: Mapping[int, View]
 
 
 def _edge(view: View, index: int, keyframe: Keyframe, guess: Transform, trust: float) -> Edge | None:
-    """A frame aligned to a keyframe; None where that does not hold.
+    """Align a frame to a keyframe; None where the fit does not hold.
 
     Args:
         guess: `scene_from_camera` of the frame, with the keyframe at its own pose.
@@ -184,7 +187,7 @@ def _aligned(view: View, keyframe: Keyframe, start: Transform, trust: float) -> 
     return align(view, keyframe, start, Estimate(start, PREDICTED), levels=(2, 1, 0), color_trust=trust)
 
 
-def _hang(
+def _align_between(
     view: View,
     given: Mapping[int, Transform],
     index: int,
@@ -192,14 +195,14 @@ def _hang(
     known: Mapping[int, Transform],
     trust: float,
 ) -> tuple[Transform, set[int]]:
-    """The pose of a frame between keyframes whose poses are known, and which of them it was aligned to."""
+    """Align a frame to keyframes with known poses; return its pose, and which keyframes were used."""
     order = list(keyframes)
     at_given = np.array([given[key] for key in order])
     nearest = [order[k] for k in np.argsort(distances_m(at_given, given[index]))[:NEAR_FRAME]]
     guess = known[nearest[0]] @ invert(given[nearest[0]]) @ given[index]
     edges = []
     for key in nearest:
-        # The pose that a keyframe carries may be another than the known one; only relative poses are used.
+        # The pose stored in a keyframe may differ from its known one, so only relative poses are used.
         relative = invert(known[key]) @ guess
         edge = _edge(view, index, keyframes[key], keyframes[key].scene_from_camera @ relative, trust)
         if edge is not None:
@@ -208,7 +211,7 @@ def _hang(
 
 
 def _between(guess: Transform, edges: Sequence[Edge], known: Mapping[int, Transform]) -> Transform:
-    """The one pose that agrees best with edges to poses that are known."""
+    """The pose that agrees best with edges to known poses."""
     pose = guess
     for _ in range(6):
         normal, pull = GIVEN.copy(), GIVEN @ motion_between(pose, guess)
@@ -222,7 +225,7 @@ def _between(guess: Transform, edges: Sequence[Edge], known: Mapping[int, Transf
 
 
 def _moved_px(intrinsics: Intrinsics, view: View, new_from_old: Transform) -> float:
-    """How far a change of the pose moves the surface that the frame sees, in the image; the median."""
+    """Median distance in the image by which a change of the pose moves the surface that the frame sees."""
     points = view.points[:: max(1, len(view.points) // 200)]
     before: Pixels = project(intrinsics, points)
     steps_px = np.linalg.norm(project(intrinsics, transform(new_from_old, points)) - before, axis=1)

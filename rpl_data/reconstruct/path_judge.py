@@ -1,9 +1,9 @@
-"""Which of two paths of the camera is right: reprojection in colour and depth, on the same pairs of frames.
+"""Judge which of two camera paths is right, by reprojection errors in colour and depth.
 
-Both paths move corners of one frame into another. In colour the corner itself is searched there, by optical
-flow (Lucas-Kanade, IJCAI 1981; forward and backward), and the distance from where the path has it is the
-error. In depth the moved depth is compared with the measured one. Neither is what `path_correction`
-minimises: that aligns whole small images.
+Each path predicts where the corners of one frame appear in another. In colour, the corner is found there by
+optical flow (Lucas-Kanade, IJCAI 1981; forward and backward), and its distance from the prediction is the
+error. In depth, the predicted depth is compared with the measured one. Neither error is what
+`path_correction` minimises: that aligns whole small images.
 """
 
 from __future__ import annotations
@@ -32,20 +32,20 @@ from rpl_data.types import DepthImage, Frame, GreyImage, Intrinsics, Scene, Traj
 MOST_CORNERS, FEWEST_CORNERS = 300, 15
 CORNER_DISTANCE_PX = 6
 MAX_STEP = 0.04
-"""Share of its depth by which the depth around a corner may vary: on an outline it is anyone's."""
+"""Share of its depth by which the depth around a corner may vary; corners on outlines are not used."""
 
 WINDOW_PX = 15
 RETURN_PX = 0.7
-"""A corner that does not come back to its place this closely when it is tracked back was not found."""
+"""A corner counts as found only when tracking it back ends within this distance of its start."""
 
 HIDDEN_M = 0.05
-"""A corner this far from the depth measured where it should be is hidden there."""
+"""A corner is hidden where the measured depth differs from its own by more than this."""
 
 SMALLEST_PX, SMALLEST_M = 0.1, 0.0005
-"""Errors of paths are compared above this floor."""
+"""Added to the errors of both paths before they are compared, so that tiny ones do not decide."""
 
 CLEARLY = 1.1
-"""A path is better when its errors, colour times depth, are smaller by this factor."""
+"""A path is clearly better when the product of its colour and depth errors is smaller by this factor."""
 
 
 Region = tuple[Float64[np.ndarray, "3"], float]
@@ -57,8 +57,8 @@ class PathErrors:
     """Reprojection errors of one path; the median over pairs of frames, NaN where nothing could be compared.
 
     Attributes:
-        color_px: of corners.
-        depth_m: of depth.
+        color_px: reprojection error of corners.
+        depth_m: reprojection error of depth.
     """
 
     color_px: float
@@ -74,16 +74,16 @@ def compare_paths(
     most_frames: int = 24,
     gaps: Sequence[int] = (1, 3),
 ) -> dict[str, PathErrors]:
-    """The errors of some paths, on the same pairs of frames and the same corners.
+    """Measure the errors of several paths on the same pairs of frames and the same corners.
 
     Args:
         paths: by name.
-        read: brightness and depth in metres of a frame, both at the full size.
-        regions: only corners in these spheres count (of the first path; where it strays by less than their
-            size the others see the same); everywhere, when there are none. What is right for the far wall may
-            be wrong for the object: shutters roll, and distant print ties only the rotation.
-        most_frames: this many, evenly spread, are looked at.
-        gaps: neighbours this far apart among these are compared.
+        read: reads brightness, and depth in metres, of a frame, both at full size.
+        regions: only corners inside these spheres are used, placed by the first path; empty = all corners. A
+            path that fits the far wall may not fit the object: shutters roll, and distant texture constrains
+            only the rotation.
+        most_frames: number of frames used, evenly spread.
+        gaps: frames this many places apart among them are compared.
     """
     posed = set.intersection(*(set(path.frames.tolist()) for path in paths.values()))
     frames = [frame for frame in scene.frames if frame.index in posed and frame.depth is not None]
@@ -111,7 +111,7 @@ def compare_paths(
 
 
 def is_better(a: PathErrors, b: PathErrors) -> bool:
-    """Whether path a is clearly better than path b: colour and depth together."""
+    """Whether path a is clearly better than path b, in colour and depth together."""
     gain = 0.0
     for here, there, floor in (
         (a.color_px, b.color_px, SMALLEST_PX),
@@ -129,7 +129,7 @@ def _median(values: Sequence[float]) -> float:
 
 @dataclass(frozen=True)
 class _Corners:
-    """A frame with its corners: where they are in the image and in the camera frame."""
+    """A frame with its corners: their pixels, and their points in the camera frame."""
 
     grey: GreyImage
     depth_m: DepthImage
@@ -140,7 +140,7 @@ class _Corners:
     def of(
         intrinsics: Intrinsics, grey: GreyImage, depth_m: DepthImage, spheres: Sequence[Region]
     ) -> _Corners:
-        """The corners on smooth surfaces, in the spheres (camera frame) where there are any."""
+        """Find the corners on smooth surfaces, inside the spheres (camera frame) when there are any."""
         nearest, farthest = (
             operation(depth_m, np.ones((5, 5), np.uint8)) for operation in (cv2.erode, cv2.dilate)
         )
@@ -165,10 +165,10 @@ def _lifted(intrinsics: Intrinsics, uv_px: Pixels, depth_m: DepthImage) -> Point
 def _color_errors_px(
     intrinsics: Intrinsics, a: _Corners, b: _Corners, steps: Mapping[str, Transform]
 ) -> dict[str, float]:
-    """Median distance, for each path, of the corners of a from where b has them.
+    """Median distance, for each path, of the predicted corners of a from where they are found in b.
 
-    The search starts where each path expects the corner; all paths are measured on what all searches found,
-    so that none has its own guess echoed alone.
+    One search starts at each path's prediction. Every path is measured on the results of all searches, so
+    that none profits from starting its own.
     """
     expected = {name: project(intrinsics, transform(b_from_a, a.points)) for name, b_from_a in steps.items()}
     found = [
@@ -184,7 +184,7 @@ def _color_errors_px(
 
 
 def _seen(intrinsics: Intrinsics, b: _Corners, points: Points, uv_px: Pixels) -> np.ndarray:
-    """Which points, moved into b, are in its image and not hidden by what it measured there."""
+    """Which points, in the camera frame of b, lie in its image and are not hidden there."""
     seen: np.ndarray = inside_image(intrinsics, uv_px)
     column, row = np.rint(uv_px[seen]).astype(int).T
     measured = b.depth_m[row, column]
@@ -193,7 +193,7 @@ def _seen(intrinsics: Intrinsics, b: _Corners, points: Points, uv_px: Pixels) ->
 
 
 def _search(a: _Corners, b: _Corners, use: np.ndarray, expected_px: Pixels) -> Pixels:
-    """Where the corners of a are in b; NaN for those not found."""
+    """Find the corners of a in b by optical flow; NaN for those not found."""
     found_px = np.full_like(expected_px, np.nan)
     if use.sum() < FEWEST_CORNERS:
         return found_px

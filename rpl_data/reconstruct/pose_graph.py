@@ -1,9 +1,8 @@
-"""A pose graph: poses of many frames from what pairs of them say about their relative pose.
+"""Pose graph optimisation: poses of many frames from measured relative poses of pairs.
 
-Every edge is a measured relative pose with its information matrix. The sum of their squared errors, with
-Cauchy's robust weights so that a wrong pair is outvoted, is minimised by Gauss-Newton (Grisetti et al., "A
-tutorial on graph-based SLAM", IEEE ITS Magazine 2010). A weak prior on every pose fixes what pairs cannot
-say: where the whole path lies.
+Every edge is a measured relative pose with its information matrix. The sum of the squared errors is minimised
+by Gauss-Newton, with robust Cauchy weights against wrong pairs (Grisetti et al., "A tutorial on graph-based
+SLAM", IEEE ITS Magazine 2010). A weak prior on every pose fixes what pairs cannot: where the whole path lies.
 """
 
 from __future__ import annotations
@@ -21,20 +20,20 @@ from rpl_data.reconstruct.information import Information, motion_between, moved
 
 ITERATIONS = 15
 CONVERGED = 1e-6
-"""Steps smaller than this, in radians and metres, are the last."""
+"""The iteration ends after a step smaller than this, in radians and metres."""
 
 KERNEL_SCALE_SIGMAS = 3.0
-"""An edge off by this many standard deviations counts half."""
+"""An edge whose error is this many standard deviations has half its weight."""
 
 
 @dataclass(frozen=True)
 class Edge:
-    """What one pair of frames says.
+    """The measured relative pose of a pair of frames.
 
     Attributes:
-        first, second: numbers of the two frames.
-        first_from_second: the measured relative pose.
-        information: inverse covariance of the motion of the second camera that would mend it.
+        first, second: `Frame.index` of the two frames.
+        first_from_second: the relative pose.
+        information: inverse covariance of the motion of the second camera that corrects it.
     """
 
     first: int
@@ -46,11 +45,11 @@ class Edge:
 def optimise(
     poses: Mapping[int, Transform], edges: Sequence[Edge], *, prior: Information
 ) -> dict[int, Transform]:
-    """The poses that agree best with the edges.
+    """Find the poses that agree best with the edges and the prior.
 
     Args:
-        poses: `scene_from_camera` by frame, where the search starts and where the prior holds them.
-        prior: information of that prior, the same for each pose.
+        poses: `scene_from_camera` by frame: the start of the search and the mean of the prior.
+        prior: information of the prior, the same for every pose.
     """
     row = {frame: number for number, frame in enumerate(poses)}
     found = {frame: pose.copy() for frame, pose in poses.items()}
@@ -93,7 +92,7 @@ def _normal_equations(
 
 
 def carried(b_from_a: Transform) -> Information:
-    """The adjoint: takes a small motion along the axes of a to the same motion along those of b.
+    """The adjoint, which expresses a small motion given along the axes of a along those of b.
 
     Motions are (rotation vector, translation), as everywhere in `information`.
     """

@@ -1,4 +1,4 @@
-"""Where is the camera? Corners of a frame matched to those of a keyframe, when the track was lost."""
+"""Relocalise the camera after the track was lost, by matching corners of a frame to those of a keyframe."""
 
 from __future__ import annotations
 
@@ -14,17 +14,18 @@ from rpl_data.reconstruct.view import Level
 FEATURES = 500
 LEAST_MATCHES = 15
 NEAR_PX = 3.0
-"""Of the small image; the alignment that follows does the rest."""
+"""Largest reprojection error of an inlier, in pixels of the small image; the alignment that follows
+refines."""
 
 
 @dataclass(frozen=True)
 class Landmarks:
-    """Corners of an image whose depth is known (ORB; Rublee et al., ICCV 2011).
+    """Corners of an image with known depth (ORB; Rublee et al., ICCV 2011).
 
     Attributes:
-        points: camera frame.
-        uv_px: in the image.
-        descriptors: of 256 bits.
+        points: their positions in the camera frame.
+        uv_px: their pixels.
+        descriptors: 256 bits each.
     """
 
     points: Float32[np.ndarray, "n 3"]
@@ -33,7 +34,7 @@ class Landmarks:
 
 
 def landmarks_of(level: Level) -> Landmarks:
-    """The corners of an image."""
+    """Detect the corners of an image that have depth."""
     orb = cv2.ORB.create(nfeatures=FEATURES, fastThreshold=7)
     corners, descriptors = orb.detectAndCompute(level.grey.astype(np.uint8), None)
     if descriptors is None:
@@ -49,10 +50,10 @@ def landmarks_of(level: Level) -> Landmarks:
 
 
 def keyframe_from_camera(level: Level, here: Landmarks, there: Landmarks) -> Transform | None:
-    """The pose of a camera relative to a keyframe by their landmarks; None where too few agree.
+    """Compute the pose of a camera relative to a keyframe from their landmarks; None where too few agree.
 
     Args:
-        level: the image of `here`.
+        level: the image that `here` was found in.
         here: landmarks of the frame.
         there: landmarks of the keyframe.
     """

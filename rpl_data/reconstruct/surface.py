@@ -1,4 +1,4 @@
-"""Given poses, depth images -> the surface near the object, in the scene frame (paper III-A)."""
+"""Fuse depth images to the surface near the object, in the scene frame (paper III-A)."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from rpl_data.types import (
 
 BLOCK_VOXELS = 8  # 8^3 blocks cost half of Open3D's default 16^3 here: fewer voxels far from the surface
 TRUNCATION_VOXELS = 2.0
-"""Half the thickness of the band around a surface that its voxels know of: walls thinner than this are seen
-from both sides by the same voxels, and come out too thick."""
+"""Truncation distance of the TSDF, in voxels. The two sides of a wall thinner than this share voxels, so it
+comes out too thick."""
 
 
 def fuse_surface(
@@ -40,15 +40,15 @@ def fuse_surface(
     voxel_m: float = 0.003,
     colors: Callable[[Frame], ColorImage] | None = None,
 ) -> Mesh:
-    """The surface inside a sphere, fused from depth images by a TSDF.
+    """Fuse depth images to the surface inside a sphere, by a TSDF.
 
-    Only depth inside the sphere is integrated: a whole room at 3 mm would cost seconds a frame.
-    The sphere should hold the object and some of what it stands on, so that the support can be
-    recognised; twice the extent of the keypoints is a good diameter.
+    Only depth inside the sphere is integrated: a whole room at 3 mm would take seconds per frame. The sphere
+    should hold the object and some of its support, so that the support can be recognised; twice the extent of
+    the keypoints is a good diameter.
 
     Args:
-        frames: which to look at; those that move too fast or do not look at the sphere cost nothing.
-        depths: reads the depth image of a frame, metres.
+        frames: frames to fuse; those that move too fast or do not see the sphere are skipped unread.
+        depths: reads the depth image of a frame.
         centre_scene: centre of the sphere, scene frame.
         colors: reads the colour image of a frame; called for the fused frames only.
 
@@ -110,16 +110,19 @@ def steady_frames(
     excess: float = 1.5,
     still_px: float = 1.0,
 ) -> set[int]:
-    """Indices of the frames worth fusing: a fast one only where no slower one saw the same side.
+    """Choose the frames worth fusing: fast ones only where no slower one saw the same side.
 
-    While a hand-held camera moves fast, rolling shutter and the lag between colour and depth make
-    its pose wrong by up to the image motion of a frame (25 px on a real recording, 2 px in its
-    slow frames), and one such frame smears the surface.
+    While a hand-held camera moves fast, rolling shutter and the lag between colour and depth make its pose
+    wrong by up to the image motion per frame (25 px on a real recording, 2 px in its slow frames). One such
+    frame blurs the surface.
 
     Args:
-        same_view_rad: frames that look at the centre from directions this close see the same side.
-        excess: a frame may move this many times faster than the slowest of the same side.
-        still_px: image motion from frame to frame that never hurts.
+        same_view_rad: frames whose directions to the centre differ by less than this see the same side.
+        excess: a frame may move this many times faster than the slowest frame of the same side.
+        still_px: frames with less image motion than this are always used.
+
+    Returns:
+        Their `Frame.index`.
     """
     camera_from_scene = invert(trajectory.scene_from_camera)
     if len(camera_from_scene) < 3:
@@ -142,11 +145,11 @@ def steady_frames(
 
 
 def without_flying_pixels(depth_m: DepthImage, *, max_step: float = 0.03) -> DepthImage:
-    """Depth without the pixels at jumps, where sensors mix front and back.
+    """Remove the pixels at jumps of depth, where sensors mix front and back.
 
     Args:
-        max_step: share of the depth by which neighbours may differ; 3 % a pixel is a surface seen
-            at 87 degrees from its normal with a 600 px focal length.
+        max_step: share of the depth by which neighbours may differ; 3 % per pixel is a surface seen at 87
+            degrees from its normal with a focal length of 600 px.
     """
     far = cv2.dilate(depth_m, np.ones((3, 3), np.uint8))
     near = cv2.erode(np.where(depth_m > 0, depth_m, np.float32(np.inf)), np.ones((3, 3), np.uint8))
@@ -157,7 +160,7 @@ def without_flying_pixels(depth_m: DepthImage, *, max_step: float = 0.03) -> Dep
 def _rectangle_around(
     intrinsics: Intrinsics, centre_camera: Float64[np.ndarray, "3"], radius_m: float
 ) -> tuple[int, int, int, int] | None:
-    """Pixels (left, top, right, bottom) that can see the sphere; None when none can."""
+    """The rectangle of pixels (left, top, right, bottom) that can see the sphere; None when none can."""
     corners = centre_camera + radius_m * np.array(
         [[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float
     )
@@ -184,7 +187,7 @@ def _only_in_sphere(
 
 
 def _undistorted(image: Any, intrinsics: Intrinsics, interpolation: int) -> tuple[Any, Intrinsics]:
-    """The image a camera without lens distortion would have seen, and that camera."""
+    """The image that a camera without lens distortion would have taken, and that camera."""
     map_u, map_v = cv2.initUndistortRectifyMap(
         intrinsics.matrix,
         np.array(intrinsics.distortion),

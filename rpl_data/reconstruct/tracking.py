@@ -1,10 +1,10 @@
-"""A recording without poses -> where the camera was: every frame against a model of the frames before it.
+"""Track the camera through a recording without poses, frame by frame.
 
-A frame is predicted from the two before it, aligned to the keyframe with the most similar view
-(`alignment`: brightness and depth), and where that does not say enough also to the Gaussians of all
-keyframes (`model_map`: VGICP). A frame that looks at something new becomes a keyframe. A fit that does
-not hold is tried again from where the frame's corners say the camera is (`relocalise`); when that fails
-too the frame is lost, and the next one is tried from the last good pose.
+The pose of a frame is predicted from the two frames before it. The frame is then aligned to the keyframe with
+the most similar view (`alignment`: brightness and depth), and, where that leaves the pose uncertain, to the
+Gaussians of all keyframes (`model_map`: VGICP). A frame with a new view becomes a keyframe. A fit that does
+not hold is tried again from the pose that the frame's corners give (`relocalise`). When that fails too, the
+frame is lost, and the next one starts from the last good pose.
 """
 
 from __future__ import annotations
@@ -23,50 +23,51 @@ from rpl_data.reconstruct.view import View, Viewer
 from rpl_data.types import DepthImage, Frame, GreyImage, Scene
 
 KEYFRAME_M = 0.08
-"""A view this far from that of every keyframe becomes one; a turn counts by its arc (`LEVER_M`)."""
+"""A frame becomes a keyframe when it is at least this far from every keyframe, in `size_m`."""
 
 PREDICTED = np.diag([10.0**2] * 3 + [20.0**2] * 3)
-"""How well a frame is predicted: 0.1 rad and 5 cm."""
+"""Information of the predicted pose: 0.1 rad and 5 cm."""
 
 SURE_M = 0.002
-"""Alignment to a keyframe that is less sure than this asks the map, too."""
+"""A pose with a larger standard deviation than this is aligned to the map as well."""
 
 KNOWN_M = 0.02
-"""A pose that is less sure than this is not known."""
+"""A fit with a larger standard deviation than this does not hold."""
 
 UNREGISTERED_TRUST = 0.01
-"""Weight of brightness where depth does not lie on the pixels of the colour image."""
+"""Weight of brightness where depth is not registered to colour."""
 
 LEAST_SEEN, LEAST_AGREEING, LEAST_CORRELATION = 0.25, 0.7, 0.85
-"""What a fit that holds reaches at least (`Fit`). Right ones on real recordings reached 0.77, 0.73 and 0.89;
-wrong ones that looked good 0.8, 0.75 and 0.84."""
+"""Smallest values of `Fit.seen`, `agreeing` and `correlation` with which a fit holds. On real recordings,
+right fits had at least 0.77, 0.73 and 0.89; wrong fits had at most 0.8, 0.75 and 0.84."""
 
 DOUBTFUL = 3.0
-"""A fit whose correlation lacks this many times more of 1 than usual may be wrong: others are tried."""
+"""A fit is doubtful when its dissimilarity (1 - correlation of brightness) is this many times its running
+mean; other starting poses are then tried."""
 
 LEAST_DEPTH = 0.05
-"""Share of pixels with depth below which there is nothing to align."""
+"""A frame with a smaller share of pixels with depth than this is lost."""
 
 SEARCHED = 8
-"""Keyframes looked through for a lost camera, a frame: the nearest ones, and others by turns."""
+"""Keyframes tried per frame when the camera is lost: the nearest, and a few others in rotation."""
 
 
 @dataclass(frozen=True)
 class Tracked:
-    """What became of a frame: its pose, or None when it was lost."""
+    """A frame and its pose; None when the frame was lost."""
 
     frame: Frame
     scene_from_camera: Transform | None
 
 
 def track(scene: Scene, images: Iterable[tuple[Frame, GreyImage, DepthImage]]) -> Iterator[Tracked]:
-    """Poses of the frames, in order; the first frame that shows something is where the scene's frame is.
+    """Track the frames in order; the first frame with depth defines the scene frame.
 
     Memory grows with what the camera sees, not with the number of frames.
 
     Args:
-        images: frames in the order of time, their brightness at `1 / view.REDUCE` of the size, their depth
-            at the full size.
+        images: frames in the order of time, with their brightness at `1 / view.REDUCE` of the size and their
+            depth at full size.
     """
     viewer = Viewer(scene.intrinsics)
     tracker = Tracker(color_trust=1.0 if scene.registered else UNREGISTERED_TRUST)
@@ -75,7 +76,7 @@ def track(scene: Scene, images: Iterable[tuple[Frame, GreyImage, DepthImage]]) -
 
 
 class Tracker:
-    """The model and the motion of the camera, as far as it has been followed."""
+    """The state of tracking: the map so far, and the last pose and velocity of the camera."""
 
     def __init__(self, *, color_trust: float) -> None:
         self._color_trust = color_trust
@@ -84,7 +85,7 @@ class Tracker:
         self._velocity = np.zeros(6)
         self._time_s = 0.0
         self._turn = 0
-        self._unlike = 0.02  # as it usually is here
+        self._usual_dissimilarity = 0.02  # running mean
 
     @property
     def keyframes(self) -> Sequence[Keyframe]:
@@ -92,7 +93,7 @@ class Tracker:
         return self._map.keyframes
 
     def step(self, frame: Frame, view: View) -> Transform | None:
-        """`scene_from_camera` of the next frame; None when it is lost."""
+        """Track the next frame; return its `scene_from_camera`, None when it is lost."""
         if np.count_nonzero(view.levels[0].depth_m) < LEAST_DEPTH * view.levels[0].depth_m.size:
             self._velocity[:] = 0
             return None
@@ -113,24 +114,24 @@ class Tracker:
         return pose
 
     def _follow(self, view: View, elapsed_s: float) -> Fit | None:
-        """The first fit that holds and is as good as usual, else the best that holds."""
+        """The first fit that holds and is not doubtful, else the best one that holds."""
         best: Fit | None = None
         for number, guess in enumerate(self._guesses(view, elapsed_s)):
             if best is not None and number > SEARCHED // 2:
                 break
             fit = self._fit(view, guess)
-            if self._doubtful(fit) and holds(fit):  # it may have stopped on the way
+            if self._doubtful(fit) and holds(fit):  # the iteration may have stopped too early
                 fit = self._fit(view, fit.estimate.scene_from_camera)
-            if holds(fit) and (best is None or unlike(fit) < unlike(best)):
+            if holds(fit) and (best is None or dissimilarity(fit) < dissimilarity(best)):
                 best = fit
             if best is not None and not self._doubtful(best):
                 break
         if best is not None:
-            self._unlike += 0.1 * (unlike(best) - self._unlike)
+            self._usual_dissimilarity += 0.1 * (dissimilarity(best) - self._usual_dissimilarity)
         return best
 
     def _doubtful(self, fit: Fit) -> bool:
-        return unlike(fit) > DOUBTFUL * self._unlike
+        return dissimilarity(fit) > DOUBTFUL * self._usual_dissimilarity
 
     def _guesses(self, view: View, elapsed_s: float) -> Iterator[Transform]:
         yield self._pose @ moved(self._velocity * elapsed_s)
@@ -143,7 +144,7 @@ class Tracker:
                 yield keyframe.scene_from_camera @ found
 
     def _candidates(self) -> list[Keyframe]:
-        """Half of them near the last pose, half others, so that all get their turn while it is lost."""
+        """Keyframes to relocalise at: half are nearest to the last pose, half rotate through all others."""
         ordered = [keyframe for _, keyframe in self._map.by_distance(self._pose)]
         near, others = ordered[: SEARCHED // 2], ordered[SEARCHED // 2 :]
         self._turn += SEARCHED // 2
@@ -151,7 +152,7 @@ class Tracker:
         return near + (others[start:] + others[:start])[: SEARCHED // 2]
 
     def _fit(self, view: View, guess: Transform) -> Fit:
-        """Align coarsely, then finely, with the map where the keyframe alone is not enough."""
+        """Align coarsely, then finely; use the map where the keyframe alone leaves the pose uncertain."""
         keyframe = self._map.by_distance(guess)[0][1]
         prior = Estimate(guess, PREDICTED)
         trust = self._color_trust
@@ -167,13 +168,13 @@ class Tracker:
         return align(view, keyframe, known.scene_from_camera, known, levels=(0,), color_trust=trust)
 
 
-def unlike(fit: Fit) -> float:
-    """What the correlation of brightness lacks of 1; 0 where there is nothing to see."""
+def dissimilarity(fit: Fit) -> float:
+    """1 - correlation of brightness; 0 where brightness is too uniform to correlate."""
     return 0.0 if np.isnan(fit.correlation) else 1 - fit.correlation
 
 
 def holds(fit: Fit) -> bool:
-    """Whether a fit is the truth: most of what both frames see is equally far and equally bright."""
-    alike = unlike(fit) < 1 - LEAST_CORRELATION
+    """Whether a fit can be trusted: most of what both frames see agrees in depth and brightness."""
+    alike = dissimilarity(fit) < 1 - LEAST_CORRELATION
     known = weakest_sigma_m(fit.estimate.information - PREDICTED) < KNOWN_M
     return fit.seen > LEAST_SEEN and fit.agreeing > LEAST_AGREEING and alike and known

@@ -1,4 +1,4 @@
-"""What tracking looks at of a frame: small images of brightness and depth, and a thinned point cloud."""
+"""The view of a frame that tracking uses: small images of brightness and depth, and a thinned point cloud."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ REDUCE = 2
 """Tracking works on images of half the size."""
 
 LEVELS = 3
-"""Sizes a view: 320 x 240, 160 x 120 and 80 x 60 of a 640 x 480 recording."""
+"""Pyramid levels per view: 320 x 240, 160 x 120 and 80 x 60 of a 640 x 480 recording."""
 
 SPACING_M = 0.03
-"""The point cloud is thinned to one point a cube of this size."""
+"""The point cloud is thinned to one point per cube with this edge."""
 
 Image = Float32[np.ndarray, "rows columns"]
 
 
 @dataclass(frozen=True)
 class Level:
-    """One size of a view.
+    """One pyramid level of a view.
 
     Attributes:
-        camera: of this size, without lens distortion.
-        grey: brightness, 0..255.
-        depth_m: 0 = none, or an edge between near and far.
+        camera: intrinsics at this size, without lens distortion.
+        grey: brightness, 0 to 255.
+        depth_m: 0 where depth is missing or jumps.
     """
 
     camera: Intrinsics
@@ -46,8 +46,8 @@ class View:
     """A frame as tracking sees it.
 
     Attributes:
-        levels: largest first.
-        points: of the second level, camera frame.
+        levels: the pyramid, largest level first.
+        points: points of the second level, in the camera frame.
     """
 
     levels: tuple[Level, ...]
@@ -63,7 +63,7 @@ class View:
 
 
 class Viewer:
-    """Makes views of a camera's frames; what depends on the camera alone is computed once."""
+    """Make views of a camera's frames; what depends on the camera alone is computed once."""
 
     def __init__(self, intrinsics: Intrinsics) -> None:
         small = resized(intrinsics, width=intrinsics.width // REDUCE, height=intrinsics.height // REDUCE)
@@ -75,11 +75,11 @@ class Viewer:
         self._directions = directions.reshape(camera.height, camera.width, 3)
 
     def look(self, grey: GreyImage, depth_m: DepthImage) -> View:
-        """The view of a frame.
+        """Make the view of a frame.
 
         Args:
-            grey: of `1 / REDUCE` of the size.
-            depth_m: of the full size.
+            grey: brightness at `1 / REDUCE` of the size.
+            depth_m: depth at full size.
         """
         bright: Any = grey.astype(np.float32)
         depth: Any = halved_depth(depth_m)
@@ -97,10 +97,10 @@ class Viewer:
 
 
 def halved_depth(depth_m: DepthImage, *, max_step: float = 0.02) -> Image:
-    """Depth at half the size: the mean of four pixels that all have depth and lie on one surface.
+    """Halve a depth image: the mean of four pixels, 0 unless all four have depth and lie on one surface.
 
     Args:
-        max_step: share of the depth by which the nearest of the four may lie before the mean.
+        max_step: share of the depth by which the nearest of the four may lie in front of the mean.
     """
     height, width = depth_m.shape[0] // 2, depth_m.shape[1] // 2
     even = depth_m[: 2 * height, : 2 * width]
@@ -112,7 +112,7 @@ def halved_depth(depth_m: DepthImage, *, max_step: float = 0.02) -> Image:
 
 
 def _halvings(camera: Intrinsics) -> tuple[Intrinsics, ...]:
-    """The camera at every level."""
+    """The intrinsics at every level."""
     cameras = [camera]
     for _ in range(LEVELS - 1):
         last = cameras[-1]

@@ -16,10 +16,11 @@ VERSION = 2
 """Raised when the stage writes something else for the same input; its steps then run again."""
 
 CUT_VERSION = 1
-"""The same of the stage `cut`."""
+"""The version of the stage `cut`."""
 
 FEWEST_KEYPOINTS = 4
-"""Keypoints an object needs in every part, also clicked elsewhere: three tie the part, one is spare."""
+"""Keypoints of an object that must be clicked in every part and also elsewhere: three tie it, one is
+spare."""
 
 
 def drift_steps(context: Context) -> list[Step]:
@@ -33,7 +34,7 @@ def _drift_step(context: Context, name: str) -> Step:
     def run(advance: Advance) -> Outcome:
         scene = workspace.load_scene(name)
         trajectory = workspace.load_trajectory(scene)
-        if not context.tracks:  # else the stage before has asked the images
+        if not context.tracks:  # else the stage `track` has corrected the path already
             found = correct(workspace, scene, trajectory, advance)
             workspace.save_corrected(scene, found.trajectory if found.share_tied >= LEAST_TIED else None)
         corrected = workspace.load_corrected(scene)
@@ -143,7 +144,7 @@ def choose_cut(video: str, drift: Drift, clicks: Mapping[str, Sequence[Click]], 
 def _as_far_as_clicks_allow(
     drift: Drift, max_drift_m: float, most_parts: int, allowed: Callable[[int, int], bool]
 ) -> list[Span] | None:
-    """Cut into parts that drift farther than allowed, but at most half as far as the whole."""
+    """Cut into parts that drift beyond the limit, but at most half as far as the whole; None if none."""
     limit_m = 1.25 * max_drift_m
     while limit_m < drift.whole_m / 2:
         found = cut(drift, max_drift_m=limit_m, most_parts=most_parts, allowed=allowed)

@@ -1,4 +1,4 @@
-"""Images -> camera poses: computed where there are none, questioned where there are."""
+"""Stage `track`: compute camera poses where a recording has none, and check given ones by the images."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ VERSION = 2
 """Raised when the stage writes something else for the same input; its steps then run again."""
 
 AHEAD = 8
-"""Number of frames that are decoded ahead while others are tracked."""
+"""Number of frames that are decoded in advance while others are tracked."""
 
-HOLDS_PX = 0.5
-"""Given poses that the images would move by less than this are kept as they are."""
+KEEP_BELOW_PX = 0.5
+"""Given poses are kept when the correction would move the images by less than this."""
 
 LEAST_TIED = 0.9
-"""Share of the frames that must be joined by pairs whose images could be aligned, or tracked, for a path of
-ours to be one: between pieces it knows nothing."""
+"""Smallest share of the frames that must be tracked, or connected by aligned pairs, for a computed path to be
+used: between unconnected pieces, the relative pose is unknown."""
 
 AROUND, SMALLEST_REGION_M = 1.8, 0.12
-"""Paths are judged within this many times the extent of the clicked keypoints, and this radius at least."""
+"""Paths are judged within this many times the radius of the clicked keypoints, and at least this radius."""
 
 
 def track_steps(context: Context) -> list[Step]:
@@ -58,7 +58,7 @@ def _track_step(context: Context, name: str) -> Step:
         if given is None:
             found = compute_path(workspace, scene, advance)
         else:
-            found = question_path(workspace, scene, given, clicks, advance)
+            found = check_given_path(workspace, scene, given, clicks, advance)
         workspace.save_given(Recording(scene, given))
         workspace.save_corrected(scene, found.corrected)
         workspace.save_trajectory(scene, found.trajectory)
@@ -80,12 +80,12 @@ def _track_step(context: Context, name: str) -> Step:
 
 @dataclass(frozen=True)
 class Found:
-    """The path of a scene.
+    """The camera path found for a scene.
 
     Attributes:
         trajectory: the path to use.
-        corrected: the path as its images have it; None where they do not join it.
-        lines: for a person.
+        corrected: the path corrected by its images; None where too few frames are connected.
+        lines: lines for the user.
         details: figures for the ledger.
     """
 
@@ -96,7 +96,7 @@ class Found:
 
 
 def compute_path(workspace: Workspace, scene: Scene, advance: Advance) -> Found:
-    """The path from the images alone: tracked, then corrected by pairs of frames that see the same."""
+    """Compute the path from the images alone: track it, then correct it by pairs of frames."""
     from rpl_data.reconstruct.path import collected, losses
     from rpl_data.reconstruct.tracking import track
 
@@ -108,16 +108,16 @@ def compute_path(workspace: Workspace, scene: Scene, advance: Advance) -> Found:
     return Found(path, path, tuple(losses(scene, found)), {"lost": len(found.lost)})
 
 
-def question_path(
+def check_given_path(
     workspace: Workspace, scene: Scene, given: Trajectory, clicks: Sequence[Click], advance: Advance
 ) -> Found:
-    """The given path where the images agree with it; else the better of it and the one they say."""
+    """Keep the given path where the images agree with it; else use the better of it and a computed one."""
     from rpl_data.reconstruct.path_judge import compare_paths, is_better
 
     corrected = correct(workspace, scene, given, advance)
     tied = corrected.share_tied
     details: dict[str, Any] = {"moved_px": round(corrected.most_px, 2), "tied": round(tied, 2)}
-    if tied >= LEAST_TIED and corrected.most_px < HOLDS_PX:
+    if tied >= LEAST_TIED and corrected.most_px < KEEP_BELOW_PX:
         return Found(given, corrected.trajectory, (), details | {"path": "given"})
     try:
         other = (
@@ -152,14 +152,14 @@ def question_path(
 
 
 def _finite(value: Any) -> Any:
-    """Numbers that are not, as None: JSON has no NaN."""
+    """Replace numbers that are not finite by None: JSON has no NaN."""
     if isinstance(value, list):
         return [_finite(item) for item in value]
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
 def correct(workspace: Workspace, scene: Scene, trajectory: Trajectory, advance: Advance) -> Any:
-    """The path as pairs of frames correct it (`CorrectedPath`)."""
+    """Correct the path by pairs of frames; returns a `CorrectedPath`."""
     from rpl_data.reconstruct.path_correction import correct_path
     from rpl_data.reconstruct.view import REDUCE, Viewer
 
@@ -175,9 +175,10 @@ def correct(workspace: Workspace, scene: Scene, trajectory: Trajectory, advance:
 def clicked_regions(
     scene: Scene, trajectory: Trajectory, clicks: Sequence[Click]
 ) -> list[tuple[np.ndarray, float]]:
-    """Spheres (centre in the scene frame, radius in metres) around what was clicked; none without clicks.
+    """Spheres (centre in the scene frame, radius in metres) around the clicked objects; none without clicks.
 
-    They come from one frame per object, the one with most clicks: other frames may have other errors.
+    Each comes from one frame, the one with most clicks on the object: other frames may have other pose
+    errors.
     """
     found = []
     here = [c for c in clicks if c.scene == scene.name and c.frame in trajectory.frames]
@@ -196,7 +197,7 @@ def clicked_regions(
         )
         if not (lifted_m > 0).any():
             continue
-        # Clicks on edges often hit the background: all are put at the depth of the middle one.
+        # Clicks on edges often hit the background, so all get the median depth.
         points = rays(scene.intrinsics, uv_px) * np.median(lifted_m[lifted_m > 0])
         centre = points.mean(axis=0)
         radius_m = AROUND * float(np.linalg.norm(points - centre, axis=1).max())
