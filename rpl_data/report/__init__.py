@@ -1,4 +1,4 @@
-"""The page a person looks at: one HTML file that asks nobody for anything."""
+"""The report of a build: one HTML file that loads nothing from elsewhere."""
 
 from rpl_data.report.tables import PAPER_MEANS
 from rpl_data.report.write import write_report

@@ -1,4 +1,4 @@
-"""What the report counts about a scene, in one pass over its labels."""
+"""Count what the report shows of a scene, in one pass over its labels."""
 
 from __future__ import annotations
 
@@ -11,10 +11,11 @@ from rpl_data.workspace.workspace import Workspace
 
 @dataclass(frozen=True)
 class FrameSummary:
-    """What the choice of pictures needs to know about a frame.
+    """A labelled frame, as the choice of pictures needs it.
 
     Attributes:
-        quality: the worst of its instances; None without any.
+        frame: `Frame.index`.
+        quality: lowest quality of its instances; None without instances.
     """
 
     frame: int
@@ -23,7 +24,7 @@ class FrameSummary:
 
 @dataclass
 class Tally:
-    """Counts of one object in one scene, added up frame by frame."""
+    """Sums over the labels of one object in one scene."""
 
     instances: int = 0
     seen: int = 0
@@ -36,7 +37,7 @@ class Tally:
 
 @dataclass(frozen=True)
 class SceneReport:
-    """What the report tells about one scene; `tallies` by object name."""
+    """The counts of one scene; `tallies` by object name."""
 
     recording: Recording
     frames: tuple[FrameSummary, ...]
@@ -44,7 +45,7 @@ class SceneReport:
 
 
 def summarise_scene(workspace: Workspace, name: str) -> SceneReport:
-    """Counts of a scene in one pass over its labels; none when it is not labelled yet."""
+    """Count the labels of a scene; all counts are empty when it is not labelled yet."""
     labels = workspace.load_labels(name) if workspace.labels_file(name).exists() else iter(())
     frames: list[FrameSummary] = []
     tallies: dict[str, Tally] = {}

@@ -1,4 +1,4 @@
-"""The few pieces of HTML every section is made of; all text from outside is escaped here."""
+"""The HTML elements that every section is made of; all text from outside is escaped here."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 
 @dataclass(frozen=True)
 class Cell:
-    """A table cell: text, shown against `share` (0..1) of a bar when given."""
+    """A table cell: text, before a bar of length `share` (0 to 1) when that is given."""
 
     text: str
     share: float | None = None
@@ -18,12 +18,12 @@ class Cell:
 
 
 def text(value: object) -> str:
-    """Anything as escaped text."""
+    """Convert a value to escaped text."""
     return escape(str(value), quote=True)
 
 
 def number(value: float | int | None, digits: int = 2) -> str:
-    """A number with that many decimals and thin thousands; an en dash where there is none."""
+    """Format a number with `digits` decimals and thin spaces at thousands; an en dash for None or NaN."""
     if value is None or value != value:
         return "–"
     return f"{value:,.{digits}f}".replace(",", "\u202f")
@@ -65,12 +65,12 @@ def section(identity: str, title: str, body: str, *, note: str = "") -> str:
 
 
 def folded(title: str, body: str) -> str:
-    """Something a person opens when interested."""
+    """A part of the page that is closed until it is clicked."""
     return f"<details><summary>{text(title)}</summary>{body}</details>"
 
 
 def chip(rgb: tuple[int, int, int], words: str, *, faded: bool = False) -> str:
-    """A coloured dot and words."""
+    """A coloured dot with words beside it."""
     style = f"background:rgb({rgb[0]},{rgb[1]},{rgb[2]})"
     return f'<span class="chip{" faded" if faded else ""}"><i style="{style}"></i>{text(words)}</span>'
 

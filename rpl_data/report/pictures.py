@@ -18,18 +18,19 @@ from rpl_data.workspace.workspace import Workspace
 THUMBNAIL_WIDTH_PX = 420
 JPEG_QUALITY = 82
 SMALLEST_VIEW_PX = 160.0
-"""A view is not magnified beyond this width: pixels would turn into tiles."""
+"""Smallest width of the part of an image that is shown: a smaller part would be magnified to coarse
+pixels."""
 
 
-def frames_a_scene(scenes: int) -> int:
-    """Fewer pictures a scene when there are many, so that the page stays light enough to open."""
+def frames_per_scene(scenes: int) -> int:
+    """Number of pictures per scene; fewer with many scenes, so that the page stays quick to open."""
     return 8 if scenes <= 12 else 6 if scenes <= 30 else 3
 
 
 def choose_frames(frames: Sequence[FrameSummary], *, count: int, worst: int) -> tuple[list[int], set[int]]:
-    """Frames to show, in order, and those among them that are shown for being the worst by quality.
+    """Choose `count` frames to show, in order, and say which of them are shown for their low quality.
 
-    `count` in all: the worst, and the others evenly from the first to the last that has an object.
+    The `worst` frames of lowest quality are chosen; the others are spread evenly over those with an object.
     """
     with_object = [frame for frame in frames if frame.quality is not None] or list(frames)
     by_quality = sorted(with_object, key=lambda frame: 1.0 if frame.quality is None else frame.quality)
@@ -40,7 +41,7 @@ def choose_frames(frames: Sequence[FrameSummary], *, count: int, worst: int) -> 
 
 
 def view_of(label: FrameLabel, intrinsics: Intrinsics) -> Box:
-    """The 4:3 part of the image around all objects; the whole image when there is none or it is needed."""
+    """The 4:3 part of the image around all objects; the whole image when none is there or all is needed."""
     width, height = float(intrinsics.width), float(intrinsics.height)
     whole = (0.0, 0.0, width, height)
     if not label.instances:
@@ -61,7 +62,7 @@ def view_of(label: FrameLabel, intrinsics: Intrinsics) -> Box:
 
 
 def jpeg_uri(picture: ColorImage) -> str:
-    """The picture as a data URI."""
+    """Encode the picture as a data URI."""
     settings = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
     _, encoded = cv2.imencode(".jpg", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR), settings)
     return "data:image/jpeg;base64," + base64.b64encode(encoded.tobytes()).decode("ascii")
@@ -76,7 +77,7 @@ def contact_sheet(
     count: int,
     worst: int = 2,
 ) -> str:
-    """The pictures of one scene; labels are read again, one at a time, for the frames chosen."""
+    """Make the pictures of one scene; its labels are read again, one at a time, for the chosen frames."""
     chosen, lowest = choose_frames(frames, count=count, worst=worst)
     figures = []
     for label in workspace.load_labels(scene.name):
@@ -101,7 +102,7 @@ def _figure(label: FrameLabel, uri: str, *, worst: bool) -> str:
 
 
 def legend(model: KeypointModel) -> str:
-    """Colour, number and name of every keypoint; those without a position struck out."""
+    """Colour, number and name of every keypoint; keypoints without a position are faded."""
     count = len(model.keypoints)
     chips = [
         chip(keypoint_color(k, count), str(k) if name == str(k) else f"{k} {name}", faded=not model.known[k])
@@ -111,6 +112,6 @@ def legend(model: KeypointModel) -> str:
 
 
 def legends(models: Mapping[str, KeypointModel]) -> str:
-    """The legends of all objects, folded when there are so many that they would push the pictures away."""
+    """The legends of all objects; folded when there are many, so that the pictures stay near the top."""
     lines = "".join(legend(model) for model in models.values())
     return lines if len(models) <= 3 else folded("keypoint names and colours", lines)

@@ -1,4 +1,4 @@
-"""The object in 3D: dense mesh and named keypoints, to be turned with the mouse."""
+"""The 3D figure of an object: dense mesh and named keypoints, turned with the mouse."""
 
 from __future__ import annotations
 
@@ -11,15 +11,19 @@ from rpl_data.overlay import keypoint_color
 from rpl_data.types import KeypointModel, Mesh
 
 MOST_TRIANGLES = 20_000
-"""Enough to see the shape; more only makes the page heavy."""
+"""Enough to see the shape; more would only make the page large."""
 BACKGROUND = "#20262b"
-"""Dark on a light page too: names must read both beside the object and in front of it."""
+"""Dark on a light page, too, so that names are legible both beside and in front of the object."""
 INK = "#f4f6f7"
 LINES = "#87919a"
 
 
 def solid(model: KeypointModel, mesh: Mesh | None, *, with_library: bool) -> str:
-    """A div with the figure; `with_library` puts plotly.js itself into the page, once."""
+    """Make a div with the figure.
+
+    Args:
+        with_library: include plotly.js itself, which one figure of the page must do.
+    """
     import plotly.graph_objects as go
 
     traces: list[Any] = [] if mesh is None else [_surface(simplified(mesh, most_triangles=MOST_TRIANGLES))]
@@ -98,6 +102,6 @@ def _keypoints(model: KeypointModel) -> Any:
 
 
 def _label(keypoint: int, name: str) -> str:
-    """Number and name; plotly reads a few tags in texts, so the brackets of a name are escaped."""
+    """Number and name of a keypoint; escaped, since plotly interprets some tags in texts."""
     safe = name.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
     return safe if name == str(keypoint) else f"{keypoint} {safe}"

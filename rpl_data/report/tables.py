@@ -15,7 +15,7 @@ PAPER_MEANS = {"3D mm": 1.94, "2D px": 6.56, "IoU": 0.812}
 
 
 def quality_section(rows: Sequence[QualityRow]) -> str:
-    """The rows, their mean, and the paper's."""
+    """The section with the quality rows, their mean, and the paper's means."""
     pixels = ("2D px", "median", "p95", "IoU full", "worst", "IoU visible", "worst")
     header = (
         "object",
@@ -70,7 +70,7 @@ def _quality_row(row: QualityRow) -> list[str | Cell]:
 
 
 def _mean_row(rows: Sequence[QualityRow]) -> list[str | Cell]:
-    """The mean over objects of the figures the paper gives; the others are left empty."""
+    """The mean over objects of the figures that the paper gives; the other cells are empty."""
     means = {
         name: float(np.nanmean(values)) if np.isfinite(values).any() else float("nan")
         for name in ("error_3d_mean_mm", "error_2d_mean_px", "iou_full_mean", "iou_visible_mean")
@@ -82,7 +82,7 @@ def _mean_row(rows: Sequence[QualityRow]) -> list[str | Cell]:
 
 
 def _judged(value: float, column: str) -> Cell:
-    """A figure beside the paper's; an IoU is better when it is larger."""
+    """A cell that is green when the value is at or better than the paper's mean, else red."""
     shown = number(value, 3 if column == "IoU" else 2)
     if value != value:
         return Cell(shown, kind="n")
@@ -91,7 +91,7 @@ def _judged(value: float, column: str) -> Cell:
 
 
 def labels_section(scenes: Sequence[SceneReport]) -> str:
-    """Counts by scene and object; empty when nothing is labelled."""
+    """The section with counts per scene and object; empty text when nothing is labelled."""
     header = (
         "scene",
         "object",
@@ -116,7 +116,7 @@ def labels_section(scenes: Sequence[SceneReport]) -> str:
 
 
 def timings_section(timings: Mapping[str, Mapping[str, float | int]]) -> str:
-    """Seconds of every stage as bars, and frames a second of those that work by frame."""
+    """The section with the seconds of every stage as bars, and frames per second where counted."""
     longest = max((stage.get("seconds", 0.0) for stage in timings.values()), default=0.0) or 1.0
     body: list[list[str | Cell]] = []
     for name, stage in timings.items():

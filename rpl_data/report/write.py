@@ -1,4 +1,4 @@
-"""The report: what was built, how good it is, and what needs a look."""
+"""Write the report: what was built, how good it is, and what the user should check."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rpl_data.meshes import load_mesh
 from rpl_data.report.clicks import click_section, distance_table
 from rpl_data.report.counts import SceneReport, summarise_scene
 from rpl_data.report.html import Cell, folded, number, page, section, table, text
-from rpl_data.report.pictures import contact_sheet, frames_a_scene, legends
+from rpl_data.report.pictures import contact_sheet, frames_per_scene, legends
 from rpl_data.report.solid import solid
 from rpl_data.report.tables import labels_section, quality_section, timings_section
 from rpl_data.types import QualityRow, Solution
@@ -32,12 +32,12 @@ def write_report(
     """Write the page and return its path.
 
     Args:
-        workspace: may be half built; what is missing is left out or said.
+        workspace: may be half built; what is missing is left out or named.
         rows: quality against truth, where truth is known.
         timings: by stage, `seconds` and, for stages that work by frame, `frames`.
         split: the summary of the split, plain text.
         warnings: lines of the build, shown with those of the solutions and the recordings.
-        remarks: what else is known of a recording, by its name.
+        remarks: further lines about a recording, by its name.
     """
     scenes = [summarise_scene(workspace, name) for name in workspace.video_names()]
     solutions = [
@@ -63,7 +63,7 @@ def write_report(
 
 
 def dataset_name(workspace: Workspace) -> str:
-    """The name in the recipe; the folder's name without one."""
+    """The name in the recipe; the folder's name when the recipe has none."""
     if workspace.recipe_file.exists():
         recipe = yaml.safe_load(read_text(workspace.recipe_file))
         if isinstance(recipe, dict) and recipe.get("name"):
@@ -114,7 +114,7 @@ def _scenes(
     remarks: Mapping[str, Sequence[str]],
 ) -> str:
     models = {solution.model.name: solution.model for solution in solutions}
-    count = frames_a_scene(len(scenes))
+    count = frames_per_scene(len(scenes))
     parts = [legends(models)]
     for scene in scenes:
         recording = scene.recording.scene
@@ -146,7 +146,7 @@ def _objects(workspace: Workspace, solutions: Sequence[Solution]) -> str:
 
 
 def _keypoint_table(solution: Solution) -> str:
-    """Keypoints with their standard deviation, clicks, and the mean residual of those that fit."""
+    """The keypoints: standard deviation, clicks, outliers, and mean error of the other clicks."""
     model = solution.model
     body: list[list[str | Cell]] = []
     for k, name in enumerate(model.keypoints):
