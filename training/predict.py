@@ -58,7 +58,7 @@ def predict(
         threads: processor threads of torch; None leaves the number to torch.
     """
     from rpl_data.files import write_json, write_text
-    from rpl_data.torch.images import read_image
+    from rpl_data.torch.image_files import read_image
     from training.pose.pipeline import load_pipeline
     from training.runs.program import say_left_out, use_threads
 
@@ -184,11 +184,11 @@ def _below(file: Path, images: Path, suffix: str) -> Path:
 
 def _depth_m(depth: Path | None, file: Path, images: Path, metres_per_unit: float, image: Any) -> Any:
     """The image's depth in metres; None when no depth was named."""
-    from training.pose.pipeline import read_depth_m
+    from training.pose.pipeline import read_depth_like
 
     if depth is None:
         return None
-    return read_depth_m(depth / _below(file, images, ".png"), metres_per_unit, like=image)
+    return read_depth_like(depth / _below(file, images, ".png"), metres_per_unit, like=image)
 
 
 def _write_overlay(

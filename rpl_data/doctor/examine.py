@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float32, Float64
 
-from rpl_data.doctor import images, timing
+from rpl_data.doctor import image_faults, timing
 from rpl_data.doctor.alignment import Alignment, align
 from rpl_data.doctor.consistency import ComparedImages, Geometry, choose_pairs, differences
 from rpl_data.doctor.corrections import faults, shifted
@@ -59,9 +59,11 @@ def examine(recording: Recording, *, progress: Callable[[int, int], None] | None
     facts = [_summary(scene, sample), *recording.notes]
     if not len(sample.depths_m):
         return Diagnosis(scene.name, tuple(facts), tuple(findings))
-    findings += images.repeated(_repeats(scene, sample), len(sample.positions))
-    findings += images.blur(sample.sharpness)
-    findings += images.missing_depth([images.missing_share(depth_m) for depth_m in sample.depths_m])
+    findings += image_faults.repeated(_repeats(scene, sample), len(sample.positions))
+    findings += image_faults.blur(sample.sharpness)
+    findings += image_faults.missing_depth(
+        [image_faults.missing_share(depth_m) for depth_m in sample.depths_m]
+    )
     aligned = align(dict(zip(sample.positions, sample.edges, strict=True)))
     facts.append(_alignment_fact(aligned))
     lag = lag_of(aligned)
@@ -114,7 +116,7 @@ def _read_sample(scene: Scene, progress: Callable[[int, int], None] | None) -> t
             positions.append(at)
             depths.append(depth_m)
             edges.append(edges_of(color, depth_m))
-            sharpness.append(images.sharpness(color))
+            sharpness.append(image_faults.sharpness(color))
             done += 1
             if progress is not None:
                 progress(done, total)
@@ -126,7 +128,7 @@ def _read_sample(scene: Scene, progress: Callable[[int, int], None] | None) -> t
 
 def _repeats(scene: Scene, sample: _Sample) -> list[int]:
     numbers = [scene.frames[at].index for at in sample.positions]
-    found = [images.repeats(list(sample.depths_m[a:b]), numbers[a:b]) for a, b in sample.runs]
+    found = [image_faults.repeats(list(sample.depths_m[a:b]), numbers[a:b]) for a, b in sample.runs]
     return [number for numbers_of_run in found for number in numbers_of_run]
 
 

@@ -17,7 +17,7 @@ from typing import IO, Any
 
 from rpl_data.export.folder import link, replacing
 from rpl_data.export.split import FrameKey, SplitName, SplitRule, choose_splits
-from rpl_data.export.view_distances import View, ViewDistance, view_distances, view_of
+from rpl_data.export.view_distances import ViewDirection, ViewDistance, view_direction, view_distances
 from rpl_data.files import read_json, write_bytes
 from rpl_data.formats.datasets.coco import CocoObject, image_to_coco, instance_to_coco, writing_coco
 from rpl_data.formats.recordings.saved_images import encoded
@@ -113,7 +113,7 @@ class _Collected:
     """
 
     frames: Mapping[FrameKey, frozenset[str]]
-    views: tuple[View, ...]
+    views: tuple[ViewDirection, ...]
     invisible: int
 
 
@@ -131,7 +131,7 @@ def _collect(
     was read.
     """
     frames: dict[FrameKey, frozenset[str]] = {}
-    views: list[View] = []
+    views: list[ViewDirection] = []
     invisible = annotation_id = 0
     categories = {item.model.name: number for number, item in enumerate(objects, start=1)}
     for item in scenes:
@@ -151,7 +151,7 @@ def _collect(
                     continue
                 annotation_id += 1
                 annotations.append(entry)
-                views.append(view_of(key, frame.timestamp_s, instance))
+                views.append(view_direction(key, frame.timestamp_s, instance))
             frames[key] = frozenset(view.object for view in views[len(views) - len(annotations) :])
             image = _image(building, item, frame, image_id, links)
             spool.write(json.dumps([image, annotations], allow_nan=False) + "\n")

@@ -14,7 +14,7 @@ from rpl_data.types import InstanceLabel
 
 
 @dataclass(frozen=True)
-class View:
+class ViewDirection:
     """The direction from which an object is seen in a frame.
 
     Attributes:
@@ -45,14 +45,14 @@ class ViewDistance:
     time_p90_s: float | None
 
 
-def view_of(frame: FrameKey, timestamp_s: float, instance: InstanceLabel) -> View:
+def view_direction(frame: FrameKey, timestamp_s: float, instance: InstanceLabel) -> ViewDirection:
     """Compute the view of a labelled instance."""
     towards = invert(instance.camera_from_object)[:3, 3]
-    return View(instance.object, frame, timestamp_s, towards / np.linalg.norm(towards))
+    return ViewDirection(instance.object, frame, timestamp_s, towards / np.linalg.norm(towards))
 
 
 def view_distances(
-    views: Sequence[View], splits: Mapping[FrameKey, SplitName]
+    views: Sequence[ViewDirection], splits: Mapping[FrameKey, SplitName]
 ) -> dict[SplitName, ViewDistance]:
     """Distances of val's and test's views from those of training; splits without any are absent."""
     train = [view for view in views if splits[view.frame] == "train"]
@@ -72,7 +72,9 @@ def view_distances(
     return distances
 
 
-def nearest_angles_deg(views: Sequence[View], train: Sequence[View]) -> Float64[np.ndarray, " n"]:
+def nearest_angles_deg(
+    views: Sequence[ViewDirection], train: Sequence[ViewDirection]
+) -> Float64[np.ndarray, " n"]:
     """Angle from each view to the nearest training view of its object; views without one are left out."""
     from scipy.spatial import cKDTree
 
@@ -86,7 +88,9 @@ def nearest_angles_deg(views: Sequence[View], train: Sequence[View]) -> Float64[
     return np.concatenate(angles)
 
 
-def nearest_times_s(views: Sequence[View], train: Sequence[View]) -> Float64[np.ndarray, " n"]:
+def nearest_times_s(
+    views: Sequence[ViewDirection], train: Sequence[ViewDirection]
+) -> Float64[np.ndarray, " n"]:
     """Time from each view to the nearest training view of its object in its scene, where there is one."""
     known: dict[tuple[str, str], list[float]] = {}
     for view in train:

@@ -44,13 +44,13 @@ class KeypointDataModule(LightningDataModule):
         """Read the annotations, and the pixels around the boxes when `cache`.
 
         Args:
-            folder: what `rpl export` wrote: export/coco or export/coco_truth.
+            folder: folder of an export (export/coco or export/coco_truth).
             object: name of the object; may be left out when the dataset has one object.
             input_px, heatmap_px, sigma_px, cache: see `KeypointDataset`.
             batch: instances per step.
             workers: processes that load data; 0 loads in this process, which suits cached crops.
-            seed: of the order of the training instances and of their augmentation, which depend on nothing
-                else but the epoch.
+            seed: determines, together with the epoch alone, the order of the training instances and their
+                augmentation.
 
         Raises:
             DataError: there is no training split, the object is not in it, or it has no keypoints.
@@ -69,13 +69,13 @@ class KeypointDataModule(LightningDataModule):
         self._batch, self._workers, self._seed = batch, workers, seed
 
     def train_dataloader(self) -> DataLoader[Any]:
-        """Shuffled anew in every epoch."""
+        """Batches of the training set, shuffled anew in every epoch."""
         return training_batches(
             self.train, batch=self._batch, workers=self._workers, seed=self._seed, collate=collate_readable
         )
 
     def val_dataloader(self) -> DataLoader[Any] | list[DataLoader[Any]]:
-        """In order; empty without a validation set."""
+        """Batches of the validation set, in order; empty without one."""
         if self.val is None:
             return []
         return validation_batches(
@@ -84,7 +84,7 @@ class KeypointDataModule(LightningDataModule):
 
 
 def _validation(coco_json: Path, sizes: dict[str, Any]) -> KeypointDataset | None:
-    """Return the validation set; None when there is none, and training goes on without."""
+    """Return the validation set; None when there is none."""
     if not coco_json.exists():
         return None
     try:

@@ -1,4 +1,4 @@
-"""Dataset of the detector that finds the paper's square boxes for the hourglass: whole images, made small."""
+"""Dataset of small whole images, for the detector that finds the square boxes of the paper's hourglass."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from torch import Tensor
 from torch.utils.data import Dataset
 
 from rpl_data.formats.datasets.coco import read_coco
-from rpl_data.torch.images import read_image, to_unit_range
+from rpl_data.torch.image_files import read_image, to_unit_range
 from rpl_data.torch.splits import split_file
 from rpl_data.torch.transforms import Augmentation, jittered, moved, random_crop_from_square, warped
 from rpl_data.types import DataError
@@ -36,7 +36,7 @@ class DetectionTarget(TypedDict):
 
 
 class DetectionDataset(Dataset[tuple[Tensor, DetectionTarget]]):
-    """Every image of an exported dataset at a small size, kept in memory once decoded.
+    """Every image of an exported dataset, shrunk, and kept in memory once decoded.
 
     ::
 
@@ -63,16 +63,16 @@ class DetectionDataset(Dataset[tuple[Tensor, DetectionTarget]]):
         Args:
             path: the folder of an export (my-workspace/export/coco), or one of its JSON files.
             split: train, val or test, when `path` is a folder.
-            width_px: of the images; they keep their shape.
-            augment: shifts (a share of the width), zooms and colours at random; boxes stay upright, so
+            width_px: width of the shrunk images; they keep their aspect ratio.
+            augment: random shifts (as a share of the width), zooms and colours; boxes stay upright, so
                 `rotation_deg` must be 0.
 
         Raises:
-            DataError: there is no such split (the message says why), the file is not ours, it has no image,
-                or boxes would be turned.
+            DataError: there is no such split (the message says why), the file is not an export of rpl-data,
+                it has no image, or boxes would be rotated.
         """
         if augment is not None and augment.rotation_deg:
-            raise DataError(f"rotation_deg is {augment.rotation_deg}; a turned box is no box: give 0")
+            raise DataError(f"rotation_deg is {augment.rotation_deg}; a rotated box is not upright: give 0")
         coco_json = split_file(path, split)
         data = read_coco(coco_json)
         if not data["images"]:

@@ -1,7 +1,7 @@
-"""Training batches that depend on the seed, the epoch and the row alone.
+"""Training batches that depend only on the seed, the epoch and the row.
 
-A training that was interrupted then sees, after its resumption, exactly what an uninterrupted one sees,
-however many worker processes load the images.
+So a training run that was interrupted and resumed sees exactly what an uninterrupted one sees, however many
+worker processes load the images.
 """
 
 from __future__ import annotations
@@ -17,35 +17,35 @@ from torch.utils.data import DataLoader, Dataset, Sampler
 from rpl_data.torch.readable import Readable
 
 Collate = Callable[[Sequence[Any]], Any]
-"""Makes a batch of samples, some of which may be `Unreadable`."""
+"""Function that makes a batch of samples, some of which may be `Unreadable`."""
 
 
 def seed_of(*key: int) -> int:
-    """A seed for torch that is as good as random, and always the same for the same whole numbers (>= 0)."""
+    """Derive a seed for torch from integers (>= 0), as if at random, but the same for the same ones."""
     return int(np.random.SeedSequence(key).generate_state(1, np.uint64)[0] >> 1)
 
 
 class EpochOrder(Sampler[tuple[int, int]]):
-    """Every row of a dataset once per epoch, shuffled by the seed and the epoch; yields (epoch, row).
+    """Sampler of every row of a dataset once per epoch, shuffled by seed and epoch; yields (epoch, row).
 
-    When several processes train together (DDP), each gets its share of the rows. Rows from the beginning of
-    the order fill up the last shares, so that all are equally long.
+    When several processes train together (DDP), each gets its share of the rows. Rows from the start of
+    the order are repeated at its end, so that all shares are equally long.
     """
 
     def __init__(self, dataset: Sized, seed: int) -> None:
-        """The order of epoch 0 comes first; `set_epoch` chooses another one."""
+        """Start at epoch 0; `set_epoch` chooses another one."""
         self._dataset, self._seed, self._epoch = dataset, seed, 0
 
     def set_epoch(self, epoch: int) -> None:
-        """Choose the epoch, counted from 0. Without it the epochs follow one another. Lightning calls it."""
+        """Choose the epoch, counted from 0, else epochs follow one another. Lightning calls this."""
         self._epoch = epoch
 
     def __len__(self) -> int:
-        """How many rows this process gets per epoch."""
+        """Number of rows that this process gets per epoch."""
         return -(-len(self._dataset) // _processes()[1])
 
     def __iter__(self) -> Iterator[tuple[int, int]]:
-        """This epoch's rows of this process."""
+        """Iterate over the rows of this process in this epoch."""
         epoch, self._epoch = self._epoch, self._epoch + 1
         order = np.random.default_rng((self._seed, epoch)).permutation(len(self._dataset))
         process, processes = _processes()
@@ -54,7 +54,7 @@ class EpochOrder(Sampler[tuple[int, int]]):
 
 
 def _processes() -> tuple[int, int]:
-    """The number of this process (from 0), and how many train together."""
+    """The number of this process (from 0), and the number of processes that train together."""
     if distributed.is_available() and distributed.is_initialized():
         return distributed.get_rank(), distributed.get_world_size()
     return 0, 1
@@ -67,15 +67,15 @@ class SeededRows(Dataset[Any]):
     """
 
     def __init__(self, dataset: Any, seed: int) -> None:
-        """`dataset` is indexed by row."""
+        """Wrap a dataset that is indexed by row."""
         self._dataset, self._seed = dataset, seed
 
     def __len__(self) -> int:
-        """As many as the dataset has."""
+        """Number of rows of the dataset."""
         return len(self._dataset)
 
     def __getitem__(self, epoch_and_row: tuple[int, int]) -> Any:
-        """The sample of this row in this epoch."""
+        """Return the sample of a row in an epoch."""
         epoch, row = epoch_and_row
         generator = torch.default_generator  # torch.manual_seed would reset the GPU's generator too
         before = generator.get_state()
@@ -95,13 +95,13 @@ def training_batches(
     collate: Collate,
     drop_last: bool = False,
 ) -> DataLoader[Any]:
-    """Shuffled batches of a dataset that augments at random; unreadable samples come as `Unreadable`.
+    """Make shuffled batches of a dataset with random augmentation; unreadable samples become `Unreadable`.
 
     Args:
         dataset: indexed by row.
         batch: samples per step and process.
         workers: processes that load samples; 0 loads them in this one.
-        seed: of the order and of everything the dataset draws.
+        seed: of the order, and of all random numbers that the dataset draws.
         collate: makes a batch of samples and `Unreadable`s.
         drop_last: leave out the last batch of an epoch when it is smaller than the others.
     """
@@ -118,7 +118,7 @@ def training_batches(
 
 
 def validation_batches(dataset: Any, *, batch: int, workers: int, collate: Collate) -> DataLoader[Any]:
-    """All samples of a dataset in their order; arguments as of `training_batches`."""
+    """Make batches of all samples of a dataset, in order; arguments as in `training_batches`."""
     return DataLoader(
         Readable(dataset),
         batch_size=batch,

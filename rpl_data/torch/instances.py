@@ -14,7 +14,7 @@ from torch.utils.data import Dataset, get_worker_info
 from torchvision import tv_tensors
 
 from rpl_data.formats.datasets.coco import read_coco
-from rpl_data.torch.images import read_image, to_unit_range
+from rpl_data.torch.image_files import read_image, to_unit_range
 from rpl_data.torch.splits import split_file
 from rpl_data.torch.transforms import Image
 
@@ -36,7 +36,7 @@ Json = dict[str, Any]
 
 
 class InstanceDataset(Dataset[InstanceSample]):
-    """Every image of an exported dataset, those without an object too: torchvision's detection targets.
+    """Every image of an exported dataset, with or without objects, with torchvision's detection targets.
 
     ::
 
@@ -44,7 +44,8 @@ class InstanceDataset(Dataset[InstanceSample]):
         image, target = dataset[0]
         DataLoader(dataset, batch_size=2, collate_fn=collate)    # images and targets as two lists
 
-    `image` is float32, 3 x height x width, RGB, 0 to 1. `target` is a dictionary; n instances, n may be 0:
+    `image` is float32, 3 x height x width, RGB, 0 to 1. `target` is a dictionary for n instances (n may be
+    0):
 
     ==========  =======  =================  ==============================================================
     key         dtype    shape              what it is
@@ -58,8 +59,8 @@ class InstanceDataset(Dataset[InstanceSample]):
     keypoints   float32  n, k, 3            x y v in px; v: 0 never clicked, 1 hidden, 2 seen
     ==========  =======  =================  ==============================================================
 
-    k is that of the object with most keypoints; others have rows of zeros behind. Keypoints count from the
-    centre of the first pixel, boxes from its edge.
+    k is the number of keypoints of the object with most; the others' rows are padded with zeros. Keypoints
+    count from the centre of the first pixel, boxes from its edge.
 
     Attributes:
         names: name of each label; `names[0]` is the background.
@@ -82,7 +83,8 @@ class InstanceDataset(Dataset[InstanceSample]):
             split: train, val or test, when `path` is a folder.
 
         Raises:
-            DataError: there is no such split (the message says why), or the file is not ours.
+            DataError: there is no such split (the message says why), or the file is not an export of
+                rpl-data.
         """
         coco_json = split_file(path, split)
         data = read_coco(coco_json)

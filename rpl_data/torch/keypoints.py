@@ -15,7 +15,7 @@ from torch.utils.data import Dataset, get_worker_info
 
 from rpl_data.formats.datasets.coco import objects_from_coco, read_coco
 from rpl_data.torch.heatmaps import draw_heatmaps
-from rpl_data.torch.images import read_image, to_unit_range
+from rpl_data.torch.image_files import read_image, to_unit_range
 from rpl_data.torch.pixel_cache import PixelCache, Rectangle, rectangle_around
 from rpl_data.torch.splits import split_file
 from rpl_data.torch.transforms import (
@@ -85,7 +85,7 @@ class KeypointDataset(Dataset[KeypointSample]):
         dataset = KeypointDataset("my-workspace/export/coco", split="train", object="cube")
         sample = dataset[0]      # a dictionary, ready for torch's DataLoader
 
-    Its keys, k being the number of keypoints; pixels count from the centre of the top-left pixel:
+    Its keys are the following, for k keypoints; pixels count from the centre of the top-left pixel:
 
     ====================  =======  ======================  ==================================================
     key                   dtype    shape                   what it is
@@ -137,8 +137,8 @@ class KeypointDataset(Dataset[KeypointSample]):
                 processes and runs. Samples stay the same up to rounding to a grey level.
 
         Raises:
-            DataError: there is no such split (the message says why), the file is not ours, or it has no such
-                object, or no instance of it.
+            DataError: there is no such split (the message says why), the file is not an export of rpl-data,
+                or it has no such object, or no instance of it.
         """
         coco_json = split_file(path, split)
         data = read_coco(coco_json)
@@ -216,7 +216,7 @@ class KeypointDataset(Dataset[KeypointSample]):
         }
 
     def _rectangles(self) -> list[Rectangle]:
-        """The pixels that the crops of each instance may need."""
+        """The rectangle of pixels that the crops of each instance may need."""
         half = reach(self._augment)
         return [
             rectangle_around(box, half=half, width=int(width), height=int(height))

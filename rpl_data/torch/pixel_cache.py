@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64, UInt8
 
-from rpl_data.torch.images import read_image
+from rpl_data.torch.image_files import read_image
 from rpl_data.torch.transforms import Image
 from rpl_data.types import DataError
 

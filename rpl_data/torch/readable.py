@@ -1,4 +1,4 @@
-"""Training goes on past images that cannot be read: they are named, left out and counted."""
+"""Let training continue when images cannot be read: they are left out of the batch, with a message each."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from rpl_data.types import DataError
 
 @dataclass(frozen=True)
 class Unreadable:
-    """What stands in a batch for a sample that could not be read."""
+    """Stands for a sample that could not be read."""
 
     message: str
 
 
 class Readable(Dataset[Any]):
-    """A dataset whose unreadable samples are `Unreadable` instead of an end of the run."""
+    """A dataset that returns `Unreadable` for a sample that cannot be read, instead of raising the error."""
 
     def __init__(self, dataset: Any) -> None:
         self.dataset = dataset
 
     def __len__(self) -> int:
-        """As many as the dataset has."""
+        """Number of samples of the dataset."""
         return len(self.dataset)
 
     def __getitem__(self, index: Any) -> Any:
-        """The sample, or why not."""
+        """Return the sample, or an `Unreadable` that says why there is none."""
         try:
             return self.dataset[index]
         except DataError as error:
@@ -37,18 +37,18 @@ class Readable(Dataset[Any]):
 
 
 def collate_readable(samples: Sequence[Any]) -> tuple[Any | None, tuple[str, ...]]:
-    """The batch of the samples that could be read (None without any), and why the others could not."""
-    read, failed = _parted(samples)
+    """Collate the samples that could be read (None without any); return the others' messages as well."""
+    read, failed = _separated(samples)
     return (default_collate(read) if read else None), failed
 
 
 def collate_readable_lists(samples: Sequence[Any]) -> tuple[list[Any], list[Any], tuple[str, ...]]:
-    """Images and targets as two lists, as torchvision's detectors take them, and why others are missing."""
-    read, failed = _parted(samples)
+    """Collate images and targets to two lists, as torchvision's detectors take them, and the messages."""
+    read, failed = _separated(samples)
     return [image for image, _ in read], [target for _, target in read], failed
 
 
-def _parted(samples: Sequence[Any]) -> tuple[list[Any], tuple[str, ...]]:
-    """The samples that could be read, and the messages of the others."""
+def _separated(samples: Sequence[Any]) -> tuple[list[Any], tuple[str, ...]]:
+    """Separate the samples that could be read from the messages of the others."""
     read = [sample for sample in samples if not isinstance(sample, Unreadable)]
     return read, tuple(sample.message for sample in samples if isinstance(sample, Unreadable))

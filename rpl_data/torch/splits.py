@@ -1,4 +1,4 @@
-"""Which file of an exported folder holds a split, and why there is none."""
+"""Find the file of a split in an export, or say why there is none."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from rpl_data.files import read_json
 from rpl_data.types import DataError
 
 FEWEST_SCENES = 3
-"""With fewer there is no test split: it takes whole scenes, and two are left to train on."""
+"""Fewest scenes for a test split: it takes whole scenes, and two must remain for training."""
 
 
 def split_file(export: str | Path, split: str | None) -> Path:
-    """The COCO file that a user means by a folder and a split, or by the file itself.
+    """Find the COCO file that a user names by a folder and a split, or by the file itself.
 
     Args:
         export: the folder of an export (my-workspace/export/coco) or one of its JSON files.
-        split: train, val or test, of a folder; None for a file.
+        split: train, val or test, when `export` is a folder; None for a file.
 
     Raises:
         DataError: there is no such folder, file or split; the message says why and what to do.
@@ -28,7 +28,7 @@ def split_file(export: str | Path, split: str | None) -> Path:
         return path
     if not path.is_dir():
         if split is None and path.suffix == ".json" and path.parent.is_dir():
-            return split_file(path.parent, path.stem)  # which says why it is not there
+            return split_file(path.parent, path.stem)  # raises the error that says why it is missing
         raise DataError(f"{path} does not exist; make it with `rpl build` or `rpl export`")
     there = [name for name in ("train", "val", "test") if (path / f"{name}.json").exists()]
     if not there:
@@ -43,7 +43,7 @@ def split_file(export: str | Path, split: str | None) -> Path:
 
 
 def _why(folder: Path, split: str, there: list[str]) -> str:
-    """The reason a split was not exported, as far as the other files tell it."""
+    """The reason why a split was not exported, as far as the other files show it."""
     if split == "test":
         scenes = _scenes(folder, there)
         if len(scenes) < FEWEST_SCENES:

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 from torchvision import tv_tensors
 
-from rpl_data.torch.images import to_unit_range
+from rpl_data.torch.image_files import to_unit_range
 from rpl_data.torch.instances import InstanceSample, InstanceTarget
 from rpl_data.torch.transforms import (
     FULL_FROM_HALF,

@@ -9,7 +9,7 @@ from labelled_scenes import BOX, CAN, instance, labelled_scene
 
 from rpl_data.export import ExportScene, export_coco
 from rpl_data.export.split import SplitRule, choose_splits
-from rpl_data.export.view_distances import View, view_distances, view_of
+from rpl_data.export.view_distances import ViewDirection, view_direction, view_distances
 from rpl_data.formats.datasets.coco import read_coco
 from rpl_data.geometry import from_rotvec, invert
 from rpl_data.types import DataError, FrameLabel
@@ -182,8 +182,8 @@ def test_named_test_scenes():
 def test_view_does_not_depend_on_the_roll_of_the_camera():
     label = instance(BOX, 0.1)
     rolled = from_rotvec(np.array([0, 0, 0.7]), np.zeros(3)) @ label.camera_from_object
-    view = view_of(("s", 0), 0.0, label)
-    again = view_of(("s", 0), 0.0, type(label)(**label.__dict__ | {"camera_from_object": rolled}))
+    view = view_direction(("s", 0), 0.0, label)
+    again = view_direction(("s", 0), 0.0, type(label)(**label.__dict__ | {"camera_from_object": rolled}))
     np.testing.assert_allclose(view.direction_object, again.direction_object)
     camera = invert(label.camera_from_object)[:3, 3]
     np.testing.assert_allclose(view.direction_object * np.linalg.norm(camera), camera)
@@ -192,7 +192,7 @@ def test_view_does_not_depend_on_the_roll_of_the_camera():
 def test_distances_worked_by_hand():
     def view(scene, frame, degrees):
         angle = np.deg2rad(degrees)
-        return View("a", (scene, frame), frame / 10, np.array([np.cos(angle), np.sin(angle), 0]))
+        return ViewDirection("a", (scene, frame), frame / 10, np.array([np.cos(angle), np.sin(angle), 0]))
 
     views = [view("s", 0, 0), view("s", 5, 50), view("s", 1, 10), view("s", 4, 30), view("t", 0, 80)]
     splits = {("s", 0): "train", ("s", 5): "train", ("s", 1): "val", ("s", 4): "val", ("t", 0): "test"}

@@ -21,7 +21,7 @@ from rpl_data.types import DataError, KeypointModel, Mesh
 from training.evaluate_pose import evaluate_pose
 from training.keypoints.module import load_keypoints, untrained
 from training.pose.evaluation import evaluate
-from training.pose.pipeline import PosePipeline, SeenKeypoints, load_pipeline, read_depth_m
+from training.pose.pipeline import PosePipeline, SeenKeypoints, load_pipeline, read_depth_like
 from training.predict import predict
 from training.runs.folder import trained_epochs
 from training.runs.options import DetectorNetwork, Learning, Machine, Network
@@ -267,12 +267,12 @@ def test_depth_is_read_in_metres_or_refused(tmp_path):
     depth = np.arange(24, dtype=np.uint16).reshape(4, 6)
     cv2.imwrite(str(tmp_path / "depth.png"), depth)
     np.testing.assert_allclose(
-        read_depth_m(tmp_path / "depth.png", 0.002, like=color), 0.002 * depth, rtol=1e-6
+        read_depth_like(tmp_path / "depth.png", 0.002, like=color), 0.002 * depth, rtol=1e-6
     )
     with pytest.raises(DataError, match="registered to colour"):
-        read_depth_m(tmp_path / "depth.png", 0.001, like=color[:2])
+        read_depth_like(tmp_path / "depth.png", 0.001, like=color[:2])
     with pytest.raises(DataError, match="nothing readable"):
-        read_depth_m(tmp_path / "none.png", 0.001, like=color)
+        read_depth_like(tmp_path / "none.png", 0.001, like=color)
 
 
 def test_depth_pins_a_predicted_distance(run):

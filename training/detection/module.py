@@ -18,7 +18,7 @@ from torchvision.models.detection.fcos import FCOS, FCOSHead
 from torchvision.ops import box_iou
 
 from rpl_data.torch.detection import DetectionTarget, shrunk, square_from_box
-from rpl_data.torch.images import to_unit_range
+from rpl_data.torch.image_files import to_unit_range
 from training.keypoints.hourglass import Hourglass, Residual
 from training.runs.options import DetectorNetwork, Learning
 from training.runs.schedule import optimizer_of

@@ -21,9 +21,9 @@ from rpl_data.geometry import fit_rigid
 from rpl_data.meshes import load_mesh, sampled
 from rpl_data.pose.errors import INFINITE, pose_errors
 from rpl_data.pose.estimate import Method, PoseEstimate, PoseFailure
-from rpl_data.torch.images import read_image
+from rpl_data.torch.image_files import read_image
 from rpl_data.types import DataError, InstanceLabel, KeypointModel
-from training.pose.pipeline import PosePipeline, SeenKeypoints, read_depth_m
+from training.pose.pipeline import PosePipeline, SeenKeypoints, read_depth_like
 from training.pose.scores import Judged
 from training.runs.options import Crops
 
@@ -112,7 +112,7 @@ def evaluate(
         seen = {each.object: each for each in pipeline.see(pixels, squares)}
         depth = None
         if metres_per_unit is not None:
-            depth = read_depth_m(_depth_file(coco_json.parent, image), metres_per_unit, like=pixels)
+            depth = read_depth_like(_depth_file(coco_json.parent, image), metres_per_unit, like=pixels)
         for label, method in product(labels, methods):
             name = label.object
             solved = None

@@ -14,7 +14,7 @@ from rpl_data.geometry import depth_sigma_m
 from rpl_data.pose import correspondences
 from rpl_data.pose.depth import depths_at
 from rpl_data.pose.estimate import Method, PoseEstimate, PoseFailure, estimate_pose
-from rpl_data.torch.images import to_unit_range
+from rpl_data.torch.image_files import to_unit_range
 from rpl_data.torch.transforms import crop_from_square, warped
 from rpl_data.types import DataError, DepthImage, Intrinsics
 from training.detection.module import Detection, DetectorTraining, load_detector
@@ -112,7 +112,7 @@ KEYPOINT_DEPTH_SIGMA_M = 0.006
 """Added to the sensor's standard deviation: at a corner, the depth may be that of a neighbouring point."""
 
 
-def read_depth_m(path: Path, metres_per_unit: float, *, like: np.ndarray) -> DepthImage:
+def read_depth_like(path: Path, metres_per_unit: float, *, like: np.ndarray) -> DepthImage:
     """Read a 16-bit depth image; float32 metres, 0 where there is none.
 
     Raises:

@@ -119,7 +119,7 @@ def _examples(coco_json: Path, arms: list[str], out: Path, count: int = 3) -> st
     """Some images of the split with the true masks and with what each network found."""
     import cv2
 
-    from rpl_data.torch.images import read_image
+    from rpl_data.torch.image_files import read_image
     from training.masks.pictures import draw
     from training.masks.settings import SCORE_THRESHOLD
 

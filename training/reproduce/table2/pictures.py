@@ -17,7 +17,7 @@ from rpl_data.formats.datasets.coco import (
     objects_from_coco,
     read_coco,
 )
-from rpl_data.torch.images import read_image
+from rpl_data.torch.image_files import read_image
 from rpl_data.workspace.workspace import Workspace
 from training.pose.pictures import close_up, drawn
 from training.pose.scores import Judged
