@@ -1,7 +1,7 @@
-"""Work in a process of its own, for libraries that may end the process on a damaged file.
+"""Run a function in a child process, for libraries that may crash on a damaged file.
 
-Open3D and librealsense are written in C++ and trust what they read: a wrong number in a file can end the
-process with a signal, or ask for all memory. In a child they take nobody with them.
+Open3D and librealsense are written in C++ and do not check what they read: a wrong number in a file can end
+the process with a signal, or exhaust the memory. In a child process, they end only that one.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ from rpl_data.types import DataError
 
 Result = TypeVar("Result")
 MEMORY_BYTES = 16 * 2**30
-"""Of address space; libraries map a few gigabytes of it that they never use."""
+"""Largest address space of a child; libraries map a few gigabytes of it that they never use."""
 
 
 def in_child(work: Callable[..., Result], *arguments: Any, file: Path, limit_s: int | None = None) -> Result:
-    """What `work(*arguments)` returns, worked out in a process of its own.
+    """Run `work(*arguments)` in a child process and return its result.
 
     Args:
-        work: a function of a module; it, its arguments and its result must be picklable.
-        arguments: of it.
-        file: what it reads, for the message.
-        limit_s: seconds of CPU time it may take; None = any.
+        work: a function at the top level of a module; it, its arguments and its result must be picklable.
+        arguments: the arguments of `work`.
+        file: the file that it reads, for the error message.
+        limit_s: largest CPU time of the child, in seconds; None = no limit.
 
     Raises:
-        DataError: that of `work`, or the child was ended by a signal, by its limits or by a fault.
+        DataError: `work` raised it, or the child ended by a signal, a limit or an exception.
     """
     with tempfile.TemporaryDirectory() as folder:
         answer = Path(folder) / "answer"
@@ -56,7 +56,7 @@ def in_child(work: Callable[..., Result], *arguments: Any, file: Path, limit_s: 
 
 
 def _end(code: int, said: bytes) -> str:
-    """How a child ended, in words."""
+    """Describe how a child process ended."""
     if code < 0:
         return f"reading it was ended by signal {signal.Signals(-code).name}"
     lines = said.decode("utf-8", "replace").strip().splitlines()
@@ -64,7 +64,7 @@ def _end(code: int, said: bytes) -> str:
 
 
 def _work() -> None:
-    """The child: take the task from standard input, leave the answer in its file."""
+    """Run in the child: read the task from standard input, and write the answer to its file."""
     work, arguments, answer, limit_s = pickle.loads(sys.stdin.buffer.read())  # written by our own parent
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
@@ -76,4 +76,4 @@ def _work() -> None:
     except DataError as error:
         content = None, str(error)
     Path(answer).write_bytes(pickle.dumps(content))
-    os._exit(0)  # no destructor of a library may spoil an answer that is there
+    os._exit(0)  # skips the destructors of libraries, which could crash after the answer is written

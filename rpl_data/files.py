@@ -99,7 +99,7 @@ SERVED_S = 3600.0
 FAULTS = (
     ArithmeticError, AttributeError, EOFError, LookupError, MemoryError, RecursionError, TypeError, ValueError
 )  # fmt: skip
-"""What Python raises where a file holds something else than the reader expects."""
+"""Exceptions that Python raises where the content of a file is not what its reader expects."""
 
 
 @contextmanager
@@ -122,20 +122,20 @@ def decoding(source: Path | str, remedy: str) -> Iterator[None]:
 
 
 def refuse_special(path: Path) -> None:
-    """DataError when a path is a pipe, a device or a socket: reading it might never end.
+    """Raise a DataError when a path is a pipe, a device or a socket, since reading it might never end.
 
-    A folder or a missing file is not refused: opening it says so.
+    A folder or a missing file passes: opening it gives the error.
     """
     try:
         mode = path.stat().st_mode
     except (OSError, ValueError):
         return
     if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
-        raise DataError(f"{path} is no file but a pipe, a device or a socket; give the file itself")
+        raise DataError(f"{path} is a pipe, a device or a socket, not a file; give the file itself")
 
 
 def read_bytes(path: Path) -> bytes:
-    """The content of a file; DataError when it is missing or cannot be read."""
+    """Read a file as bytes; DataError when it is missing or cannot be read."""
     refuse_special(path)
     try:
         return path.read_bytes()
@@ -155,12 +155,12 @@ def read_text(path: Path, *, errors: Literal["strict", "replace"] = "strict") ->
         return path.read_text(encoding="utf-8", errors=errors)
     except FileNotFoundError as error:
         raise DataError(f"{path} does not exist") from error
-    except (OSError, ValueError) as error:  # ValueError: no UTF-8, or a path with a zero byte
+    except (OSError, ValueError) as error:  # ValueError: not UTF-8, or a path with a zero byte
         raise DataError(f"cannot read {path}: {error}") from error
 
 
 def append_bytes(path: Path, content: bytes) -> None:
-    """Append complete lines to a log, safely on disk on return; after an error the log is unchanged."""
+    """Append complete lines to a log; they are on the disk on return, and after an error it is unchanged."""
     with path.open("ab", buffering=0) as file:  # a buffer would be written after the truncation
         end = path.read_bytes().rfind(b"\n") + 1  # anything after it is half a line, left by a crash
         file.truncate(end)
@@ -189,7 +189,7 @@ def sweep(root: Path) -> None:
 
 
 def remove(path: Path) -> None:
-    """Delete a file or folder of ours, if it exists."""
+    """Delete a file or folder, if it exists."""
     if path.is_dir():
         shutil.rmtree(path)
     else:

@@ -1,6 +1,7 @@
-"""Meshes and clouds as files, written whole as PLY: Open3D's writer reports success on a full disk.
+"""Meshes and point clouds: reading, writing and simple operations.
 
-PLY is read by our own reader, other formats by Open3D in a process of its own: damaged files end it.
+PLY files are read and written here, since Open3D's writer reports success on a full disk and its reader
+crashes on damaged files. It reads the other formats, in a child process.
 """
 
 from __future__ import annotations
@@ -27,11 +28,11 @@ def save_mesh(path: Path, mesh: Mesh, *, seen: Bool[np.ndarray, " m"] | None = N
 
 
 READING_S = 120
-"""CPU seconds for a mesh that Open3D reads; a scan of a million triangles takes ten."""
+"""Largest CPU time to read a mesh by Open3D, in seconds; a scan of a million triangles takes ten."""
 
 
 def load_mesh(path: Path) -> Mesh:
-    """Triangles from PLY, OBJ or anything Open3D reads.
+    """Read a mesh from PLY, OBJ or any other format that Open3D reads.
 
     Raises:
         DataError: the file is missing or damaged, holds no triangles, or has a vertex that is not finite.
@@ -58,7 +59,7 @@ def _read_by_open3d(path: Path) -> Mesh:
     triangles = np.asarray(legacy.triangles).astype(np.int64)
     vertices = np.asarray(legacy.vertices).copy()
     if len(triangles) and not (triangles.min() >= 0 and triangles.max() < len(vertices)):
-        raise DataError(f"{path} has a triangle with a corner that is no vertex; save it again")
+        raise DataError(f"{path} has a triangle with a corner that is not a vertex; save it again")
     return Mesh(vertices, triangles, colors if legacy.has_vertex_colors() else None)
 
 
@@ -72,7 +73,7 @@ def _columns(path: Path, vertices: Columns, names: str) -> Floats:
 
 
 def _colors(vertices: Columns) -> Colors | None:
-    """RGB of vertices, stored as bytes or as fractions of 1; None where they have none."""
+    """RGB of vertices, stored as bytes or as fractions of 1; None without colours."""
     found = [vertices[name] for name in ("red", "green", "blue") if name in vertices]
     if len(found) < 3:
         return None
@@ -87,7 +88,7 @@ def save_cloud(path: Path, cloud: PointCloud) -> None:
 
 
 def load_cloud(path: Path) -> PointCloud:
-    """Points with normals from PLY; DataError when there are none, or some are not finite."""
+    """Read points with normals from PLY; DataError when there are none, or some are not finite."""
     if not path.is_file():
         raise DataError(f"there is no point cloud {path}")
     vertices = read_ply(path).vertices
@@ -147,7 +148,7 @@ def _faces(triangles: Int64[np.ndarray, "m 3"], seen: Bool[np.ndarray, " m"] | N
 
 
 def oriented_points(mesh: Mesh) -> PointCloud:
-    """Vertices of a mesh with normals from its triangles (area-weighted), which point outwards."""
+    """The vertices of a mesh, with outward normals from its triangles, weighted by area."""
     corners = mesh.vertices[mesh.triangles]
     area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals = np.zeros_like(mesh.vertices)
@@ -205,7 +206,7 @@ def joined(clouds: list[PointCloud]) -> PointCloud:
 
 
 def simplified(mesh: Mesh, *, most_triangles: int) -> Mesh:
-    """Reduce a mesh to so many triangles at most, by quadric error (Garland, Heckbert 1997)."""
+    """Reduce a mesh to at most `most_triangles`, by quadric error (Garland and Heckbert, SIGGRAPH 1997)."""
     if len(mesh.triangles) <= most_triangles:
         return mesh
     import open3d as o3d
@@ -225,7 +226,7 @@ def simplified(mesh: Mesh, *, most_triangles: int) -> Mesh:
 
 
 def sampled(mesh: Mesh, *, count: int, seed: int = 0) -> Floats:
-    """Points spread evenly over the surface of a mesh, the same ones every time.
+    """Sample points uniformly from the surface of a mesh; the same ones for the same seed.
 
     A triangle is drawn with a probability proportional to its area, a point within it uniformly (Osada et
     al., "Shape distributions", ACM Transactions on Graphics 21, 2002, section 4.2).

@@ -1,8 +1,8 @@
-"""PLY files, read with every size and index checked before it is believed.
+"""Read PLY files, checking every size and index before it is used.
 
-Open3D's reader ends the process on many damaged files (one byte too long is enough), so this is our own. It
-reads ASCII and binary files of either byte order, any scalar properties and any lists; the format is that
-of Greg Turk's "The PLY Polygon File Format" (1994).
+Open3D's reader ends the process on many damaged files (one byte too long is enough), so this reader is
+used instead. It reads ASCII and binary files of either byte order, any scalar properties and any lists; the
+format is that of Greg Turk's "The PLY Polygon File Format" (1994).
 """
 
 from __future__ import annotations
@@ -28,8 +28,9 @@ TYPES = {
 ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
 LONGEST_HEADER = 64 * 2**10
 MOST_MIXED = 1_000_000
-"""Faces of different sizes in a binary file, which are read one by one."""
+"""Largest number of faces when these differ in size, since a binary file's are then read one by one."""
 WORDS_AT_ONCE = 2**20
+"""Words of a text file that are split and converted at a time, to limit memory."""
 END = b"end_header"
 FACES = ("vertex_indices", "vertex_index")
 
@@ -53,11 +54,11 @@ class _Element:
 
 @dataclass(frozen=True)
 class Ply:
-    """What a file holds.
+    """The content of a PLY file.
 
     Attributes:
         vertices: scalar properties of the vertices, by name.
-        triangles: corners as rows of `vertices`; larger polygons are cut into fans. Empty without faces.
+        triangles: corners as rows of `vertices`; larger polygons are split into fans. Empty without faces.
     """
 
     vertices: Columns
@@ -65,11 +66,11 @@ class Ply:
 
 
 def read_ply(path: Path) -> Ply:
-    """The vertices and triangles of a file.
+    """Read the vertices and triangles of a file.
 
     Raises:
-        DataError: the file is missing, no PLY, shorter or longer than its header says, or a face has a
-            corner that is no vertex.
+        DataError: the file is missing, is not a PLY file, is shorter or longer than its header says, or a
+            face refers to a vertex that does not exist.
     """
     content = read_bytes(path)
     try:
@@ -128,7 +129,7 @@ def _header(content: bytes) -> tuple[str, list[_Element], int]:
 
 
 def _triangles(lengths: np.ndarray, corners: np.ndarray) -> Int64[np.ndarray, "m 3"]:
-    """Fans of polygons, given their lengths and all corners one after another."""
+    """Split polygons into fans of triangles, given their lengths and all corners in sequence."""
     if len(lengths) and (lengths == 3).all():
         return corners.astype(np.int64).reshape(-1, 3)
     starts = np.cumsum(lengths) - lengths
@@ -140,7 +141,7 @@ def _triangles(lengths: np.ndarray, corners: np.ndarray) -> Int64[np.ndarray, "m
 
 
 class _Binary:
-    """The body of a binary file, read from its start to its end."""
+    """The body of a binary file, read in sequence."""
 
     def __init__(self, content: bytes, at: int, order: str) -> None:
         self.content, self.at, self.order = content, at, order
@@ -153,7 +154,7 @@ class _Binary:
         return {name: rows[name] for name, _ in kinds}
 
     def lists(self, element: _Element, wanted: str) -> tuple[np.ndarray, np.ndarray]:
-        """Lengths and items of one list property; all items have the length of the first where they can."""
+        """Read the lengths and items of one list property; fast when all lists are as long as the first."""
         if element.count == 0:
             return np.empty(0, np.int64), np.empty(0, np.int64)
         kinds = element.properties.values()
@@ -197,7 +198,7 @@ class _Binary:
                 self._take(element, np.dtype(self.order + kind), 1)
 
     def skip(self, element: _Element) -> None:
-        """Pass over an element."""
+        """Skip an element."""
         if not any(isinstance(kind, _List) for kind in element.properties.values()):
             self.table(element)
         elif element.count:
@@ -215,14 +216,14 @@ class _Binary:
         return found
 
     def refuse_rest(self) -> None:
-        """ValueError when something follows what the header names."""
+        """Raise a ValueError when bytes follow the elements that the header declares."""
         rest = len(self.content) - self.at
         if rest:
             raise ValueError(f"{rest} bytes follow what its header names")
 
 
 class _Text:
-    """The body of a text file: numbers between blanks, read from its start to its end."""
+    """The body of a text file, numbers separated by white space, read in sequence."""
 
     def __init__(self, content: bytes, at: int) -> None:
         chunks, rest = [np.empty(0)], [content[at:]]
@@ -254,7 +255,7 @@ class _Text:
         return np.array(lengths, np.int64), np.concatenate(items)
 
     def skip(self, element: _Element) -> None:
-        """Pass over an element."""
+        """Skip an element."""
         if element.properties:
             self.lists(element, "")
 
@@ -266,14 +267,14 @@ class _Text:
         return found
 
     def refuse_rest(self) -> None:
-        """ValueError when something follows what the header names."""
+        """Raise a ValueError when numbers follow the elements that the header declares."""
         rest = len(self.numbers) - self.at
         if rest:
             raise ValueError(f"{rest} numbers follow what its header names")
 
 
 def _as_whole(values: np.ndarray, kind: str) -> np.ndarray:
-    """Numbers of a text as the type of their property; ValueError where they do not fit."""
+    """Convert the numbers of a text to the type of their property; ValueError where they do not fit it."""
     if kind[0] == "f":
         return values
     limits = np.iinfo(kind)

@@ -1,9 +1,10 @@
 """The data types of rpl_data: what stages take and return.
 
-Every stage takes and returns the frozen dataclasses below; each of them is also a file that
-`workspace.py` knows how to read and write. Conventions (frames, pixels, units) are in `geometry.py`.
+Every stage takes and returns the frozen dataclasses below; most of them
+are also files that `rpl_data/workspace/workspace.py` reads and writes. Conventions (frames, pixels, units)
+are in `rpl_data/geometry.py`.
 
-Missing is absent, ``None`` or, in a row of an array that is otherwise numbers, NaN; never -1 or 0.
+A missing value is absent, ``None``, or NaN in an array of numbers; never -1 or 0.
 """
 
 from __future__ import annotations
@@ -151,6 +152,8 @@ class Recording:
         trajectory: None when the recording has no poses (the camera must be tracked first).
         skipped: one line per reason for which frames were left out, with their number.
         notes: what was assumed, for example the depth unit of a format that does not state it.
+        left_out: `Frame.index` of the frames that were dropped when faults were mended, so that the doctor
+            does not count them as lost by the recorder.
         true_poses: camera_from_object by object name and `Frame.index`, where a dataset provides it: the
             truth for evaluation. No labelling stage receives it.
     """
@@ -478,4 +481,4 @@ Span = tuple[int, int]
 """First and last frame (`Frame.index`)."""
 
 ReadDepth = Callable[[Frame], DepthImage]
-"""Gives the depth image of a frame in metres, 0 = none: from a workspace's cache or from the recording."""
+"""Reads the depth image of a frame in metres, 0 = none, from a workspace's cache or from the recording."""

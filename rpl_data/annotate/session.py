@@ -57,7 +57,7 @@ class Session:
         self.when_closed: list[Callable[[], object]] = [self.news.close]
 
     def close(self) -> None:
-        """End streams and jobs, since the server stops."""
+        """End the streams and jobs before the server stops."""
         for does in self.when_closed:
             does()
 

@@ -28,8 +28,11 @@ MOST_POINTS = 5000
 """Points per scene: enough to see whether two surfaces coincide, few enough for a slow link."""
 MOST_TRIANGLES = 6000
 FRAMES = 6
+"""Number of frames whose depth is used without a fused surface."""
 STRIDE_PX = 3
+"""Every third pixel in both directions is used."""
 SCENES_KEPT = 8
+"""Number of scenes whose points are cached."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +58,7 @@ class SurfaceStore:
             frames: frames whose depth is used if the scene has no fused surface there yet.
         """
         found = _inside(self._fused(scene, self._stamp(scene)), ball)
-        if len(found.points) < 300:  # none yet, or one around another object
+        if len(found.points) < 300:  # no fused surface yet, or one around another object
             found = _inside(self._seen(scene, tuple(frames)[:FRAMES]), ball)
         return thinned(found)
 

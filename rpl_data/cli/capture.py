@@ -1,4 +1,4 @@
-"""`rpl capture`: the camera, joined with the terminal, the browser and Ctrl-C."""
+"""`rpl capture`: record a scene, with lines on the terminal, a preview in the browser, and Ctrl-C to stop."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ from rpl_data.types import DataError
 def record_scene(
     device: Any, recording: Path, scene: str | None, options: CaptureOptions, *, preview_port: int | None
 ) -> Captured:
-    """Record a scene of `device`, with lines on the terminal.
+    """Record a scene with a camera, with lines on the terminal.
 
     Args:
-        device: of librealsense.
+        device: a device of librealsense.
         recording: folder of all scenes.
-        scene: its name; the next number where None.
-        options: how.
-        preview_port: where the preview is served; None = no preview.
+        scene: name of the scene; None = the next number.
+        options: resolution, rate and so on.
+        preview_port: port that the preview is served on; None = no preview.
 
     Raises:
-        DataError: as `capture`.
+        DataError: as `capture`; also when the duration is not positive.
     """
     console = Console(highlight=False, markup=False, soft_wrap=True)
     if options.seconds is not None and options.seconds <= 0:
@@ -55,14 +55,14 @@ def record_scene(
 
 
 def next_scene(recording: Path) -> str:
-    """The number behind the largest one of the scenes: 00, 01, ..."""
+    """The number after the largest of the recorded scenes: 00, 01, ..."""
     taken = [int(p.name) for p in recording.glob("*") if p.name.isdigit()] if recording.is_dir() else []
     return f"{max(taken, default=-1) + 1:02d}"
 
 
 @contextmanager
 def stopped_by_ctrl_c() -> Iterator[Callable[[], bool]]:
-    """Ctrl-C asks to stop, so that what is being written is finished; a second one interrupts at once."""
+    """Make Ctrl-C request a stop, so that writing is finished; a second one interrupts at once."""
     asked = threading.Event()
 
     def ask(number: int, frame: object) -> None:
@@ -77,12 +77,12 @@ def stopped_by_ctrl_c() -> Iterator[Callable[[], bool]]:
 
 
 def describe(captured: Captured) -> list[str]:
-    """What was recorded, what was lost, and what to do next."""
+    """Lines for the user: what was recorded, what was lost, and what to do next."""
     rate = (captured.frames - 1) / captured.seconds if captured.seconds else 0.0
     lost = captured.losses or ("nothing was lost",)
     heading = f"scene {captured.folder.name}: {captured.frames} frames, {captured.seconds:.1f} s"
     return [
-        f"{heading}, {rate:.1f} a second",
+        f"{heading}, {rate:.1f} frames per second",
         *(f"    {line}" for line in lost),
         f"look at it: rpl check {captured.folder.parent}",
     ]

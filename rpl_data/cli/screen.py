@@ -1,4 +1,4 @@
-"""What a build looks like on a terminal."""
+"""Show a build on a terminal: progress, diagnoses and results."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from rpl_data.workspace.workspace import Workspace
 
 
 class Screen:
-    """A line a finished step, and a bar for the one that runs (none where there is no terminal)."""
+    """Prints one line per finished step, and a progress bar for the running one (on a terminal only)."""
 
     def __init__(self) -> None:
         self.console = Console(highlight=False, markup=False, soft_wrap=True)
@@ -60,7 +60,7 @@ class Screen:
 
 
 def print_diagnoses(recordings: Sequence[Recording]) -> None:
-    """What the doctor says of each scene, with a bar while it looks."""
+    """Examine each scene with the doctor, with a progress bar, and print its diagnosis."""
     from rpl_data.doctor.examine import examine
     from rpl_data.doctor.text import describe
 
@@ -79,7 +79,7 @@ def _show(bar: Progress, task: TaskID, done: int, total: int) -> None:
 
 
 def print_results(workspace: Workspace, ledger: Ledger, screen: Screen, until: str | None) -> None:
-    """After a build: timings, split, errors against truth, what the clicks are worth, the report's path."""
+    """Print the results of a build: timings, split, errors against truth, click advice, and the report."""
     say = screen.console.print
     if not screen.ran:
         say("nothing to do: every stage is up to date; these are its results")

@@ -1,4 +1,4 @@
-"""True poses that came with recordings -> the file that `truth:` in a recipe names."""
+"""Write the true poses that came with recordings to the file that `truth:` in a recipe names."""
 
 from __future__ import annotations
 
@@ -17,16 +17,19 @@ from rpl_data.types import DataError, Recording
 def write_true_poses(
     recordings: Sequence[Recording], recipe: Recipe, cads: Path, out: Path, *, metres_per_unit: float
 ) -> dict[str, int]:
-    """Write `out`; how many frames every object has a true pose in.
+    """Write the file with the true poses, and the CAD model and picked keypoints of each object.
 
-    A true pose is of a CAD, whose frame nobody else knows: the keypoints are those a person picked on it.
+    True poses refer to the frame of a CAD model, so the keypoints must be picked on that model.
 
     Args:
-        recordings: of the recipe.
-        recipe: its objects are called as the dataset calls them.
+        recordings: recordings of the recipe.
+        recipe: its objects must have the names that the dataset gives them.
         cads: folder with <object>.obj (or .ply, .stl ...) and <object>.pp.
-        out: the JSON file.
-        metres_per_unit: of the CADs; 0.001 for BOP's.
+        out: the JSON file to write.
+        metres_per_unit: unit of the CAD models; 0.001 for BOP's.
+
+    Returns:
+        Number of frames with a true pose, by object name.
 
     Raises:
         DataError: the recordings have no true poses of the recipe's objects, or a CAD or its points are
@@ -59,7 +62,7 @@ def write_true_poses(
 
 
 def _rows(recordings: Sequence[Recording], name: str) -> Mapping[str, list[list[list[float]] | None]]:
-    """By scene, a 4x4 matrix a frame from 0 to the last; None where there is no pose."""
+    """One 4x4 matrix per frame, by scene, from frame 0 to the last one; None where there is no pose."""
     scenes = {}
     for recording in recordings:
         poses = recording.true_poses.get(name, {})

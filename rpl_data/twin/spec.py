@@ -95,7 +95,7 @@ class TwinSpec:
 
     @property
     def casts(self) -> tuple[Cast, ...]:
-        """One a scene."""
+        """The cast of each scene, one per scene."""
         if isinstance(self.scenes, int):
             return (Cast(tuple(thing.name for thing in self.things)),) * self.scenes
         return tuple(cast for cast in self.scenes for _ in range(cast.count))

@@ -1,4 +1,4 @@
-"""The log of clicks as a file: one JSON event per line, only ever appended to."""
+"""The log of clicks as a file: one JSON event per line, append-only."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rpl_data.types import DataError
 
 
 def append_events(path: Path, events: Iterable[Event]) -> None:
-    """Add events, all or none; they are on the disk when this returns.
+    """Append events, all or none; they are on the disk when this returns.
 
     Raises:
         DataError: the file cannot be written; it stays as it was.
@@ -27,7 +27,7 @@ def append_events(path: Path, events: Iterable[Event]) -> None:
 
 
 def read_events(path: Path) -> list[Event]:
-    """The events; none where there is no file yet. A last line cut off by a crash is left out.
+    """Read the events; empty while there is no file. A last line cut off by a crash is ignored.
 
     Raises:
         DataError: a line before the last is broken; the message names it.

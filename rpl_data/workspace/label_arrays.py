@@ -1,4 +1,4 @@
-"""The labels of one object as arrays, for whoever wants to compute with them."""
+"""The labels of one object as NumPy arrays."""
 
 from __future__ import annotations
 
@@ -42,12 +42,12 @@ class LabelArrays:
     quality: Float64[np.ndarray, " n"]
 
     def __len__(self) -> int:
-        """How many labels."""
+        """Number of labels."""
         return len(self.frames)
 
 
 def label_arrays(object_name: str, labels: Iterable[FrameLabel]) -> LabelArrays:
-    """The instances of an object in some frames, in their order.
+    """Collect the labels of an object from some frames, in their order.
 
     Raises:
         DataError: the object is in none of the frames.

@@ -1,4 +1,4 @@
-"""The only module that knows our folder and file names."""
+"""Folder and file names of a workspace; no other module knows them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from rpl_data.names import checked_name
 
 @dataclass(frozen=True, init=False)
 class Paths:
-    """Where everything is in the folder of a workspace, whether it is there yet or not.
+    """Paths of all files in the folder of a workspace, whether they exist yet or not.
 
     ::
 
@@ -20,7 +20,7 @@ class Paths:
         recording/                    recording rendered from a twin (a synthetic scene), with truth/
         scenes/<scene>/               scene.json  trajectory.txt  given.txt  corrected.txt  drift.json
                                       surface.ply  cache/  images/
-                                      parts.json, where it was cut into scenes/<scene>.1/, <scene>.2/, ...
+                                      parts.json, when it was cut into scenes/<scene>.1/, <scene>.2/, ...
         objects/<object>/             clicks.jsonl  solution.json  refined.json  mesh.ply  cloud.ply
                                       given.ply  grasp.json
         labels/<scene>.jsonl          one line per frame
