@@ -11,7 +11,9 @@ import numpy as np
 
 from rpl_data.geometry import rays, transform
 from rpl_data.images import read_depth_m, read_grey
+from rpl_data.json_arrays import finite_or_none
 from rpl_data.pipeline.context import Context, step
+from rpl_data.pipeline.correction import LEAST_TIED, correct
 from rpl_data.pipeline.ledger import Advance, Outcome, Step
 from rpl_data.types import (
     Click,
@@ -27,17 +29,13 @@ from rpl_data.types import (
 from rpl_data.workspace.workspace import Workspace
 
 VERSION = 2
-"""Raised when the stage writes something else for the same input; its steps then run again."""
+"""Increase it when the stage writes something else for the same input: its steps then run again."""
 
 AHEAD = 8
 """Number of frames that are decoded ahead while others are tracked."""
 
 HOLDS_PX = 0.5
 """Given poses that the images would move by less than this are kept as they are."""
-
-LEAST_TIED = 0.9
-"""Share of the frames that must be joined by pairs whose images could be aligned, or tracked, for a path of
-ours to be one: between pieces it knows nothing."""
 
 AROUND, SMALLEST_REGION_M = 1.8, 0.12
 """Paths are judged within this many times the extent of the clicked keypoints, and this radius at least."""
@@ -139,7 +137,7 @@ def question_path(
     )
     ours, theirs = errors["ours"], errors["given"]
     details |= {"color_px": [theirs.color_px, ours.color_px], "depth_m": [theirs.depth_m, ours.depth_m]}
-    details = {key: _finite(value) for key, value in details.items()}
+    details = finite_or_none(details)
     figures = (
         f"its own poses are off by {theirs.color_px:.1f} px in colour and {1000 * theirs.depth_m:.1f} mm in "
         f"depth between frames, those from its images by {ours.color_px:.1f} px and "
@@ -149,27 +147,6 @@ def question_path(
         taken = f"{figures}: the latter are used (`reconstruct: {{method: given}}` keeps its own)"
         return Found(other.trajectory, other.corrected, (taken, *other.lines), details | {"path": "ours"})
     return Found(given, other.corrected, (f"{figures}: its own are kept",), details | {"path": "given"})
-
-
-def _finite(value: Any) -> Any:
-    """Numbers that are not, as None: JSON has no NaN."""
-    if isinstance(value, list):
-        return [_finite(item) for item in value]
-    return None if isinstance(value, float) and not np.isfinite(value) else value
-
-
-def correct(workspace: Workspace, scene: Scene, trajectory: Trajectory, advance: Advance) -> Any:
-    """The path as pairs of frames correct it (`CorrectedPath`)."""
-    from rpl_data.reconstruct.path_correction import correct_path
-    from rpl_data.reconstruct.view import REDUCE, Viewer
-
-    viewer, read = Viewer(scene.intrinsics), workspace.depth_reader(scene, keep=True)
-    return correct_path(
-        scene,
-        trajectory,
-        lambda frame: viewer.look(read_grey(frame, reduce=REDUCE), read(frame)),
-        advance=advance,
-    )
 
 
 def clicked_regions(
