@@ -1,4 +1,4 @@
-"""From a recording and clicks to labels, with the library's own functions, one line per section of the paper.
+"""From a recording and clicks to labels, with the library's own functions, one step per section of the paper.
 
     python examples/pipeline.py my-recording my-recording/clicks.csv cube my-workspace
 

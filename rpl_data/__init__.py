@@ -40,7 +40,9 @@ _MODULE_OF = {
 def __getattr__(name: str) -> Any:
     """Load a name of the front door when it is first used (PEP 562)."""
     if name == "__version__":
-        return _version()
+        from rpl_data.version import installed_version
+
+        return installed_version()
     if name not in _MODULE_OF:
         raise AttributeError(f"module 'rpl_data' has no attribute {name!r}; it has {', '.join(__all__)}")
     from importlib import import_module
@@ -52,13 +54,3 @@ def __getattr__(name: str) -> Any:
 def __dir__() -> list[str]:
     """What there is to complete."""
     return list(__all__)
-
-
-def _version() -> str:
-    """Version of the installed package."""
-    from importlib.metadata import PackageNotFoundError, version
-
-    try:
-        return version("rpl-data")
-    except PackageNotFoundError:  # run from a checkout that was never installed
-        return "unknown"

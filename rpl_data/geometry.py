@@ -168,15 +168,23 @@ def project(intrinsics: Intrinsics, points_camera: Points) -> Pixels:
     return uv
 
 
+UNDISTORTING = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12)
+"""Iterations and accuracy (px of a camera with f = 1) to which lens distortion is removed."""
+
+
 def rays(intrinsics: Intrinsics, uv_px: Pixels) -> Points:
     """Directions (z = 1) of the rays through pixels, lens distortion removed; inverse of `project`."""
     if intrinsics.distortion and len(uv_px):
-        xy = cv2.undistortPoints(
-            np.asarray(uv_px, dtype=float).reshape(-1, 1, 2),
-            intrinsics.matrix,
-            np.array(intrinsics.distortion),
-            criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12),
-        ).reshape(-1, 2)
+        pixels = np.asarray(uv_px, dtype=float).reshape(-1, 1, 2)
+        undistort = getattr(cv2, "undistortPointsIter", None)  # OpenCV 4's, where the other stops early
+        if undistort is None:
+            xy = cv2.undistortPoints(
+                pixels, intrinsics.matrix, np.array(intrinsics.distortion), criteria=UNDISTORTING
+            ).reshape(-1, 2)
+        else:
+            xy = undistort(
+                pixels, intrinsics.matrix, np.array(intrinsics.distortion), None, None, UNDISTORTING
+            ).reshape(-1, 2)
     else:
         xy = (uv_px - [intrinsics.cx, intrinsics.cy]) / [intrinsics.fx, intrinsics.fy]
     directions: Points = np.column_stack([xy, np.ones(len(uv_px))])
@@ -242,14 +250,6 @@ def box_around(uv_px: Pixels) -> Box:
     u0, v0 = uv_px.min(axis=0) + 0.0
     u1, v1 = uv_px.max(axis=0) + 1.0
     return float(u0), float(v0), float(u1), float(v1)
-
-
-def clip_box(box: Box, *, width: int, height: int) -> Box:
-    """Part of the box that is inside the image; zero width or height when there is none."""
-    right, bottom = float(width), float(height)
-    x0, y0 = min(max(box[0], 0.0), right), min(max(box[1], 0.0), bottom)
-    x1, y1 = min(max(box[2], x0), right), min(max(box[3], y0), bottom)
-    return x0, y0, x1, y1
 
 
 def square_box(uv_px: Pixels, *, scale: float = 1.5) -> SquareBox:

@@ -32,25 +32,26 @@ def read_color(frame: Frame) -> ColorImage:
     """Read the colour image as RGB; DataError when it is missing or damaged."""
     image = cv2.imread(str(frame.color), cv2.IMREAD_COLOR_RGB) if frame.color.is_file() else None
     if image is None:
-        raise DataError(
-            f"frame {frame.index}: cannot read the colour image {frame.color}; it is missing or broken"
-        )
+        raise _no_color(frame)
     return image
 
 
 def read_grey(frame: Frame, *, reduce: int) -> GreyImage:
     """Read the brightness of the colour image at `1 / reduce` (1, 2, 4, 8) of its size.
 
-    DataError when it is missing or broken.
-
-    A JPEG is decoded at the small size, which takes a fraction of the time.
+    DataError when it is missing or broken. A JPEG is decoded at the small size, which takes a fraction of
+    the time.
     """
     image = cv2.imread(str(frame.color), REDUCED_GREY[reduce]) if frame.color.is_file() else None
     if image is None:
-        raise DataError(
-            f"frame {frame.index}: cannot read the colour image {frame.color}; it is missing or broken"
-        )
+        raise _no_color(frame)
     return image
+
+
+def _no_color(frame: Frame) -> DataError:
+    return DataError(
+        f"frame {frame.index}: cannot read the colour image {frame.color}; it is missing or broken"
+    )
 
 
 def read_depth_m(scene: Scene, frame: Frame) -> DepthImage:

@@ -95,3 +95,12 @@ def matrix_from_json(values: list[float]) -> Float64[np.ndarray, "4 4"]:
 def asdict_values(box: SquareBox) -> list[float]:
     """cx, cy, side of a square box, as COCO's extra key `square_box` has them."""
     return [box.cx_px, box.cy_px, box.side_px]
+
+
+def finite_or_none(value: Any) -> Any:
+    """Make a value JSON-ready: NaN becomes null, tuples become lists."""
+    if isinstance(value, dict):
+        return {key: finite_or_none(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite_or_none(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

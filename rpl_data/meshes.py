@@ -205,6 +205,17 @@ def joined(clouds: list[PointCloud]) -> PointCloud:
     )
 
 
+def joined_meshes(meshes: Sequence[Mesh]) -> Mesh:
+    """Join meshes into one."""
+    offsets = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
+    colors = [mesh.colors for mesh in meshes if mesh.colors is not None]
+    return Mesh(
+        np.concatenate([mesh.vertices for mesh in meshes]),
+        np.concatenate([mesh.triangles + offset for mesh, offset in zip(meshes, offsets, strict=True)]),
+        np.concatenate(colors) if len(colors) == len(meshes) else None,
+    )
+
+
 def simplified(mesh: Mesh, *, most_triangles: int) -> Mesh:
     """Reduce a mesh to at most `most_triangles`, by quadric error (Garland and Heckbert, SIGGRAPH 1997)."""
     if len(mesh.triangles) <= most_triangles:

@@ -68,16 +68,25 @@ def test_the_readme_names_every_example() -> None:
     assert names == set(re.findall(r"`(?:examples/)?(\w+\.py)`", TEXTS["README.md"]))
 
 
+def test_the_readme_shows_an_example_as_it_is() -> None:
+    example = (ROOT / "examples/labels_as_arrays.py").read_text(encoding="utf-8")
+    assert example in python_blocks(TEXTS["README.md"])
+
+
 def test_every_room_is_in_the_tree() -> None:
+    """The table's rows begin with every room and every module of the ground."""
     rooms = {f"rpl_data/{path.parent.name}/" for path in ROOT.glob("rpl_data/*/__init__.py")}
-    named = {re.sub(r"(rpl_data/\w+/).*", r"\1", code) for code in inline_code(TEXTS["CONTRIBUTING.md"])}
+    modules = {path.name for path in ROOT.glob("rpl_data/*.py")} - {"__init__.py"}
+    firsts = " ".join(re.findall(r"^\| (`[^|]*) \|", TEXTS["CONTRIBUTING.md"], re.M))
+    named = {re.sub(r"(rpl_data/\w+/).*", r"\1", code) for code in inline_code(firsts)}
     assert rooms <= named
+    assert modules <= {Path(code).name for code in inline_code(firsts)}
 
 
 def test_the_readmes_python_runs(tiny_workspace: Workspace, tmp_path: Path) -> None:
     """The blocks in order, on a recording and an object of the names they use."""
     blocks = python_blocks(TEXTS["README.md"])
-    assert len(blocks) == 2
+    assert len(blocks) == 3
     (tmp_path / "my-recording").symlink_to(tiny_workspace.recording)
     table = (tiny_workspace.recording / "clicks.csv").read_text().replace("carton,", "cube,")
     (tmp_path / "clicks.csv").write_text(table)

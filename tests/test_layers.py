@@ -8,11 +8,13 @@ from collections.abc import Iterator
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[1]
 LAYERS = [
-    {"wording"},
+    {"version", "wording"},
     {"types"},
-    {"child", "files", "geometry", "names", "rle"},
+    {"child", "command_line", "files", "geometry", "names", "rle"},
     {"json_arrays", "ply"},
     {"images", "meshes", "raycast", "overlay", "drift"},
     {"formats", "clicks", "pose", "reconstruct", "workspace"},
@@ -28,14 +30,23 @@ LAYER_OF = {room: number for number, layer in enumerate(LAYERS) for room in laye
 WITHIN_A_LAYER = {("clicks", "workspace"), ("workspace", "clicks")}
 
 LEARNING = {
-    "rpl_data.files", "rpl_data.formats.datasets", "rpl_data.geometry", "rpl_data.images",
-    "rpl_data.json_arrays", "rpl_data.meshes",
-    "rpl_data.pose", "rpl_data.torch", "rpl_data.types",
+    "rpl_data.command_line", "rpl_data.files", "rpl_data.formats.datasets", "rpl_data.geometry",
+    "rpl_data.images", "rpl_data.json_arrays", "rpl_data.meshes", "rpl_data.pose",
+    "rpl_data.torch", "rpl_data.types", "rpl_data.wording",
 }  # fmt: skip
 """What rpl_data.torch and training may know: a trained pipeline does not depend on the labelling tool."""
 
+CONFINED = {
+    "fastapi": {"annotate", "capture"},
+    "uvicorn": {"capture", "cli"},
+    "pyrealsense2": {"capture"},
+    "open3d": {"meshes", "raycast", "reconstruct", "segment", "twin"},
+    "pycocotools": {"annotate", "evaluate", "export", "formats", "label", "overlay", "torch", "twin"},
+}
+"""The rooms that need a package; no other imports it."""
+
 SLOW = {
-    "dask", "distributed", "fastapi", "faster_coco_eval", "matplotlib", "open3d", "plotly", "pycocotools",
+    "fastapi", "faster_coco_eval", "matplotlib", "open3d", "plotly", "pycocotools",
     "pyrealsense2", "small_gicp", "torch", "torchvision", "uvicorn",
 }  # fmt: skip
 """Imported inside the functions that need them, so that `rpl --help` is quick."""
@@ -76,7 +87,7 @@ def room_of(module: str) -> str:
 
 def test_every_room_has_a_layer() -> None:
     rooms = {room_of(module) for module in TREES if module.startswith("rpl_data.")}
-    assert rooms <= LAYER_OF.keys(), f"give {rooms - LAYER_OF.keys()} a layer in this file"
+    assert rooms == LAYER_OF.keys(), "give every room a layer in this file, and no other"
 
 
 def test_imports_go_downwards() -> None:
@@ -135,6 +146,29 @@ def test_slow_packages_are_imported_where_used() -> None:
         if name.split(".")[0] in SLOW
     ]
     assert not at_the_top
+
+
+@pytest.mark.parametrize("package", CONFINED)
+def test_packages_stay_in_the_rooms_that_need_them(package: str) -> None:
+    rooms = {
+        room_of(module)
+        for module, tree in TREES.items()
+        if module.startswith("rpl_data")
+        for name in imported(ast.walk(tree))
+        if name.split(".")[0] == package
+    }
+    assert rooms == CONFINED[package]
+
+
+def test_stages_do_not_import_one_another() -> None:
+    stages = "rpl_data.pipeline.stages."
+    between = {
+        f"{module} imports {name}"
+        for module, name in arrows()
+        if module.startswith(stages) and name.startswith(stages)
+    }
+    # The registration of scenes lifts the clicks as the solve does.
+    assert between <= {"rpl_data.pipeline.stages.refine imports rpl_data.pipeline.stages.solve.observe"}
 
 
 def test_the_page_has_no_circle_of_imports() -> None:

@@ -11,7 +11,7 @@ from training.masks.settings import SCORE_THRESHOLD
 
 def evaluate_masks(
     coco: Path,
-    masks: Path | None = None,
+    masks: Path,
     split: str = "test",
     out: Path | None = None,
     threshold: float = SCORE_THRESHOLD,
@@ -19,7 +19,7 @@ def evaluate_masks(
 ) -> None:
     """Average precision and mean IoU per class, in percent.
 
-    For example: evaluate_masks my-workspace/export/coco --masks runs/masks/last.ckpt --split val. With --out,
+    For example: evaluate_masks my-workspace/export/coco runs/masks/last.ckpt --split val. With --out,
     writes <split>_results.json (COCO results) and <split>_scores.json.
 
     Args:
@@ -30,14 +30,15 @@ def evaluate_masks(
         threshold: least score of what counts as found for IoU, missed and false; AP uses everything.
         threads: processor threads of torch; None leaves the number to torch.
     """
+    from rpl_data.torch.splits import split_file
     from training.masks.evaluation import evaluate, table
-    from training.masks.weights import checkpoint_of, load_segmenter
-    from training.runs.program import say_left_out, split_file, use_threads
+    from training.masks.weights import load_segmenter
+    from training.runs.program import say_left_out, use_threads
 
     use_threads(threads)
     unreadable: Counter[str] = Counter()
     coco_json = split_file(coco, split)
-    segmenter = load_segmenter(checkpoint_of(masks))
+    segmenter = load_segmenter(masks)
     print(table(evaluate(segmenter, coco_json, out, threshold=threshold, unreadable=unreadable)))
     say_left_out(unreadable)
 

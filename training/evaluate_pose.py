@@ -47,9 +47,10 @@ def evaluate_pose(
         out: folder for the figures; nothing is written when left out.
         threads: processor threads of torch; None leaves the number to torch.
     """
+    from rpl_data.torch.splits import split_file
     from training.pose.evaluation import evaluate, true_objects
     from training.pose.pipeline import load_pipeline
-    from training.runs.program import say_left_out, split_file, use_threads
+    from training.runs.program import say_left_out, use_threads
 
     if out is not None and out.suffix == ".json":
         raise DataError(f"--out is a folder, {split}_poses.json is written into it; got the file {out}")

@@ -12,14 +12,14 @@ from training.masks.settings import SCORE_THRESHOLD
 
 def predict_masks(
     images: Path,
-    masks: Path | None = None,
+    masks: Path,
     out: Path = Path("runs/predicted_masks"),
     threshold: float = SCORE_THRESHOLD,
     threads: int | None = None,
 ) -> None:
     """Find objects in an image, a folder of images or a video.
 
-    For example: predict_masks photos --masks runs/masks/last.ckpt. Writes the pictures (or the video) with
+    For example: predict_masks photos runs/masks/last.ckpt. Writes the pictures (or the video) with
     masks, boxes, names and scores drawn on them, results.json (COCO results with boxes and masks) and
     images.json (which image has which id). Images of a folder that cannot be read are left out and counted.
 
@@ -31,16 +31,14 @@ def predict_masks(
         threads: processor threads of torch; None leaves the number to torch.
     """
     from training.masks.prediction import predict_to
-    from training.masks.weights import checkpoint_of, load_segmenter
+    from training.masks.weights import load_segmenter
     from training.runs.program import say_left_out, use_threads
 
     use_threads(threads)
     if out.resolve() in {images.resolve(), images.resolve().parent}:
         raise DataError(f"the overlays would replace the images of {out}; choose another --out")
     unreadable: Counter[str] = Counter()
-    count, drawn = predict_to(
-        load_segmenter(checkpoint_of(masks)), images, out, threshold=threshold, unreadable=unreadable
-    )
+    count, drawn = predict_to(load_segmenter(masks), images, out, threshold=threshold, unreadable=unreadable)
     print(f"{out}: {count} images, {drawn} objects with a score of {threshold:g} or more")
     say_left_out(unreadable)
 

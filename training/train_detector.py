@@ -57,7 +57,7 @@ def train_detector(
 
     run = Run(out, learning, machine, validate_every, seed, resume, overwrite, until)
     resumed = start(run)
-    train = DetectionDataset(coco / "train.json", width_px=network.width_px, augment=augment)
+    train = DetectionDataset(coco, split="train", width_px=network.width_px, augment=augment)
     val = _validation(coco / "val.json", network)
     module = untrained_detector(train.names, network, learning)
     if resumed is not None:
@@ -89,4 +89,4 @@ def _validation(coco_json: Path, network: DetectorNetwork) -> DetectionDataset |
 if __name__ == "__main__":
     from training.runs.program import main
 
-    sys.exit(main(train_detector))
+    sys.exit(main(train_detector, presets=True))

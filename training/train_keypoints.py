@@ -97,4 +97,4 @@ def check_resumable(checkpoint: Path, module: KeypointTraining) -> None:
 if __name__ == "__main__":
     from training.runs.program import main
 
-    sys.exit(main(train_keypoints))
+    sys.exit(main(train_keypoints, presets=True))

@@ -55,6 +55,7 @@ def train_masks(
         until: stop after this epoch; the learning rate still follows learning.epochs.
     """
     from rpl_data.torch.readable import collate_readable_lists
+    from rpl_data.torch.splits import split_file
     from training.masks.crops import SquareCrops
     from training.masks.mask_rcnn import with_norm
     from training.masks.module import MaskTraining
@@ -65,7 +66,10 @@ def train_masks(
     run = Run(out, learning, machine, validate_every, seed, resume, overwrite, until)
     resumed = start(run)
     network = with_norm(network, weights)
-    train, val = SquareCrops(coco / "train.json", network.size_px, augment), _validation(coco / "val.json")
+    train, val = (
+        SquareCrops(split_file(coco, "train"), network.size_px, augment),
+        _validation(coco / "val.json"),
+    )
     module = MaskTraining(train.names, network, learning, head_epochs=head_epochs)
     if resumed is None:
         say(load_weights(module.model, network, weights))
@@ -106,4 +110,4 @@ def check_resumable(checkpoint: Path, module: MaskTraining) -> None:
 if __name__ == "__main__":
     from training.runs.program import main
 
-    sys.exit(main(train_masks, old_names=OLD_NAMES))
+    sys.exit(main(train_masks, old_names=OLD_NAMES, presets=True))

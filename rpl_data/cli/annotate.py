@@ -16,8 +16,8 @@ from rpl_data.annotate import Address, Work
 from rpl_data.annotate.work import Tell
 from rpl_data.pipeline.build import Progress, build, context_of, recipe_of, save_recipe, stale_steps
 from rpl_data.pipeline.context import Context
+from rpl_data.pipeline.grasp import object_from_grasp
 from rpl_data.pipeline.recipe import ObjectRecipe
-from rpl_data.pipeline.stages.grasp import object_from_grasp
 from rpl_data.pipeline.stages.solve import solve_annotation
 from rpl_data.solve.solve import register
 from rpl_data.types import DataError

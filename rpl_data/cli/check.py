@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from rpl_data.pipeline.recipe import load_recipe
+from rpl_data.pipeline.sources import recordings_of
 from rpl_data.recordings.open import READERS, UNPACKERS, likely_formats, open_scenes
 from rpl_data.types import DataError, Recording
 
@@ -23,22 +24,15 @@ def recordings_at(
     Args:
         path: a recipe (`.yaml`), or what a reader expects.
         scratch: a folder for the images of formats that keep all of them in one file.
-        format: a key of `capture.READERS`; guessed where None.
+        format: a key of `READERS` or `UNPACKERS` of `rpl_data.recordings.open`; guessed where None.
         names: only these scenes.
         metres_per_unit: of the depth images; what the format says where None.
 
     Raises:
         DataError: nothing is there, its format cannot be guessed, or its reader refuses it.
     """
-
-    def unpack(scene: str) -> Path:
-        folder = scratch / scene
-        folder.mkdir()
-        return folder
-
     if path.suffix in (".yaml", ".yml"):
-        sources = load_recipe(path).scenes
-        found = [recording for source in sources for recording in open_scenes(**vars(source), unpack=unpack)]
+        found = recordings_of(load_recipe(path).scenes, unpack=scratch.joinpath)
         if not found:
             raise DataError(f"{path} names no recordings; give `rpl check` the folder of a recording")
         return [recording for recording in found if names is None or recording.scene.name in names]
@@ -49,4 +43,4 @@ def recordings_at(
         raise DataError(
             f"{path} looks like no format known; say which with --format {'|'.join(READERS | UNPACKERS)}"
         )
-    return open_scenes(path, likely[0], names=names, metres_per_unit=metres_per_unit, unpack=unpack)
+    return open_scenes(path, likely[0], names=names, metres_per_unit=metres_per_unit, unpack=scratch.joinpath)

@@ -12,6 +12,7 @@ from typing import Any, Literal
 # 0.15 s take more than a second on a busy machine.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+from rpl_data.cli.building import run_build  # noqa: E402
 from rpl_data.cli.stages import (  # noqa: E402
     HERE,
     cut,
@@ -21,7 +22,6 @@ from rpl_data.cli.stages import (  # noqa: E402
     quality,
     refine,
     report,
-    run_build,
     segment,
     solve,
     surface,
@@ -33,7 +33,7 @@ from rpl_data.types import DataError  # noqa: E402
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; 0 when all is well, 1 with one line on stderr when the user can mend it."""
     try:
-        from rpl_data.cli.parser import run
+        from rpl_data.command_line import run
 
         run(COMMANDS, arguments, program="rpl", description=HELP)
     except DataError as error:
@@ -53,16 +53,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def build(
+# Not called `build`: the parser would look for it in rpl_data, which then imports everything.
+def build_recipe(
     recipe: Path,
     workspace: Path | None = None,
     root: Path | None = None,
     workers: int | None = None,
-    again: Literal["all"] | str | None = None,
+    again: str | None = None,
 ) -> None:
     """Make everything a recipe asks for; only what is out of date is run.
 
-    Stages, in order: twin, import, track, clicks, drift, cut, solve, surface, refine, segment, label,
+    Stages, in order: twin, import, clicks, track, drift, cut, solve, surface, refine, segment, label,
     export, quality, report. Interrupt it whenever you like: run it again and it goes on from there.
 
     Example: rpl build datasets/demo.yaml --workspace workspaces/demo
@@ -164,7 +165,7 @@ def check(
         path: a folder of scenes, the folder of one scene, a recording kept in one file (`.bag`, `.db3`,
             `.klg`), or a recipe (`.yaml`): then its recordings, as the recipe reads and mends them.
         format: how the recording is stored; guessed when left out.
-        names: only these scenes.
+        names: only these scenes, as '["00", "01"]'.
         metres_per_unit: metres per unit of the depth images; what the format says when left out.
     """
     from tempfile import TemporaryDirectory
@@ -220,15 +221,11 @@ def truth(
 
     from rpl_data.cli.truth import write_true_poses
     from rpl_data.pipeline.recipe import load_recipe
-    from rpl_data.recordings.open import open_scenes
+    from rpl_data.pipeline.sources import recordings_of
 
     loaded = load_recipe(recipe, root=root)
     with TemporaryDirectory() as scratch:
-        recordings = [
-            recording
-            for source in loaded.scenes
-            for recording in open_scenes(**vars(source), unpack=lambda scene: Path(scratch) / scene)
-        ]
+        recordings = recordings_of(loaded.scenes, unpack=Path(scratch).joinpath)
         counts = write_true_poses(recordings, loaded, cads, out, metres_per_unit=metres_per_unit)
     for name, frames in counts.items():
         print(f"{name}: {frames} frames with a true pose")
@@ -330,7 +327,7 @@ def clicks_export(file: Path, workspace: Path = HERE) -> None:
 
 HELP = "Labelled pose, keypoint and mask datasets from RGB-D videos and a few clicks. Start with `rpl build`."
 COMMANDS: dict[str, Any] = {
-    "build": build,
+    "build": build_recipe,
     "status": status,
     "capture": capture,
     "check": check,

@@ -12,8 +12,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 from rpl_data.evaluate.quality import format_table
 from rpl_data.pipeline import build
 from rpl_data.pipeline.ledger import Ledger
-from rpl_data.pipeline.stages.quality import quality_rows
-from rpl_data.pipeline.stages.report import split_summary, timings
+from rpl_data.pipeline.results import quality_rows, split_summary, timings
 from rpl_data.types import Recording
 from rpl_data.workspace.workspace import Workspace
 

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Literal
 
+from rpl_data.cli.building import run_stage
 from rpl_data.types import DataError
-
-if TYPE_CHECKING:
-    from rpl_data.pipeline.ledger import Ledger
 
 HERE = Path(".")
 
 
 def track(workspace: Path = HERE, again: bool = False) -> None:
-    """Camera poses from the images: computed where the recording has none, questioned where it has some.
+    """Compute camera poses from the images where there are none, and question those that there are.
 
     Frames are aligned to frames with a similar view by brightness and depth. Poses of the recording are kept
     where that moves the image by less than half a pixel; otherwise both paths are compared on corners and
@@ -132,12 +130,14 @@ def export(workspace: Path = HERE, labels: Literal["own", "truth"] = "own", agai
     """
     run_stage(workspace, "export", again)
     if labels == "truth":
-        from rpl_data.pipeline.build import context_of
+        from rpl_data.pipeline.build import alone_in, context_of
         from rpl_data.pipeline.stages.export import export_truth
         from rpl_data.workspace.workspace import Workspace
 
-        summary = export_truth(context_of(Workspace(workspace)))
-        print(f"{Workspace(workspace).export('coco_truth')}: {sum(summary.images.values())} images")
+        place = Workspace(workspace)
+        with alone_in(place):
+            summary = export_truth(context_of(place))
+        print(f"{place.export('coco_truth')}: {sum(summary.images.values())} images")
 
 
 def quality(workspace: Path = HERE, again: bool = False) -> None:
@@ -166,31 +166,3 @@ def report(workspace: Path = HERE, again: bool = False) -> None:
         again: run the stage even if nothing it depends on has changed.
     """
     run_stage(workspace, "report", again)
-
-
-def run_stage(workspace: Path, stage: str, again: bool, workers: int | None = None) -> Ledger:
-    """Run a stage of a workspace, and what is out of date before it."""
-    from rpl_data.pipeline.build import recipe_of
-    from rpl_data.workspace.workspace import Workspace
-
-    return run_build(recipe_of(Workspace(workspace)), workspace, stage, stage if again else None, workers)
-
-
-def run_build(
-    recipe: Any, workspace: Path, until: str | None, again: str | None, workers: int | None = None
-) -> Ledger:
-    """Build with progress on the terminal, and say what came out."""
-    from rpl_data.cli.screen import Screen, print_results
-    from rpl_data.pipeline.build import STAGES, build
-    from rpl_data.workspace.workspace import Workspace
-
-    if again is not None and again not in (*STAGES, "all"):
-        raise DataError(
-            f"there is no stage {again!r} to run again; expected all or one of {', '.join(STAGES)}"
-        )
-    place = Workspace(workspace)
-    with Screen() as screen:
-        chosen = tuple(STAGES) if again == "all" else (again,) if again else ()
-        ledger = build(recipe, place, until=until, again=chosen, workers=workers, tell=screen.tell)
-    print_results(place, ledger, screen, until)
-    return ledger

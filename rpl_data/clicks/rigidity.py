@@ -60,7 +60,7 @@ def _outside_largest_group(free: Float64[np.ndarray, "n s 6"]) -> list[int]:
     scenes = free.shape[1]
     together = np.array(
         [
-            [np.abs(free[:, a] - free[:, b]).max(initial=0) < 1e-6 + 2 * LEVER * 0.5 for b in range(scenes)]
+            [np.abs(free[:, a] - free[:, b]).max(initial=0) < 1e-6 + LEVER for b in range(scenes)]
             for a in range(scenes)
         ]
     )

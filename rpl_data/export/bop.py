@@ -20,12 +20,12 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from rpl_data.export.dialect import DialectSummary, Json, Split, splits_of
+from rpl_data.export.dialect import DialectSummary, Split, splits_of
 from rpl_data.export.folder import link, replacing
 from rpl_data.files import write_bytes, write_json, write_text
 from rpl_data.formats.datasets.coco import intrinsics_from_coco, objects_from_coco
 from rpl_data.formats.recordings.bop import write_scene_camera, write_scene_gt
-from rpl_data.json_arrays import matrix_from_json
+from rpl_data.json_arrays import Json, matrix_from_json
 from rpl_data.meshes import load_mesh, mesh_to_ply
 from rpl_data.types import Mesh
 

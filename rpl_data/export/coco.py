@@ -13,7 +13,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
 from rpl_data.export.folder import link, replacing
 from rpl_data.export.split import FrameKey, SplitName, SplitRule, choose_splits
@@ -23,10 +23,9 @@ from rpl_data.formats.datasets.coco import CocoObject, image_to_coco, instance_t
 from rpl_data.formats.recordings.saved_images import encoded
 from rpl_data.geometry import Transform
 from rpl_data.images import read_depth_units
+from rpl_data.json_arrays import Json
 from rpl_data.types import DataError, Frame, FrameLabel, KeypointModel, Scene, Trajectory
 from rpl_data.wording import counted
-
-Json = dict[str, Any]
 
 
 @dataclass(frozen=True)

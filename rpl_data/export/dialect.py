@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from rpl_data.formats.datasets.coco import read_coco
+from rpl_data.json_arrays import Json
 from rpl_data.types import DataError
 
-Json = dict[str, Any]
 SPLITS = ("train", "val", "test")
 
 

@@ -24,12 +24,13 @@ import cv2
 import numpy as np
 from jaxtyping import Bool
 
-from rpl_data.export.dialect import DialectSummary, Json, Split, splits_of
+from rpl_data.export.dialect import DialectSummary, Split, splits_of
 from rpl_data.export.folder import link, replacing
 from rpl_data.files import write_bytes, write_text, writing
 from rpl_data.formats.datasets.coco import intrinsics_from_coco, objects_from_coco
 from rpl_data.formats.datasets.yolo import detect_line
 from rpl_data.formats.recordings.saved_images import encoded
+from rpl_data.json_arrays import Json
 from rpl_data.types import DataError, KeypointModel
 
 LISTS = {"train": "train.txt", "val": "valid.txt", "test": "test.txt"}

@@ -16,10 +16,11 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from rpl_data.export.dialect import DialectSummary, Json, splits_of
+from rpl_data.export.dialect import DialectSummary, splits_of
 from rpl_data.export.folder import link, replacing
 from rpl_data.files import write_text
 from rpl_data.formats.datasets.yolo import LINES, data_yaml
+from rpl_data.json_arrays import Json
 
 
 def export_yolo(folder: Path, coco: Path) -> DialectSummary:

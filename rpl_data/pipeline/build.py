@@ -6,7 +6,8 @@ not at all, so a build can be interrupted anywhere and continues where it was wh
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -18,6 +19,7 @@ from rpl_data.pipeline.pool import Pool
 from rpl_data.pipeline.recipe import Recipe, load_recipe, recipe_to_yaml
 from rpl_data.pipeline.stages import (
     clicks,
+    cut,
     drift,
     export,
     import_,
@@ -40,7 +42,7 @@ STAGES: dict[str, Callable[[Context], list[Step]]] = {
     "clicks": clicks.clicks_steps,
     "track": track.track_steps,
     "drift": drift.drift_steps,
-    "cut": drift.cut_steps,
+    "cut": cut.cut_steps,
     "solve": solve.solve_steps,
     "surface": surface.surface_steps,
     "refine": refine.refine_steps,
@@ -98,9 +100,20 @@ def build(
     Raises:
         DataError: what the user can mend; steps that were finished stay finished.
     """
+    with alone_in(workspace):
+        return _build(recipe, workspace, until, again, workers, tell)
+
+
+def _build(
+    recipe: Recipe,
+    workspace: Workspace,
+    until: str | None,
+    again: Collection[str],
+    workers: int | None,
+    tell: Tell,
+) -> Ledger:
     export.refuse_unknown_exports(recipe.export)
-    busy = f"another build is running in {workspace.root}; wait until it ends, or stop it"
-    with locked(workspace.build_lock, busy), Pool(workers) as pool:
+    with Pool(workers) as pool:
         sweep(workspace.root)
         save_recipe(recipe, workspace)
         ledger = Ledger(workspace.stages_file)
@@ -115,6 +128,29 @@ def build(
             if stage == until:
                 break
     return ledger
+
+
+@contextmanager
+def alone_in(workspace: Workspace) -> Iterator[None]:
+    """Hold the workspace's lock; DataError when another build is running there."""
+    busy = f"another build is running in {workspace.root}; wait until it ends, or stop it"
+    with locked(workspace.build_lock, busy):
+        yield
+
+
+def stages_named(again: str | Collection[str] | None, until: str | None = None) -> tuple[str, ...]:
+    """The stages to run again: one, several, or "all" of them.
+
+    Raises:
+        DataError: one of them, or `until`, is no stage.
+    """
+    if again == "all":
+        again = tuple(STAGES)
+    chosen = (again,) if isinstance(again, str) else tuple(again or ())
+    for stage in (*chosen, *([] if until is None else [until])):
+        if stage not in STAGES:
+            raise DataError(f"there is no stage {stage!r}; the stages are {', '.join(STAGES)} (or `all`)")
+    return chosen
 
 
 def _bring_up_to_date(ledger: Ledger, step: Step, anyway: bool, tell: Tell) -> None:
@@ -152,8 +188,9 @@ def stale_steps(recipe: Recipe, workspace: Workspace) -> dict[str, list[tuple[st
 
 def run_step(recipe: Recipe, workspace: Workspace, make: Callable[[Context], Step]) -> Entry:
     """Bring recordings and clicks up to date, then run one step regardless of the ledger."""
-    ledger = build(recipe, workspace, until="track")
-    return ledger.run(make(Context(recipe, workspace, Pool(1))), lambda done, total: None)
+    with alone_in(workspace):
+        ledger = _build(recipe, workspace, "track", (), None, lambda progress: None)
+        return ledger.run(make(Context(recipe, workspace, Pool(1))), lambda done, total: None)
 
 
 def context_of(workspace: Workspace) -> Context:

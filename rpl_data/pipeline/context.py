@@ -8,12 +8,19 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import astuple, dataclass
 from pathlib import Path
 
+import numpy as np
+from jaxtyping import Float64
+
+from rpl_data.clicks.log import Annotation
 from rpl_data.json_arrays import Json
 from rpl_data.pipeline.ledger import Advance, Outcome, Step
 from rpl_data.pipeline.pool import Pool
 from rpl_data.pipeline.recipe import ObjectRecipe, Recipe, SceneSource
-from rpl_data.types import Frame, Scene, Solution, Trajectory
+from rpl_data.types import DataError, Frame, Scene, Solution, Trajectory
 from rpl_data.workspace.workspace import Workspace
+
+Box3 = tuple[tuple[float, float, float], tuple[float, float, float]]
+"""Lowest and highest corner, metres."""
 
 
 @dataclass(frozen=True)
@@ -118,7 +125,37 @@ def step(
     return Step(stage, item, version, options or {}, sources or {}, tuple(after), tuple(outputs), run)
 
 
+def truth_workspace(context: Context) -> Workspace | None:
+    """The workspace with the ground truth; None when it is not known."""
+    if context.recipe.truth is not None and context.recipe.truth.is_dir():
+        return Workspace(context.recipe.truth)
+    known = context.recipe.truth is not None or context.recipe.twin is not None
+    return Workspace(context.workspace.truth) if known else None
+
+
 def posed_frames(scene: Scene, trajectory: Trajectory) -> list[Frame]:
     """The frames that have a pose."""
     posed = set(trajectory.frames.tolist())
     return [frame for frame in scene.frames if frame.index in posed]
+
+
+def crop_of(workspace: Workspace, item: ObjectRecipe) -> Box3 | None:
+    """The box the dense model is cut to: that of the annotation page, else the recipe's; object frame."""
+    drawn = workspace.load_annotation(item.name).crop_m
+    if drawn is not None or item.crop is None:
+        return drawn
+    return item.crop.low_m, item.crop.high_m
+
+
+def known_points(annotation: Annotation) -> Float64[np.ndarray, "k 3"]:
+    """The given model, a row a keypoint, NaN where it has none; DataError when it has fewer than three."""
+    given = annotation.known_points or ()
+    rows = [given[k] if k < len(given) else None for k in range(len(annotation.keypoints))]
+    points = np.array([(np.nan,) * 3 if row is None else row for row in rows], dtype=float).reshape(-1, 3)
+    known = int(np.isfinite(points).all(axis=1).sum())
+    if known < 3:
+        raise DataError(
+            f"object {annotation.object}: its known model has {known} keypoints, at least 3 are needed; "
+            "pick more of them on its mesh, or load a model that has them"
+        )
+    return points

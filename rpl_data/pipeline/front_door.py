@@ -6,7 +6,7 @@ from collections.abc import Collection
 from pathlib import Path
 
 from rpl_data.pipeline import build as pipeline
-from rpl_data.pipeline.build import STAGES, Tell
+from rpl_data.pipeline.build import Tell, stages_named
 from rpl_data.pipeline.recipe import Recipe, load_recipe
 from rpl_data.types import DataError
 from rpl_data.workspace.workspace import Workspace
@@ -46,10 +46,7 @@ def build(
             finished stay finished.
     """
     place = workspace if isinstance(workspace, Workspace) else Workspace(workspace)
-    chosen = tuple(STAGES) if again == "all" else (again,) if isinstance(again, str) else tuple(again)
-    unknown = [stage for stage in (*chosen, *([until] if until else [])) if stage not in STAGES]
-    if unknown:
-        raise DataError(f"there is no stage {unknown[0]!r}; the stages are {', '.join(STAGES)}")
+    chosen = stages_named(again, until)
     pipeline.build(_recipe(recipe, root), place, until=until, again=chosen, workers=workers, tell=tell)
     return place
 

@@ -9,7 +9,7 @@ from pytorch_lightning import LightningDataModule
 from torch.utils.data import DataLoader
 
 from rpl_data.torch.epochs import training_batches, validation_batches
-from rpl_data.torch.keypoints import KeypointDataset
+from rpl_data.torch.keypoints import KeypointDataset, NoInstance
 from rpl_data.torch.readable import collate_readable
 from rpl_data.torch.transforms import Augmentation
 from rpl_data.types import DataError
@@ -89,7 +89,5 @@ def _validation(coco_json: Path, sizes: dict[str, Any]) -> KeypointDataset | Non
         return None
     try:
         return KeypointDataset(coco_json, **sizes)
-    except DataError as error:
-        if "no instance" in str(error):
-            return None
-        raise
+    except NoInstance:
+        return None

@@ -1,4 +1,4 @@
-"""Draw keypoints as heatmaps (a Gaussian at the sub-pixel position), and read positions back from them.
+"""Draw keypoints as heatmaps (a Gaussian at the sub-pixel position); take positions back to the image.
 
 Positions are (u, v) = (column, row) in pixels of the heatmap; pixel centres are whole numbers.
 """
@@ -28,40 +28,6 @@ def draw_heatmaps(
     columns, rows = profile.unbind(-2)  # (*batch, k, size) each
     maps: Tensor = rows.unsqueeze(-1) * columns.unsqueeze(-2)
     return maps
-
-
-def decode_heatmaps(
-    heatmaps: Float[Tensor, "*batch k height width"],
-) -> tuple[Float[Tensor, "*batch k 2"], Float[Tensor, "*batch k"]]:
-    """Return the sub-pixel position of each map's peak, and the height of the peak.
-
-    The logarithm of a Gaussian is a parabola, so three samples along each axis give its vertex exactly,
-    whatever its width; at the map's edge the three samples are the outermost ones. The vertex is not trusted
-    farther than half a pixel from the highest sample.
-    """
-    height, width = heatmaps.shape[-2:]
-    score, flat = heatmaps.flatten(-2).max(dim=-1)
-    column, row = flat % width, flat // width
-    along_u = _take_row(heatmaps, row)
-    along_v = _take_row(heatmaps.transpose(-1, -2), column)
-    return torch.stack([_vertex(along_u, column), _vertex(along_v, row)], dim=-1), score
-
-
-def _take_row(maps: Tensor, row: Tensor) -> Tensor:
-    """Take row number `row` of each map, shape (*batch, k, width)."""
-    index = row[..., None, None].expand(*row.shape, 1, maps.shape[-1])
-    return maps.gather(-2, index).squeeze(-2)
-
-
-def _vertex(profile: Tensor, peak: Tensor) -> Tensor:
-    """Find the vertex of the parabola through the logarithms of three samples around `peak`."""
-    middle = peak.clamp(1, profile.shape[-1] - 2)
-    around = middle.unsqueeze(-1) + torch.arange(-1, 2, device=profile.device)
-    before, at, after = profile.gather(-1, around).clamp_min(1e-12).log().unbind(-1)
-    bend = before - 2 * at + after
-    offset = torch.where(bend < -1e-6, 0.5 * (before - after) / bend.clamp_max(-1e-6), 0.0)
-    position = middle + offset
-    return torch.minimum(torch.maximum(position, peak - 0.5), peak + 0.5)
 
 
 def positions_in_image(

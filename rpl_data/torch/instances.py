@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import TypedDict
 
 import cv2
 import numpy as np
@@ -14,6 +14,7 @@ from torch.utils.data import Dataset, get_worker_info
 from torchvision import tv_tensors
 
 from rpl_data.formats.datasets.coco import read_coco
+from rpl_data.json_arrays import Json
 from rpl_data.torch.image_files import read_image, to_unit_range
 from rpl_data.torch.splits import split_file
 from rpl_data.torch.transforms import Image
@@ -32,7 +33,6 @@ class InstanceTarget(TypedDict):
 
 
 InstanceSample = tuple[Tensor, InstanceTarget]
-Json = dict[str, Any]
 
 
 class InstanceDataset(Dataset[InstanceSample]):

@@ -77,6 +77,10 @@ class _Instances:
     square_boxes: Float64[np.ndarray, "n 3"]
 
 
+class NoInstance(DataError):
+    """A split has no instance of the object."""
+
+
 class KeypointDataset(Dataset[KeypointSample]):
     """Square crops of one object of an exported dataset, one item per instance.
 
@@ -148,7 +152,7 @@ class KeypointDataset(Dataset[KeypointSample]):
         self._heatmap_from_crop = heatmap_from_crop(input_px=input_px, heatmap_px=heatmap_px)
         self._rows = _instances(data, category_id, coco_json.parent)
         if len(self._rows.files) == 0:
-            raise DataError(f"{coco_json} has no instance of {self.model.name}; train on another split")
+            raise NoInstance(f"{coco_json} has no instance of {self.model.name}; train on another split")
         self._points_object = torch.from_numpy(self.model.points_object.copy())
         self._cache = PixelCache(self._rows.files.tolist(), self._rectangles(), cache) if cache else None
 

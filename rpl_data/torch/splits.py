@@ -6,6 +6,7 @@ from pathlib import Path
 
 from rpl_data.files import read_json
 from rpl_data.types import DataError
+from rpl_data.wording import counted
 
 FEWEST_SCENES = 3
 """Fewest scenes for a test split: it takes whole scenes, and two must remain for training."""
@@ -24,7 +25,9 @@ def split_file(export: str | Path, split: str | None) -> Path:
     path = Path(export).expanduser()
     if path.is_file():
         if split is not None:
-            raise DataError(f"{path} is a file, not a folder with splits; leave split={split!r} out")
+            raise DataError(
+                f"{path} is a file, not a folder with splits; give its folder, or leave split={split!r} out"
+            )
         return path
     if not path.is_dir():
         if split is None and path.suffix == ".json" and path.parent.is_dir():
@@ -47,7 +50,7 @@ def _why(folder: Path, split: str, there: list[str]) -> str:
     if split == "test":
         scenes = _scenes(folder, there)
         if len(scenes) < FEWEST_SCENES:
-            found = f"{len(scenes)} scene{'' if len(scenes) == 1 else 's'}"
+            found = counted(len(scenes), "scene")
             return (
                 f": it takes whole scenes that training never saw, and the labels come from only {found}; "
                 f"record at least {FEWEST_SCENES}"

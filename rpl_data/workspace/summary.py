@@ -7,32 +7,30 @@ from pathlib import Path
 
 from rpl_data.files import read_json
 from rpl_data.types import DataError
+from rpl_data.wording import counted
 
 
-def summary(root: Path, scene_names: Callable[[], Sequence[str]]) -> str:
+def summary(
+    root: Path, scene_names: Callable[[], Sequence[str]], object_names: Callable[[], Sequence[str]]
+) -> str:
     """How many scenes, frames, objects and labelled frames a workspace holds.
 
     Never raises, since it is printed wherever a workspace is: a file that cannot be read is named instead.
     """
     if not root.exists():
         return "not there yet"
-    objects = sorted({path.parent.name for path in root.glob("objects/*/*")})
     try:
-        scenes = scene_names()
+        scenes, objects = scene_names(), object_names()
         frames = sum(len(read_json(root / "scenes" / name / "scene.json")["frames"]) for name in scenes)
         labelled = sum(_lines(path) for path in root.glob("labels/*.jsonl"))
     except (DataError, OSError, KeyError, TypeError) as error:
         return f"cannot be counted: {error}"
     parts = [
-        f"{_counted(len(scenes), 'scene')} with {_counted(frames, 'frame')}",
-        _counted(len(objects), "object") + (f" ({', '.join(objects)})" if objects else ""),
-        _counted(labelled, "labelled frame"),
+        f"{counted(len(scenes), 'scene')} with {counted(frames, 'frame')}",
+        counted(len(objects), "object") + (f" ({', '.join(objects)})" if objects else ""),
+        counted(labelled, "labelled frame"),
     ]
     return ", ".join(parts)
-
-
-def _counted(count: int, noun: str) -> str:
-    return f"{count:,} {noun}{'' if count == 1 else 's'}"
 
 
 def _lines(path: Path) -> int:

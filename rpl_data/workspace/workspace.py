@@ -67,7 +67,7 @@ class Workspace(Paths):
     """
 
     def __repr__(self) -> str:
-        return f"Workspace({str(self.root)!r}): {summary(self.root, self.scene_names)}"
+        return f"Workspace({str(self.root)!r}): {summary(self.root, self.scene_names, self.object_names)}"
 
     # Names ----------------------------------------------------------------------------------------
 
@@ -171,7 +171,10 @@ class Workspace(Paths):
         """Load the poses of a scene; DataError when it has none yet."""
         path = self.trajectory_file(scene.name)
         if not path.exists():
-            raise DataError(f"scene {scene.name} has no trajectory yet; run the reconstruct stage first")
+            raise DataError(
+                f"scene {scene.name} has no trajectory yet; run `rpl import` on {self.root}, or `rpl track` "
+                "where the recipe lets its images say the poses (`reconstruct: {method: auto}` or `track`)"
+            )
         with decoding(path, "read the recordings again with `rpl import --again true`"):
             return trajectory_from_text(scene, read_text(path))
 

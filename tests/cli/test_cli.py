@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import inspect
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -68,8 +70,13 @@ def test_every_command_explains_its_arguments(command: str, capsys: pytest.Captu
     with pytest.raises(SystemExit) as end:
         main([command, "--help"])
     assert end.value.code == 0
-    lines = capsys.readouterr().out
-    assert "folder" in lines
+    arguments = re.search(r"positional arguments:.*|options:.*", capsys.readouterr().out, re.S)
+    assert arguments is not None
+    words = " ".join(arguments[0].split())
+    described = inspect.getdoc(COMMANDS[command]).split("Args:")[1]
+    for name in inspect.signature(COMMANDS[command]).parameters:
+        meaning = re.search(rf"\b{name}: (\S+)", described)
+        assert meaning and name in words and meaning[1] in words, name
 
 
 def test_a_command_a_stage(recipe: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -204,9 +204,29 @@ def test_nine_thousand_frames_are_indexed_not_loaded(tmp_path: Path) -> None:
     assert peak < 5_000_000
 
 
+def test_two_logs_of_one_name_are_refused_before_the_second_is_unpacked(tmp_path: Path) -> None:
+    from rpl_data.pipeline.recipe import SceneSource
+    from rpl_data.pipeline.sources import recordings_of
+
+    logs = []
+    for folder in (tmp_path / "monday", tmp_path / "friday"):
+        folder.mkdir()
+        logs.append(make_log(folder / "cup.klg"))
+        write_pose_lines(Path(f"{logs[-1]}.freiburg"), [t * 1e-6 for t in TIMES_US], poses(6))
+    asked: list[str] = []
+
+    def unpack(name: str) -> Path:
+        asked.append(name)
+        return tmp_path / "unpacked" / name
+
+    with pytest.raises(DataError, match="two scenes are called cup: .*monday.*friday.*rename"):
+        recordings_of([SceneSource(log, "klg", camera=LENS) for log in logs], unpack=unpack)
+    assert asked == ["cup"]
+
+
 def test_a_recipe_unpacks_into_the_workspace(tmp_path: Path) -> None:
     from rpl_data.pipeline.recipe import parse_recipe
-    from rpl_data.pipeline.stages.import_ import read_recordings
+    from rpl_data.pipeline.sources import recordings_of
     from rpl_data.workspace.workspace import Workspace
 
     log = make_log(tmp_path / "cup.klg")
@@ -216,7 +236,7 @@ def test_a_recipe_unpacks_into_the_workspace(tmp_path: Path) -> None:
         {"name": "a", "scenes": [scene], "objects": [{"name": "o", "keypoints": 3}]}, source=""
     )
     workspace = Workspace(tmp_path / "workspace")
-    (recording,) = read_recordings(recipe.scenes, unpack=workspace.images)
+    (recording,) = recordings_of(recipe.scenes, unpack=workspace.images)
     workspace.save_recording(recording)
     loaded = workspace.load_scene("cup")
     assert loaded == recording.scene

@@ -207,12 +207,6 @@ def test_a_mask_of_one_pixel_has_a_box_of_one_by_one() -> None:
     assert g.box_around(np.argwhere(image)[:, ::-1].astype(float)) == (x, y, x + w, y + h)
 
 
-def test_clipped_boxes_by_hand() -> None:
-    assert g.clip_box((-3.0, 5.0, 4.0, 700.0), width=640, height=480) == (0, 5, 4, 480)
-    x0, y0, x1, y1 = g.clip_box((700.0, 10.0, 800.0, 20.0), width=640, height=480)
-    assert x0 == x1 and y1 - y0 == 10
-
-
 def test_square_box_by_hand() -> None:
     """Keypoints span 40 x 20 px around (30, 50): side 1.5 x 40."""
     box = g.square_box(np.array([[10.0, 40.0], [50.0, 60.0], [30.0, 45.0]]))

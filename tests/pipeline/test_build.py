@@ -11,15 +11,15 @@ import pytest
 
 from rpl_data.clicks.log import clicks_from_csv
 from rpl_data.geometry import Sphere
+from rpl_data.meshes import joined_meshes
 from rpl_data.pipeline import build as module
-from rpl_data.pipeline.build import Progress, build, recipe_of, stale_steps
+from rpl_data.pipeline.build import Progress, alone_in, build, recipe_of, stale_steps
 from rpl_data.pipeline.ledger import Ledger, Outcome, Step, stamps
 from rpl_data.pipeline.pool import Pool
 from rpl_data.pipeline.recipe import LabelRecipe, ObjectRecipe, Recipe, SceneSource
+from rpl_data.pipeline.results import quality_rows, timings
 from rpl_data.pipeline.stages import ORDER
-from rpl_data.pipeline.stages.quality import quality_rows
-from rpl_data.pipeline.stages.report import timings
-from rpl_data.pipeline.stages.surface import joined_meshes, joined_spheres
+from rpl_data.pipeline.stages.surface import joined_spheres
 from rpl_data.types import DataError, Mesh
 from rpl_data.workspace.workspace import Workspace
 
@@ -268,3 +268,10 @@ def test_planning_changes_nothing(tiny_workspace: Workspace, tmp_path: Path) -> 
     assert {path: path.stat().st_mtime_ns for path in root.rglob("*")} == before
     build(recipe_of(workspace), workspace, until="label", workers=1)
     assert not workspace.labels_file("old_scene").exists()
+
+
+def test_a_refused_build_leaves_the_recipe_alone(recording: Path, tmp_path: Path) -> None:
+    workspace = Workspace(tmp_path / "ws")
+    with alone_in(workspace), pytest.raises(DataError, match="another build is running"):
+        build(recipe_for(recording), workspace)
+    assert not workspace.recipe_file.exists()

@@ -16,8 +16,8 @@ from rpl_data.geometry import from_rotvec, rays, rigid
 from rpl_data.images import depth_reader
 from rpl_data.pipeline.build import build, context_of
 from rpl_data.pipeline.recipe import ObjectRecipe, Recipe, SceneSource
-from rpl_data.pipeline.stages.drift import choose_cut
-from rpl_data.pipeline.stages.quality import quality_rows
+from rpl_data.pipeline.results import quality_rows
+from rpl_data.pipeline.stages.cut import choose_cut
 from rpl_data.types import Click, DataError, Frame, Intrinsics, Recording, Scene, Trajectory
 from rpl_data.workspace.parts import Parts
 from rpl_data.workspace.workspace import Workspace

@@ -9,7 +9,8 @@ from torch.utils.data import DataLoader
 
 from rpl_data.formats.datasets.coco import read_coco
 from rpl_data.geometry import project, transform
-from rpl_data.torch.heatmaps import decode_heatmaps, positions_in_image
+from rpl_data.torch.decoding import locate
+from rpl_data.torch.heatmaps import positions_in_image
 from rpl_data.torch.keypoints import KeypointDataset, KeypointSample
 from rpl_data.torch.pixel_cache import rectangle_around
 from rpl_data.torch.transforms import (
@@ -77,7 +78,7 @@ def test_heatmaps_lead_back_to_the_image(coco, augment, input_px, heatmap_px):
     torch.manual_seed(0)
     dataset = KeypointDataset(coco, object="box", input_px=input_px, heatmap_px=heatmap_px, augment=augment)
     for sample in dataset:
-        positions, _ = decode_heatmaps(sample["heatmaps"])
+        positions = locate(sample["heatmaps"], sigma_px=1.0).positions
         back = positions_in_image(
             positions, sample["crop_from_image"], input_px=input_px, heatmap_px=heatmap_px
         )

@@ -61,7 +61,7 @@ def test_what_is_wrong_with_the_place_is_said(tiny_workspace: Workspace, tmp_pat
     for path, split, message in [
         (coco, None, "is a folder; say which split, one of train, val, test: split='train'"),
         (coco, "trian", "no trian split: the names are train, val and test"),
-        (coco / "train.json", "train", "is a file, not a folder with splits; leave split='train' out"),
+        (coco / "train.json", "train", "give its folder, or leave split='train' out"),
         (tiny_workspace.root, "train", "holds no exported dataset .*; give .*export/coco"),
         (tmp_path, "train", "holds no exported dataset .*; make it with `rpl build`"),
         (tmp_path / "nowhere", "train", "nowhere does not exist"),

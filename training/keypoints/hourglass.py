@@ -114,11 +114,6 @@ def _neck(features: int) -> nn.Sequential:
     )
 
 
-def parameter_count(network: nn.Module) -> int:
-    """How many parameters are trained."""
-    return sum(parameter.numel() for parameter in network.parameters())
-
-
 def mean_squares(heatmaps: Tensor, targets: Tensor, weights: Tensor) -> Tensor:
     """Mean squared difference over the pixels of the keypoints with a weight.
 

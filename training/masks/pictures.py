@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from pycocotools import mask as masks
 
-from training.masks.results import Json
+from rpl_data.json_arrays import Json
 
 
 def class_color(label: int, classes: int) -> tuple[int, int, int]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from collections import Counter
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -13,11 +12,11 @@ from pycocotools import mask as masks
 from rich.progress import track
 from torch import Tensor
 
+from rpl_data.json_arrays import Json
 from rpl_data.torch.instances import InstanceDataset
 from rpl_data.types import DataError
 from training.masks.weights import Segmenter
 
-Json = dict[str, Any]
 MASK_THRESHOLD = 0.5
 """A pixel belongs to the object when the network gives it a higher probability than this."""
 

@@ -11,7 +11,7 @@ import numpy as np
 from pycocotools import mask as masks
 
 from rpl_data.formats.datasets.coco import read_coco
-from training.masks.results import Json
+from rpl_data.json_arrays import Json
 
 
 @dataclass(frozen=True)

@@ -87,17 +87,6 @@ def description(config: MaskNetwork, names: tuple[str, ...]) -> dict[str, Any]:
     return {"model": asdict(config), "names": list(names)}
 
 
-def checkpoint_of(masks: Path | None) -> Path:
-    """The checkpoint after --masks.
-
-    Raises:
-        DataError: there is none.
-    """
-    if masks is None:
-        raise DataError("no mask network is named; give a checkpoint of train_masks: --masks run/last.ckpt")
-    return masks
-
-
 def load_segmenter(checkpoint: Path) -> Segmenter:
     """Load the network of a checkpoint of `training.train_masks`, ready to predict."""
     content = read_checkpoint(checkpoint)

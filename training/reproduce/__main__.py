@@ -23,15 +23,10 @@ COMMANDS: dict[str, Any] = {
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; 0 when all is well, 1 with one line on stderr when the user can mend it."""
-    from jsonargparse import auto_cli
+    from rpl_data.command_line import run
 
     try:
-        auto_cli(
-            COMMANDS,
-            args=None if arguments is None else list(arguments),
-            prog="python -m training.reproduce",
-            description=HELP,
-        )
+        run(COMMANDS, arguments, program="python -m training.reproduce", description=HELP, presets=[table2])
     except DataError as error:
         print(f"reproduce: {error}", file=sys.stderr)
         return 1

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 
 from rpl_data.types import DataError
+from rpl_data.wording import counted
 from training.runs.old_names import arguments_with_new_names
 
 
@@ -15,6 +15,7 @@ def main(
     arguments: Sequence[str] | None = None,
     *,
     old_names: Mapping[str, str] = {},  # noqa: B006 (never changed)
+    presets: bool = False,
 ) -> int:
     """Run a program; the exit status comes back, 1 with one line on stderr when the user can mend it.
 
@@ -22,15 +23,17 @@ def main(
         program: its signature and docstring are the options and the help.
         arguments: those of the command line when left out.
         old_names: new names of options by the old ones that are still understood.
+        presets: whether options may also come from a YAML file, by `--config`.
     """
-    from jsonargparse import auto_cli
+    from rpl_data.command_line import run_one
 
     try:
         given = sys.argv[1:] if arguments is None else arguments
-        auto_cli(
+        run_one(
             program,
-            args=arguments_with_new_names(given, old_names),
-            prog=f"python -m training.{program.__name__}",
+            arguments_with_new_names(given, old_names),
+            program=f"python -m training.{program.__name__}",
+            presets=[program] if presets else (),
         )
     except DataError as error:
         print(f"{program.__name__}: {error}", file=sys.stderr)
@@ -46,22 +49,7 @@ def use_threads(threads: int | None) -> None:
         torch.set_num_threads(threads)
 
 
-def split_file(coco: Path, split: str) -> Path:
-    """The COCO file of a split in a folder that `rpl export` wrote.
-
-    Raises:
-        DataError: the folder has no such split.
-    """
-    path = coco / f"{split}.json"
-    if not path.is_file():
-        there = ", ".join(sorted(each.stem for each in coco.glob("*.json"))) or "none"
-        raise DataError(
-            f"there is no {path}; expected the folder of an export and one of its splits ({there})"
-        )
-    return path
-
-
 def say_left_out(unreadable: Mapping[str, int]) -> None:
     """One line per reason why images were left out."""
     for message, count in sorted(unreadable.items()):
-        print(f"left out {count} {'time' if count == 1 else 'times'}: {message}")
+        print(f"left out {counted(count, 'time')}: {message}")

@@ -16,7 +16,6 @@ import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import IO, Any
 
@@ -26,7 +25,7 @@ from jaxtyping import Float64
 from rpl_data.files import read_json, writing
 from rpl_data.formats.datasets.coco_check import validate_coco
 from rpl_data.geometry import Transform
-from rpl_data.json_arrays import asdict_values, matrix_from_json, numbers, rows_from_json, rows_to_json
+from rpl_data.json_arrays import Json, asdict_values, matrix_from_json, numbers, rows_from_json, rows_to_json
 from rpl_data.types import (
     Box,
     Frame,
@@ -37,8 +36,7 @@ from rpl_data.types import (
     Rle,
     SquareBox,
 )
-
-Json = dict[str, Any]
+from rpl_data.version import installed_version
 
 
 @dataclass(frozen=True)
@@ -67,17 +65,10 @@ def header(objects: Sequence[CocoObject]) -> Json:
         "licenses": [],
         "categories": [_category(number, item.model) for number, item in enumerate(objects, start=1)],
         "rpl": {
-            "version": _tool_version(),
+            "version": installed_version(),
             "objects": [_object(number, item) for number, item in enumerate(objects, start=1)],
         },
     }
-
-
-def _tool_version() -> str:
-    try:
-        return version("rpl-data")
-    except PackageNotFoundError:  # run from a checkout that was never installed
-        return "unknown"
 
 
 def _category(number: int, model: KeypointModel) -> Json:

@@ -8,10 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from rpl_data.json_arrays import matrix_from_json
+from rpl_data.json_arrays import Json, matrix_from_json
 from rpl_data.types import DataError
-
-Json = dict[str, Any]
 
 TOP_KEYS = ("images", "annotations", "categories", "rpl")
 CATEGORY_KEYS = ("id", "name", "supercategory", "keypoints", "skeleton")

@@ -22,10 +22,11 @@ import numpy as np
 import yaml
 from jaxtyping import Float64
 
-Json = Mapping[str, Any]
+Entry = Mapping[str, Any]
+"""An image, annotation or category of a COCO file, which is only read."""
 
 
-def detect_line(image: Json, annotation: Json, categories: Sequence[Json]) -> str:
+def detect_line(image: Entry, annotation: Entry, categories: Sequence[Entry]) -> str:
     """Write the class and the box of the visible part."""
     x, y, w, h = annotation["bbox"]
     width, height = image["width"], image["height"]
@@ -33,7 +34,7 @@ def detect_line(image: Json, annotation: Json, categories: Sequence[Json]) -> st
     return f"{annotation['category_id'] - 1} {_shares(sides)}"
 
 
-def segment_line(image: Json, annotation: Json, categories: Sequence[Json]) -> str:
+def segment_line(image: Entry, annotation: Entry, categories: Sequence[Entry]) -> str:
     """Write the class and the outline of the visible mask; empty for a mask too small to have one."""
     from pycocotools import mask as masks
 
@@ -46,7 +47,7 @@ def segment_line(image: Json, annotation: Json, categories: Sequence[Json]) -> s
     return f"{annotation['category_id'] - 1} {_shares(outline.ravel().tolist())}"
 
 
-def pose_line(image: Json, annotation: Json, categories: Sequence[Json]) -> str:
+def pose_line(image: Entry, annotation: Entry, categories: Sequence[Entry]) -> str:
     """Write the line of `detect_line` followed by the keypoints."""
     most = max(len(category["keypoints"]) for category in categories)
     words = [detect_line(image, annotation, categories)]
@@ -58,7 +59,7 @@ def pose_line(image: Json, annotation: Json, categories: Sequence[Json]) -> str:
     return " ".join([*words, *["0 0 0"] * (most - len(flat) // 3)])
 
 
-LINES: dict[str, Callable[[Json, Json, Sequence[Json]], str]] = {
+LINES: dict[str, Callable[[Entry, Entry, Sequence[Entry]], str]] = {
     "detect": detect_line,
     "segment": segment_line,
     "pose": pose_line,
@@ -66,7 +67,7 @@ LINES: dict[str, Callable[[Json, Json, Sequence[Json]], str]] = {
 """Writers of an annotation's line, by task, given its image and all categories of our COCO dialect."""
 
 
-def data_yaml(task: str, categories: Sequence[Json], splits: Sequence[str]) -> str:
+def data_yaml(task: str, categories: Sequence[Entry], splits: Sequence[str]) -> str:
     """Write the YAML file for the trainer; validation uses the training split where there is no other."""
     content: dict[str, Any] = {split: f"images/{split}" for split in splits}
     content.setdefault("val", content.get("train", f"images/{splits[0]}"))

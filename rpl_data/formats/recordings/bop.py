@@ -41,13 +41,13 @@ from rpl_data.formats.recordings.frame_files import (
 )
 from rpl_data.formats.recordings.true_poses import with_true_poses
 from rpl_data.geometry import Transform, invert, rigid
+from rpl_data.json_arrays import Json
 from rpl_data.types import DataError, Intrinsics, Recording
 from rpl_data.wording import counted
 
 RATE_HZ = 30.0
 """Assumed frame rate of the camera; the layout has no timestamps."""
 
-Json = dict[str, Any]
 
 _KEY = re.compile(r'[\s,]*"(\d+)"\s*:\s*')
 

@@ -29,6 +29,7 @@ from rpl_data.formats.recordings.frame_files import (
     check_unit,
     chosen,
     examine,
+    folders_in,
     match_poses,
     unlisted,
     with_poses,
@@ -114,7 +115,7 @@ def _single_scene(path: Path, names: Sequence[str] | None) -> dict[str, Path]:
 
 def _scene_folders(path: Path, names: Sequence[str] | None) -> dict[str, Path]:
     marks = ("associations.txt", "camera.poses", "rgb", "depth")
-    found = {p.name: p for p in sorted(path.iterdir()) if any((p / mark).exists() for mark in marks)}
+    found = {p.name: p for p in folders_in(path) if any((p / mark).exists() for mark in marks)}
     if not found:
         raise DataError(f"{path} has no scene: none of its folders holds an associations.txt")
     return chosen(found, names, path)

@@ -14,10 +14,7 @@ from rpl_data.wording import counted
 from rpl_data.workspace.workspace import Workspace
 
 VERSION = 1
-"""Raised when the stage writes something else for the same input; its steps then run again."""
-
-# Recordings ---------------------------------------------------------------------------------------
-
+"""Increase it when the stage writes something else for the same input: its steps then run again."""
 
 # Clicks -------------------------------------------------------------------------------------------
 

@@ -8,19 +8,15 @@ from dataclasses import asdict
 
 from rpl_data.export import ExportScene, ExportSummary, export_bop, export_coco, export_okt, export_yolo
 from rpl_data.export.dialect import DialectSummary
-from rpl_data.json_arrays import Json
-from rpl_data.pipeline.context import Context, step
+from rpl_data.json_arrays import Json, finite_or_none
+from rpl_data.pipeline.context import Context, step, truth_workspace
+from rpl_data.pipeline.grasp import save_grasps
 from rpl_data.pipeline.ledger import Advance, Ledger, Outcome, Step
-from rpl_data.pipeline.stages.grasp import save_grasps
-from rpl_data.pipeline.stages.quality import finite_or_none, truth_workspace
 from rpl_data.types import DataError, FrameLabel
 from rpl_data.workspace.workspace import Workspace
 
 VERSION = 1
-"""Raised when the stage writes something else for the same input; its steps then run again."""
-
-
-# Export -------------------------------------------------------------------------------------------
+"""Increase it when the stage writes something else for the same input: its steps then run again."""
 
 
 def export_steps(context: Context) -> list[Step]:
@@ -148,9 +144,6 @@ EXPORTS: dict[str, Callable[[Context], ExportSummary | DialectSummary]] = {
     "okt": _okt,
 }
 """The writer of each format, by its name in the recipe."""
-
-
-# Quality ------------------------------------------------------------------------------------------
 
 
 # Report -------------------------------------------------------------------------------------------

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -10,16 +10,14 @@ from pathlib import Path
 from rpl_data.doctor.timing import pose_jumps
 from rpl_data.files import remove
 from rpl_data.json_arrays import Json
-from rpl_data.names import checked_name
 from rpl_data.pipeline.context import Context, step
 from rpl_data.pipeline.ledger import Advance, Outcome, Step, stamps
-from rpl_data.pipeline.recipe import SceneSource
-from rpl_data.recordings.open import open_scenes
+from rpl_data.pipeline.sources import recordings_of
 from rpl_data.types import DataError, Recording
 from rpl_data.workspace.workspace import Workspace
 
 VERSION = 1
-"""Raised when the stage writes something else for the same input; its steps then run again."""
+"""Increase it when the stage writes something else for the same input: its steps then run again."""
 
 
 STANDS_OUT = 4.0
@@ -32,7 +30,9 @@ def import_steps(context: Context) -> list[Step]:
 
     def run(advance: Advance) -> Outcome:
         unpack = partial(_emptied, workspace)
-        recordings = read_recordings(sources, unpack=unpack, poses=not context.tracks)
+        recordings = recordings_of(sources, unpack=unpack)
+        if not context.tracks:
+            _refuse_without_poses(recordings)
         lost = sorted(set(workspace.video_names()) - {recording.scene.name for recording in recordings})
         for gone in lost:
             workspace.cut_scene(gone, ())
@@ -79,29 +79,10 @@ def _emptied(workspace: Workspace, scene: str) -> Path:
     return folder
 
 
-def read_recordings(
-    sources: Sequence[SceneSource], *, unpack: Callable[[str], Path] | None = None, poses: bool = True
-) -> list[Recording]:
-    """Read all scenes of all sources; DataError when two share a name or one has no poses.
-
-    Args:
-        sources: the sources of the scenes.
-        unpack: returns an empty folder for the images of a scene whose recording is a single file.
-        poses: whether a scene without poses is refused.
-    """
-    recordings: dict[str, Recording] = {}
-    for source in sources:
-        for recording in open_scenes(**vars(source), unpack=unpack):
-            name = checked_name(recording.scene.name, "scene", where=str(source.path))
-            if name in recordings:
-                raise DataError(
-                    f"two scenes are called {name}: {recordings[name].scene.source} and "
-                    f"{recording.scene.source}; rename a folder, or choose scenes by `names`"
-                )
-            if recording.trajectory is None and poses:
-                raise DataError(
-                    f"scene {name} in {source.path} has no camera poses; write "
-                    "`reconstruct: {method: track}` in the recipe to compute them"
-                )
-            recordings[name] = recording
-    return list(recordings.values())
+def _refuse_without_poses(recordings: Sequence[Recording]) -> None:
+    for recording in recordings:
+        if recording.trajectory is None:
+            raise DataError(
+                f"scene {recording.scene.name} in {recording.scene.source} has no camera poses; write "
+                "`reconstruct: {method: track}` in the recipe to compute them"
+            )

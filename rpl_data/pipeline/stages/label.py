@@ -17,7 +17,7 @@ from rpl_data.types import FrameLabel
 from rpl_data.workspace.workspace import Workspace
 
 VERSION = 2
-"""Raised when the stage writes something else for the same input; its steps then run again."""
+"""Increase it when the stage writes something else for the same input: its steps then run again."""
 
 
 def label_steps(context: Context) -> list[Step]:

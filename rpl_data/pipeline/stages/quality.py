@@ -2,25 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import asdict
-from typing import Any
 
-from rpl_data.pipeline.context import Context, step
-from rpl_data.pipeline.ledger import Advance, Ledger, Outcome, Step, stamps
-from rpl_data.types import QualityRow
-from rpl_data.workspace.workspace import Workspace
+from rpl_data.json_arrays import finite_or_none
+from rpl_data.pipeline.context import Context, step, truth_workspace
+from rpl_data.pipeline.ledger import Advance, Outcome, Step, stamps
 
 VERSION = 1
-"""Raised when the stage writes something else for the same input; its steps then run again."""
-
-
-def truth_workspace(context: Context) -> Workspace | None:
-    """The workspace with the ground truth; None when it is not known."""
-    if context.recipe.truth is not None and context.recipe.truth.is_dir():
-        return Workspace(context.recipe.truth)
-    known = context.recipe.truth is not None or context.recipe.twin is not None
-    return Workspace(context.workspace.truth) if known else None
+"""Increase it when the stage writes something else for the same input: its steps then run again."""
 
 
 def quality_steps(context: Context) -> list[Step]:
@@ -44,20 +33,3 @@ def quality_steps(context: Context) -> list[Step]:
     before = [f"label/{video}" for video in context.placed_videos()]
     sources = {} if recipe.truth is None else stamps(recipe.truth)
     return [step("quality", "", run, version=VERSION, options={}, sources=sources, after=["twin", *before])]
-
-
-def quality_rows(ledger: Ledger) -> list[QualityRow]:
-    """Rows of the last comparison that this stage made; empty when there was none."""
-    entry = ledger.entries.get("quality")
-    rows: Any = [] if entry is None else entry.outcome.details["rows"]
-    filled: list[dict[str, Any]] = [{k: math.nan if v is None else v for k, v in row.items()} for row in rows]
-    return [QualityRow(**row) for row in filled]
-
-
-def finite_or_none(value: Any) -> Any:
-    """Make a value JSON-ready: NaN becomes null, tuples become lists."""
-    if isinstance(value, dict):
-        return {key: finite_or_none(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [finite_or_none(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

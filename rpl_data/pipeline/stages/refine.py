@@ -6,17 +6,16 @@ from dataclasses import asdict
 
 from rpl_data.geometry import transform
 from rpl_data.meshes import load_mesh
-from rpl_data.pipeline.context import Context, step
+from rpl_data.pipeline.context import Box3, Context, crop_of, step
 from rpl_data.pipeline.ledger import Advance, Outcome, Step
 from rpl_data.pipeline.recipe import ObjectRecipe
-from rpl_data.pipeline.stages.segment import Box3, crop_of
 from rpl_data.pipeline.stages.solve import observe
 from rpl_data.refine.evidence import Verdict
 from rpl_data.types import PointCloud, Solution
 from rpl_data.workspace.workspace import Workspace
 
 VERSION = 1
-"""Raised when the stage writes something else for the same input; its steps then run again."""
+"""Increase it when the stage writes something else for the same input: its steps then run again."""
 
 
 def refine_steps(context: Context) -> list[Step]:

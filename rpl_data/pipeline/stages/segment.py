@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rpl_data.meshes import load_mesh, oriented_points, save_cloud, save_mesh
-from rpl_data.pipeline.context import Context, step
+from rpl_data.pipeline.context import Context, crop_of, known_points, step
 from rpl_data.pipeline.ledger import Advance, Outcome, Step, stamps
 from rpl_data.pipeline.recipe import ObjectRecipe
-from rpl_data.pipeline.stages.solve import known_points
 from rpl_data.types import Mesh, Solution
 from rpl_data.workspace.workspace import Workspace
 
@@ -19,14 +18,11 @@ VIEWS_PER_SCENE = 8
 MOST_FALSE_AREA = 0.03
 """Share of a mesh's area in free space above which the user is warned."""
 VERSION = 3
-"""Raised when the stage writes something else for the same input; its steps then run again."""
+"""Increase it when the stage writes something else for the same input: its steps then run again."""
 
 if TYPE_CHECKING:
     from rpl_data.segment.free_space import DepthView
     from rpl_data.segment.segment import DenseModel
-
-Box3 = tuple[tuple[float, float, float], tuple[float, float, float]]
-"""Lowest and highest corner, metres."""
 
 
 def segment_steps(context: Context) -> list[Step]:
@@ -126,11 +122,3 @@ def _keep_given(workspace: Workspace, object_name: str, mesh: Mesh) -> Outcome:
     message = f"{object_name}: its dense model is the given mesh"
     details = {"triangles": len(mesh.triangles), "points": len(cloud.points)}
     return Outcome(messages=(message,), details=details)
-
-
-def crop_of(workspace: Workspace, item: ObjectRecipe) -> Box3 | None:
-    """The box, in the object frame, that the dense model is cut to: the page's, else the recipe's."""
-    drawn = workspace.load_annotation(item.name).crop_m
-    if drawn is not None or item.crop is None:
-        return drawn
-    return item.crop.low_m, item.crop.high_m

@@ -6,14 +6,13 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, replace
 
 import numpy as np
-from jaxtyping import Float64
 
 from rpl_data.clicks.lift import lift_clicks
 from rpl_data.clicks.log import Annotation
 from rpl_data.drift import drift_from_json
 from rpl_data.files import read_json
 from rpl_data.geometry import transform
-from rpl_data.pipeline.context import Context, step
+from rpl_data.pipeline.context import Context, known_points, step
 from rpl_data.pipeline.ledger import Advance, Outcome, Step
 from rpl_data.pipeline.recipe import ObjectRecipe
 from rpl_data.solve.register import Registration, register_scene
@@ -184,20 +183,6 @@ def place_known(
             sorted((c for one in found.values() for c in one.next_clicks), key=lambda c: -c.gain_mm)
         ),
     )
-
-
-def known_points(annotation: Annotation) -> Float64[np.ndarray, "k 3"]:
-    """The given model, a row a keypoint, NaN where it has none; DataError when it has fewer than three."""
-    given = annotation.known_points or ()
-    rows = [given[k] if k < len(given) else None for k in range(len(annotation.keypoints))]
-    points = np.array([(np.nan,) * 3 if row is None else row for row in rows], dtype=float).reshape(-1, 3)
-    known = int(np.isfinite(points).all(axis=1).sum())
-    if known < 3:
-        raise DataError(
-            f"object {annotation.object}: its known model has {known} keypoints, at least 3 are needed; "
-            "pick more of them on its mesh, or load a model that has them"
-        )
-    return points
 
 
 def register_step(context: Context, object_name: str, scene: str) -> Step:

@@ -8,13 +8,13 @@ import numpy as np
 
 from rpl_data.geometry import Sphere, sphere_around, transform
 from rpl_data.images import read_color
-from rpl_data.meshes import save_mesh
+from rpl_data.meshes import joined_meshes, save_mesh
 from rpl_data.pipeline.context import Context, posed_frames, step
 from rpl_data.pipeline.ledger import Advance, Outcome, Step
-from rpl_data.types import Frame, Mesh, Solution
+from rpl_data.types import Frame, Solution
 
 VERSION = 2
-"""Raised when the stage writes something else for the same input; its steps then run again."""
+"""Increase it when the stage writes something else for the same input: its steps then run again."""
 
 
 def surface_steps(context: Context) -> list[Step]:
@@ -99,14 +99,3 @@ def _around(a: Sphere, b: Sphere) -> Sphere:
         return b
     radius = (distance + a.radius_m + b.radius_m) / 2
     return Sphere(a.centre_m + (b.centre_m - a.centre_m) * (radius - a.radius_m) / distance, radius)
-
-
-def joined_meshes(meshes: Sequence[Mesh]) -> Mesh:
-    """Join meshes into one."""
-    offsets = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
-    colors = [mesh.colors for mesh in meshes if mesh.colors is not None]
-    return Mesh(
-        np.concatenate([mesh.vertices for mesh in meshes]),
-        np.concatenate([mesh.triangles + offset for mesh, offset in zip(meshes, offsets, strict=True)]),
-        np.concatenate(colors) if len(colors) == len(meshes) else None,
-    )

@@ -11,7 +11,9 @@ import numpy as np
 
 from rpl_data.geometry import rays, transform
 from rpl_data.images import read_depth_m, read_grey
+from rpl_data.json_arrays import finite_or_none
 from rpl_data.pipeline.context import Context, step
+from rpl_data.pipeline.correction import LEAST_TIED, correct
 from rpl_data.pipeline.ledger import Advance, Outcome, Step
 from rpl_data.types import (
     Click,
@@ -27,17 +29,13 @@ from rpl_data.types import (
 from rpl_data.workspace.workspace import Workspace
 
 VERSION = 2
-"""Raised when the stage writes something else for the same input; its steps then run again."""
+"""Increase it when the stage writes something else for the same input: its steps then run again."""
 
 AHEAD = 8
 """Number of frames that are decoded in advance while others are tracked."""
 
 KEEP_BELOW_PX = 0.5
 """Given poses are kept when the correction would move the images by less than this."""
-
-LEAST_TIED = 0.9
-"""Smallest share of the frames that must be tracked, or connected by aligned pairs, for a computed path to be
-used: between unconnected pieces, the relative pose is unknown."""
 
 AROUND, SMALLEST_REGION_M = 1.8, 0.12
 """Paths are judged within this many times the radius of the clicked keypoints, and at least this radius."""
@@ -139,7 +137,7 @@ def check_given_path(
     )
     ours, theirs = errors["ours"], errors["given"]
     details |= {"color_px": [theirs.color_px, ours.color_px], "depth_m": [theirs.depth_m, ours.depth_m]}
-    details = {key: _finite(value) for key, value in details.items()}
+    details = finite_or_none(details)
     figures = (
         f"its own poses are off by {theirs.color_px:.1f} px in colour and {1000 * theirs.depth_m:.1f} mm in "
         f"depth between frames, those from its images by {ours.color_px:.1f} px and "
@@ -149,27 +147,6 @@ def check_given_path(
         taken = f"{figures}: the latter are used (`reconstruct: {{method: given}}` keeps its own)"
         return Found(other.trajectory, other.corrected, (taken, *other.lines), details | {"path": "ours"})
     return Found(given, other.corrected, (f"{figures}: its own are kept",), details | {"path": "given"})
-
-
-def _finite(value: Any) -> Any:
-    """Replace numbers that are not finite by None: JSON has no NaN."""
-    if isinstance(value, list):
-        return [_finite(item) for item in value]
-    return None if isinstance(value, float) and not np.isfinite(value) else value
-
-
-def correct(workspace: Workspace, scene: Scene, trajectory: Trajectory, advance: Advance) -> Any:
-    """Correct the path by pairs of frames; returns a `CorrectedPath`."""
-    from rpl_data.reconstruct.path_correction import correct_path
-    from rpl_data.reconstruct.view import REDUCE, Viewer
-
-    viewer, read = Viewer(scene.intrinsics), workspace.depth_reader(scene, keep=True)
-    return correct_path(
-        scene,
-        trajectory,
-        lambda frame: viewer.look(read_grey(frame, reduce=REDUCE), read(frame)),
-        advance=advance,
-    )
 
 
 def clicked_regions(

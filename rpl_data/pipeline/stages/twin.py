@@ -9,7 +9,7 @@ from rpl_data.pipeline.context import Context, step
 from rpl_data.pipeline.ledger import Advance, Outcome, Step, stamps
 
 VERSION = 4
-"""Raised when the stage writes something else for the same input; its steps then run again."""
+"""Increase it when the stage writes something else for the same input: its steps then run again."""
 
 
 def twin_steps(context: Context) -> list[Step]:

@@ -8,7 +8,6 @@ import numpy as np
 
 from rpl_data.clicks.lift import lift_clicks
 from rpl_data.evaluate.quality import model_error
-from rpl_data.images import depth_reader
 from rpl_data.solve.solve import solve
 from rpl_data.twin.annotator import click
 from rpl_data.types import DataError, FrameLabel, KeypointModel, Observation
@@ -62,7 +61,7 @@ def _clicked(
             of_scene, name, intrinsics=intrinsics, clicks_per_keypoint=1, noise_px=noise_px, rng=rng
         )
     trajectories = {scene: workspace.load_trajectory(scenes[scene]) for scene in labels}
-    return lift_clicks(clicks, scenes, trajectories, depth_reader)
+    return lift_clicks(clicks, scenes, trajectories, workspace.depth_reader)
 
 
 def _error_mm(

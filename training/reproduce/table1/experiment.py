@@ -105,7 +105,7 @@ def measure(
     """
     from rpl_data.evaluate.quality import compare_workspaces
     from rpl_data.pipeline.build import context_of
-    from rpl_data.pipeline.stages.quality import truth_workspace
+    from rpl_data.pipeline.context import truth_workspace
     from training.reproduce.table1.cad_protocol import by_cad
     from training.reproduce.table1.worst import worst_scenes
 

@@ -1,0 +1,38 @@
+"""What the commands that build share. No command is defined here.
+
+jsonargparse imports what stands under `if TYPE_CHECKING` in the module of a command, which would make
+`rpl --help` slow.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rpl_data.pipeline.ledger import Ledger
+    from rpl_data.pipeline.recipe import Recipe
+
+
+def run_stage(workspace: Path, stage: str, again: bool, workers: int | None = None) -> Ledger:
+    """Run a stage of a workspace, and what is out of date before it."""
+    from rpl_data.pipeline.build import recipe_of
+    from rpl_data.workspace.workspace import Workspace
+
+    return run_build(recipe_of(Workspace(workspace)), workspace, stage, stage if again else None, workers)
+
+
+def run_build(
+    recipe: Recipe, workspace: Path, until: str | None, again: str | None, workers: int | None = None
+) -> Ledger:
+    """Build with progress on the terminal, and say what came out."""
+    from rpl_data.cli.screen import Screen, print_results
+    from rpl_data.pipeline.build import build, stages_named
+    from rpl_data.workspace.workspace import Workspace
+
+    chosen = stages_named(again, until)
+    place = Workspace(workspace)
+    with Screen() as screen:
+        ledger = build(recipe, place, until=until, again=chosen, workers=workers, tell=screen.tell)
+    print_results(place, ledger, screen, until)
+    return ledger

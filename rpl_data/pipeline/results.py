@@ -1,0 +1,51 @@
+"""What the ledger says about a build: times, errors and splits, for the report and the terminal."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from rpl_data.pipeline.ledger import Ledger
+from rpl_data.pipeline.stages import ORDER
+from rpl_data.types import QualityRow
+from rpl_data.wording import counted
+
+
+def quality_rows(ledger: Ledger) -> list[QualityRow]:
+    """Rows of the last comparison that this stage made; empty when there was none."""
+    entry = ledger.entries.get("quality")
+    rows: Any = [] if entry is None else entry.outcome.details["rows"]
+    filled: list[dict[str, Any]] = [{k: math.nan if v is None else v for k, v in row.items()} for row in rows]
+    return [QualityRow(**row) for row in filled]
+
+
+def timings(ledger: Ledger) -> dict[str, dict[str, float | int]]:
+    """Seconds and number of frames of every stage that ran, in order."""
+    found: dict[str, dict[str, float | int]] = {}
+    for stage in ORDER:
+        outcomes = ledger.of_stage(stage).values()
+        if outcomes:
+            seconds = sum(entry.seconds for entry in outcomes)
+            found[stage] = {"seconds": seconds, "frames": sum(entry.outcome.frames for entry in outcomes)}
+    return found
+
+
+def split_summary(ledger: Ledger) -> str:
+    """Write one line per split: its images, scenes, and how near its views are to those of training."""
+    entry = ledger.entries.get("export/coco")
+    if entry is None:
+        return ""
+    lines = []
+    for name, images in entry.outcome.details["images"].items():
+        scenes = ", ".join(entry.outcome.details["scenes"].get(name, []))
+        line = f"{name}: {counted(images, 'image')} of {scenes or 'no scene'}"
+        near = entry.outcome.details["views"].get(name)
+        if near is not None and near["angle_median_deg"] is not None:
+            line += (
+                f"; views {near['angle_median_deg']:.1f} deg (median), {near['angle_p90_deg']:.1f} deg (p90) "
+                "from the nearest of training"
+            )
+        if near is not None and near["time_median_s"] is not None:
+            line += f", {near['time_median_s']:.2f} s (median) from it in time"
+        lines.append(line)
+    return "\n".join(lines)

@@ -1,0 +1,50 @@
+"""The recordings that a recipe names, opened."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from rpl_data.names import checked_name
+from rpl_data.pipeline.recipe import SceneSource
+from rpl_data.recordings.open import open_scenes
+from rpl_data.types import DataError, Recording
+
+
+def recordings_of(
+    sources: Sequence[SceneSource], *, unpack: Callable[[str], Path] | None = None
+) -> list[Recording]:
+    """Open all scenes of all sources.
+
+    Args:
+        sources: the sources of the scenes.
+        unpack: returns an empty folder for the images of a scene whose recording is a single file; called
+            once per name.
+
+    Raises:
+        DataError: two scenes share a name, or a source cannot be read.
+    """
+    found: dict[str, Recording] = {}
+    for source in sources:
+        unpacked: set[str] = set()
+
+        def fresh(name: str, source: SceneSource = source, unpacked: set[str] = unpacked) -> Path:
+            if name in found or name in unpacked:  # its images would replace those of the other
+                first = found[name].scene.source if name in found else str(source.path)
+                raise _same_name(name, first, str(source.path))
+            unpacked.add(name)
+            assert unpack is not None  # else nothing asks for a folder
+            return unpack(name)
+
+        for recording in open_scenes(**vars(source), unpack=None if unpack is None else fresh):
+            name = checked_name(recording.scene.name, "scene", where=str(source.path))
+            if name in found:
+                raise _same_name(name, found[name].scene.source, recording.scene.source)
+            found[name] = recording
+    return list(found.values())
+
+
+def _same_name(name: str, one: str, other: str) -> DataError:
+    return DataError(
+        f"two scenes are called {name}: {one} and {other}; rename a folder, or choose scenes by `names`"
+    )
