@@ -86,7 +86,7 @@ def test_paper_preset_takes_a_step(coco, tmp_path, capsys):
     smaller = ["--learning.epochs=1", "--learning.batch=1", "--machine.workers=0", "--validate_every=2"]
     few = edited(coco, tmp_path / "few", keep_one)
     arguments[2] = str(few)
-    assert main(train_keypoints, [*arguments, *smaller]) == 0, capsys.readouterr().err
+    assert main(train_keypoints, [*arguments, *smaller], presets=True) == 0, capsys.readouterr().err
     trained = load_keypoints(tmp_path / "last.ckpt")
     assert trained.options == Network() and len(trained.network.heads) == 2
 

@@ -207,7 +207,7 @@ def test_old_names_are_understood_with_a_hint(coco, tmp_path, capsys):
     assert capsys.readouterr().err == ""  # ours have the new names
     command = ["--config", str(tmp_path / "old.yaml"), str(coco), "--out", str(tmp_path / "run")]
     smaller = ["--settings.model.hidden=32", "--settings.epochs", "1", "--network.norm=group", "--until=1"]
-    assert main(train_masks, [*command, *smaller], old_names=NEW_BY_OLD) == 0
+    assert main(train_masks, [*command, *smaller], old_names=NEW_BY_OLD, presets=True) == 0
     said = capsys.readouterr().err
     assert "--settings.epochs is now --learning.epochs" in said and "--settings.model.hidden" in said
     network = load_segmenter(tmp_path / "run" / "last.ckpt").network
@@ -309,7 +309,7 @@ def test_a_broken_image_is_left_out_and_counted(coco, tmp_path, capsys):
     predict_masks(place / "images" / "desk", checkpoint, tmp_path / "found")
     said = capsys.readouterr().out
     assert "5 images" in said and f"left out 1 time: cannot read the image {bad}" in said
-    with pytest.raises(DataError, match="there is no .*holdout.json.*train, val"):
+    with pytest.raises(DataError, match="no holdout split.*train, val"):
         evaluate_masks(place, checkpoint, "holdout")
 
 
