@@ -7,8 +7,9 @@ STAMP := .venv/.made-from-constraints
 demo: $(STAMP)
 	.venv/bin/rpl build datasets/demo.yaml --workspace workspaces/demo
 
+# Two processes on two cores: more threads would only wait for one another.
 test: $(STAMP)
-	.venv/bin/python -m pytest -n 2 tests
+	OMP_NUM_THREADS=1 .venv/bin/python -m pytest -n 2 tests
 
 # Most benchmarks are programs; those that share the tests' fixtures are run by pytest.
 bench: demo
