@@ -159,3 +159,4 @@ def serve(workspace: Path, address: Address, taken: socket.socket, *, ready: Cal
     server.handle_exit = end  # type: ignore[assignment, method-assign]
     ready()
     server.run(sockets=[taken])
+    raise KeyboardInterrupt  # only a signal ends it, and asyncio sometimes swallows the exception of Ctrl-C
