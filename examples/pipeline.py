@@ -12,7 +12,7 @@ from pathlib import Path
 
 from rpl_data import Workspace, open_recordings
 from rpl_data.clicks.lift import lift_clicks
-from rpl_data.clicks.log import clicks_from_csv
+from rpl_data.clicks.table import clicks_from_csv
 from rpl_data.geometry import sphere_around, transform
 from rpl_data.images import depth_reader, read_color
 from rpl_data.label.label import SceneObject, label_frames

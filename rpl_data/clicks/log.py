@@ -17,19 +17,14 @@ Events may carry keys that the replay ignores (`id`, `time_s`).
 
 from __future__ import annotations
 
-import csv
-import io
-import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, TypeVar
+from typing import Any
 
 from rpl_data.types import Click, DataError
 
 Event = dict[str, Any]
-Number = TypeVar("Number", int, float)
 Corner = tuple[float, float, float]
-CSV_COLUMNS = ["object", "keypoint", "scene", "frame", "u_px", "v_px"]
 OPS = ("click", "move", "delete", "skip", "unskip", "keypoints", "order", "model", "grasp", "crop", "batch")
 
 
@@ -209,98 +204,3 @@ def events_to(annotation: Annotation, keypoints: Sequence[str], clicks: Iterable
         for keypoint, scene, frame in marks.keys() - wanted.keys()
     ]
     return events + [click_event(click) for key, click in wanted.items() if marks.get(key) != click]
-
-
-def clicks_to_csv(clicks: Iterable[Click], keypoints: Sequence[str]) -> str:
-    """Clicks as CSV text, keypoints by name."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(CSV_COLUMNS)
-    for c in clicks:
-        writer.writerow([c.object, keypoints[c.keypoint], c.scene, c.frame, f"{c.u_px:.4f}", f"{c.v_px:.4f}"])
-    return text.getvalue()
-
-
-def objects_in_csv(text: str, *, source: str) -> list[str]:
-    """Names of the objects that CSV text has clicks for, sorted; DataError as `clicks_from_csv`."""
-    return sorted({row["object"] for _, row in _rows(text, source)})
-
-
-def clicks_from_csv(text: str, *, source: str, object_name: str, keypoints: Sequence[str]) -> list[Click]:
-    """Read the clicks of one object from CSV text; keypoints are given by name, or by number from 0.
-
-    Raises:
-        DataError: a column is missing, a line has more or fewer values than columns, a keypoint is unknown,
-            a value is not a finite number, two different clicks are on one keypoint in one frame, or no line
-            is about this object; the message names the line.
-    """
-    numbers = {str(i): i for i in range(len(keypoints))} | {name: i for i, name in enumerate(keypoints)}
-    clicks, others = [], set()
-    first_lines: dict[tuple[int, str, int], tuple[int, Click]] = {}
-    for line, row in _rows(text, source):
-        if row["object"] != object_name:
-            others.add(row["object"])
-            continue
-        if row["keypoint"] not in numbers:
-            raise DataError(
-                f"{source} line {line}: {object_name} has no keypoint {row['keypoint']!r}; "
-                f"it has {', '.join(keypoints)}"
-            )
-        try:
-            u_px, v_px, frame = (
-                _plain(float, row["u_px"]),
-                _plain(float, row["v_px"]),
-                _plain(int, row["frame"]),
-            )
-        except (TypeError, ValueError) as error:
-            raise DataError(
-                f"{source} line {line}: frame must be a whole number and u_px, v_px numbers; {error}"
-            ) from error
-        if not (math.isfinite(u_px) and math.isfinite(v_px)):
-            raise DataError(
-                f"{source} line {line}: u_px and v_px must be finite, got {u_px}, {v_px}; delete the line"
-            )
-        click = Click(object_name, numbers[row["keypoint"]], row["scene"], frame, u_px, v_px)
-        place = (click.keypoint, click.scene, click.frame)
-        before, same = first_lines.setdefault(place, (line, click))
-        if same != click:
-            raise DataError(
-                f"{source} lines {before} and {line} put keypoint {row['keypoint']} of {object_name} at two "
-                f"places of frame {frame} in scene {row['scene']}; delete the wrong line"
-            )
-        clicks.append(click)
-    if not clicks:
-        raise DataError(
-            f"{source} has no click for object {object_name!r}; "
-            f"it has clicks for {sorted(others) or 'nothing'}"
-        )
-    return clicks
-
-
-def _rows(text: str, source: str) -> Iterator[tuple[int, dict[str, str]]]:
-    """Line number and values of each line that is not empty; DataError where a line does not fit."""
-    reader = csv.DictReader(io.StringIO(text))
-    try:
-        missing = [column for column in CSV_COLUMNS if column not in (reader.fieldnames or [])]
-        if missing:
-            raise DataError(
-                f"{source}: column {', '.join(missing)} is missing; "
-                f"the first line must be {','.join(CSV_COLUMNS)}"
-            )
-        for row in reader:
-            more = any(value.strip() for value in row.pop(None, ()))
-            if more or None in row.values():
-                raise DataError(
-                    f"{source} line {reader.line_num}: expected {len(reader.fieldnames or ())} values, found "
-                    f"{'more' if more else 'fewer'}; numbers have a decimal point, not a comma"
-                )
-            yield reader.line_num, row
-    except csv.Error as error:
-        raise DataError(f"{source} line {reader.line_num}: {error}; repair or delete the line") from error
-
-
-def _plain(kind: Callable[[str], Number], text: str) -> Number:
-    """A number as a table holds it; Python's own `1_000` is a slip of the finger."""
-    if "_" in text or not text.isascii():
-        raise ValueError(f"{text!r:.40} is no number")
-    return kind(text)

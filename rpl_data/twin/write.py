@@ -22,7 +22,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from rpl_data.clicks.log import clicks_to_csv
+from rpl_data.clicks.table import clicks_to_csv
 from rpl_data.files import write_bytes, write_text
 from rpl_data.formats.recordings.camera_file import write_camera
 from rpl_data.formats.recordings.rpl import write_associations, write_poses

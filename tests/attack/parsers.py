@@ -25,7 +25,7 @@ def seeds(folder: Path) -> Iterator[tuple[str, Path, Parser]]:
     """A good file of each kind, and what reads it."""
     from scipy.io import savemat
 
-    from rpl_data.clicks.log import clicks_from_csv
+    from rpl_data.clicks.table import clicks_from_csv
     from rpl_data.files import read_json, read_text
     from rpl_data.formats.containers import klg, mat, rosbag
     from rpl_data.formats.models import meshlab, meta_data, sparse_model, surfels

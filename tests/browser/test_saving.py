@@ -10,7 +10,8 @@ import pytest
 from driving import SHOWN, Server, clicks, on_page, place, saved
 from playwright.sync_api import Page, expect
 
-from rpl_data.clicks.log import clicks_to_csv, keypoints_event
+from rpl_data.clicks.log import keypoints_event
+from rpl_data.clicks.table import clicks_to_csv
 from rpl_data.workspace.workspace import Workspace
 
 

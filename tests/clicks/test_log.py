@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from rpl_data.clicks.log import click_event, clicks_from_csv, clicks_to_csv, keypoints_event, replay
+from rpl_data.clicks.log import click_event, keypoints_event, replay
+from rpl_data.clicks.table import clicks_from_csv, clicks_to_csv
 from rpl_data.types import Click, DataError
 
 NAMES = ("corner", "edge", "knob")

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rpl_data.clicks.log import clicks_from_csv
+from rpl_data.clicks.table import clicks_from_csv
 from rpl_data.names import checked_keypoints, checked_name
 from rpl_data.pipeline.recipe import load_recipe
 from rpl_data.rle import pixels_of_rle

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rpl_data.clicks.log import clicks_from_csv
+from rpl_data.clicks.table import clicks_from_csv
 from rpl_data.geometry import Sphere
 from rpl_data.meshes import joined_meshes
 from rpl_data.pipeline import build as module

@@ -7,7 +7,8 @@ from fastapi.responses import PlainTextResponse, Response
 from pydantic import BaseModel
 
 from rpl_data.annotate.session import Session
-from rpl_data.clicks.log import clicks_from_csv, clicks_to_csv, events_to
+from rpl_data.clicks.log import events_to
+from rpl_data.clicks.table import clicks_from_csv, clicks_to_csv
 from rpl_data.json_arrays import Json
 
 

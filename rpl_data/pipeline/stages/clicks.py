@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from rpl_data.clicks.log import clicks_from_csv, clicks_to_csv, events_to, keypoints_event, objects_in_csv
+from rpl_data.clicks.log import events_to, keypoints_event
+from rpl_data.clicks.table import clicks_from_csv, clicks_to_csv, objects_in_csv
 from rpl_data.files import read_text
 from rpl_data.pipeline.context import Context, step
 from rpl_data.pipeline.ledger import Advance, Outcome, Step, stamps
