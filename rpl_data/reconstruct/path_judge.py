@@ -16,7 +16,6 @@ import cv2
 import numpy as np
 from jaxtyping import Float64
 
-from rpl_data.drift import depth_reprojection_error_m
 from rpl_data.geometry import (
     Pixels,
     Points,
@@ -27,6 +26,7 @@ from rpl_data.geometry import (
     project,
     transform,
 )
+from rpl_data.reprojection import depth_reprojection_error_m
 from rpl_data.types import DepthImage, Frame, GreyImage, Intrinsics, Scene, Trajectory
 
 MOST_CORNERS, FEWEST_CORNERS = 300, 15
