@@ -10,9 +10,10 @@ from jaxtyping import Bool, Float64
 
 from rpl_data.solve.bundle_adjustment import State, points_in_cameras
 from rpl_data.solve.click_rays import Noise, Rays, misfit
-from rpl_data.solve.explanations import Explanation, Fault, Trial, find_faults, first_trial
+from rpl_data.solve.explanations import find_faults, first_trial
 from rpl_data.solve.precision import next_clicks
 from rpl_data.solve.refit import HAND_SIGMA_PX
+from rpl_data.solve.trial import Explanation, Fault, Trial
 from rpl_data.types import Click, NextClick, Observation, Statement, StatementKind
 
 WEAK_MM = 10.0

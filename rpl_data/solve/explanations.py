@@ -8,48 +8,32 @@ placements of a keypoint that disagree, nobody can say which of them is wrong.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from itertools import combinations
-from typing import Literal
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Float64
 
 from rpl_data.geometry import invert, transform
-from rpl_data.solve.click_rays import NEAREST_DEPTH_M, Rays
-from rpl_data.solve.initial_guess import match
-from rpl_data.solve.procrustes import kabsch_stack
+from rpl_data.solve.click_rays import Rays
 from rpl_data.solve.refit import (
-    Fit,
-    Reading,
     costs_without,
     read_as_named,
     refit,
     shown_sigma_px,
 )
-
-Kind = Literal["wrong place", "swapped", "wrong name", "whole scene"]
-Clicks = Int64[np.ndarray, " _"]
-"""Numbers of clicks, in the order of the observations."""
-Placements = Mapping[tuple[int, int], Clicks]
-"""By (scene, keypoint), all clicks that place one keypoint in one scene."""
+from rpl_data.solve.trial import Clicks, Explanation, Fault, Placements, Trial, undo
+from rpl_data.solve.trial_starts import lifted_in_scene, scene_matched
+from rpl_data.solve.wrong_names import FEW_IN_SCENE, NAME_BONUS, other_names, reread, weighed
 
 FALSE_ALARM = 0.01
 """How likely it may be that any click of a recording without mistakes is called wrong."""
-SHARED_VARIANCE = 0.5
-"""Share of their variance that clicks of one keypoint and scene have in common (the trajectory, the depth,
-the idea of where the corner is), so that three of them are not three witnesses."""
 SUSPICIOUS = 8.0
 """Linearised fall from which clicks are looked at closely."""
 SUSPECTS = 6
 """Groups of clicks looked at closely, the most suspicious first."""
 RIVAL = 8.0
 """Explanations whose fall is less than this below the best cannot be told from it (odds of 50 to 1)."""
-NAME_BONUS = 10.0
-"""Another name explains where the click is, a slip does not; so the name may fit a little worse."""
-NEAR_PX = 14.0
-"""A click this near to another keypoint may have been meant for it."""
 MOST_FAULTS = 8
 """Faults looked for one after another; with more, the clicks as a whole are in doubt."""
 SCENE_SHARE = 0.4
@@ -58,79 +42,6 @@ FAR_SIGMAS = 5.0
 """A click this far from its keypoint does not fit, in standard deviations."""
 FEW_PLACEMENTS = 3
 """With at most so many other placements of a keypoint, each of them is tried as the wrong one."""
-FEW_IN_SCENE = 5
-"""With at most so many keypoints in a scene, one wrong click may have turned the scene."""
-
-
-@dataclass(frozen=True)
-class Explanation:
-    """One mistake of a person, and how much better everything fits when it is undone.
-
-    Attributes:
-        clicks: the wrong clicks.
-        meant: for `swapped` and `wrong name`, the keypoint that each of them was meant for.
-        gain: fall of the cost when it is undone.
-    """
-
-    kind: Kind
-    scene: int
-    keypoints: tuple[int, ...]
-    clicks: tuple[int, ...]
-    meant: tuple[int, ...] = ()
-    gain: float = 0.0
-
-
-@dataclass(frozen=True)
-class Fault:
-    """The best explanation of a contradiction, and the others that explain it about as well."""
-
-    best: Explanation
-    rivals: tuple[Explanation, ...] = ()
-
-
-@dataclass(frozen=True)
-class Trial:
-    """A reading of the clicks and its fit."""
-
-    rays: Rays
-    reading: Reading
-    fit: Fit
-
-    def placements(self) -> dict[tuple[int, int], Clicks]:
-        """The clicks in use by scene and keypoint."""
-        found: dict[tuple[int, int], list[int]] = {}
-        for click in np.flatnonzero(self.reading.ray_used):
-            key = int(self.rays.scene[click]), int(self.reading.keypoint[click])
-            found.setdefault(key, []).append(int(click))
-        return {key: np.array(clicks) for key, clicks in found.items()}
-
-    def miss_px(
-        self,
-        clicks: Clicks,
-        keypoint: Clicks | None = None,
-        scene_from_model: Float64[np.ndarray, "s 4 4"] | None = None,
-    ) -> Float64[np.ndarray, " _"]:
-        """Distance of clicks from the keypoints they are named for, or from others, in pixels."""
-        rays = self.rays
-        poses = self.fit.scene_from_model if scene_from_model is None else scene_from_model
-        named = rays.keypoint if keypoint is None else keypoint
-        to_camera = rays.camera_from_scene[clicks] @ poses[rays.scene[clicks]]
-        points = self.fit.points_model[named[clicks]]
-        in_camera = np.einsum("mij,mj->mi", to_camera[:, :3, :3], points) + to_camera[:, :3, 3]
-        xy = in_camera[:, :2] / np.maximum(in_camera[:, 2:], NEAREST_DEPTH_M)
-        missed: Float64[np.ndarray, " _"] = (
-            np.linalg.norm(xy - rays.xy[clicks], axis=1) / rays.pixel_rad[clicks]
-        )
-        return missed
-
-    def read(self, reading: Reading, *starts: tuple[np.ndarray, np.ndarray]) -> Trial:
-        """The fit of another reading: the best one from here and from the other starts."""
-        here = (self.fit.scene_from_model, self.fit.points_model)
-        fits = [
-            refit(self.rays, reading, *start, sigma_px=self.fit.sigma_px, hold_points=self.fit.hold_points)
-            for start in (here, *starts)
-        ]
-        return Trial(self.rays, reading, min(fits, key=lambda fit: fit.cost))
 
 
 def first_trial(
@@ -148,11 +59,6 @@ def first_trial(
     settled = _settled(trial)
     sigma_px = shown_sigma_px(settled.fit)
     return replace(settled, fit=settled.fit._replace(sigma_px=sigma_px)).read(reading)
-
-
-def _weighed(gain: float, clicks: int, keypoints: int) -> float:
-    """A gain in the unit of independent clicks."""
-    return gain / (1 + SHARED_VARIANCE * (clicks / keypoints - 1))
 
 
 def contradiction(clicks: int) -> float:
@@ -197,19 +103,8 @@ def _settled(trial: Trial) -> Trial:
     """From the best of several starts, so that a scene that was placed wrongly is not taken for a mistake."""
     suspects = _suspects(trial, trial.placements())
     scenes = {int(trial.rays.scene[clicks[0]]) for clicks in suspects}
-    starts = [start for scene in sorted(scenes) for start in _scene_matched(trial, trial.reading, scene)]
+    starts = [start for scene in sorted(scenes) for start in scene_matched(trial, trial.reading, scene)]
     return trial.read(trial.reading, *starts) if starts else trial
-
-
-def undo(reading: Reading, explanation: Explanation) -> Reading:
-    """The reading without the mistake."""
-    keypoint, ray, depth = (column.copy() for column in reading)
-    clicks = list(explanation.clicks)
-    if explanation.meant:
-        keypoint[clicks] = explanation.meant
-    else:
-        ray[clicks] = depth[clicks] = False
-    return Reading(keypoint, ray, depth)
 
 
 def _contradicting_scene(faults: Sequence[Fault], first: Trial, trial: Trial) -> int | None:
@@ -254,7 +149,7 @@ def _best_explanations(trial: Trial) -> list[tuple[Explanation, Trial]]:
         return []
     worst = max(tried, key=lambda t: t[0].gain)[0]
     tried += [_misplaced(trial, clicks, instead_of=worst) for clicks in _others(placed, worst, suspects)]
-    tried += [_reread(trial, e) for e in _other_names(trial, placed, [e for e, _ in tried[: len(suspects)]])]
+    tried += [reread(trial, e) for e in other_names(trial, placed, [e for e, _ in tried[: len(suspects)]])]
     return sorted(tried, key=lambda t: -(t[0].gain + NAME_BONUS * bool(t[0].meant)))
 
 
@@ -264,9 +159,6 @@ def _suspects(trial: Trial, placed: Placements) -> list[Clicks]:
     groups += [np.array([click]) for clicks in placed.values() if len(clicks) > 1 for click in clicks]
     falls = costs_without(trial.fit, groups) - np.array([2.0 * (len(group) - 1) for group in groups])
     return [groups[n] for n in np.argsort(-falls)[:SUSPECTS] if falls[n] > SUSPICIOUS]
-
-
-# Wrong places -------------------------------------------------------------------------------------
 
 
 def _misplaced(
@@ -286,10 +178,10 @@ def _misplaced(
         starts += _starts_at(trial, instead_of)
     undone = undo(reading, explanation)
     if sum(s == scene for s, _ in trial.placements()) <= FEW_IN_SCENE:
-        starts += _scene_matched(trial, undone, scene)
+        starts += scene_matched(trial, undone, scene)
     without = trial.read(undone, *starts)
     gain = trial.read(bare).fit.cost - without.fit.cost - _own_cost(trial, clicks)
-    return replace(explanation, gain=_weighed(gain, len(clicks), 1)), without
+    return replace(explanation, gain=weighed(gain, len(clicks), 1)), without
 
 
 def _own_cost(trial: Trial, clicks: Clicks) -> float:
@@ -300,7 +192,7 @@ def _own_cost(trial: Trial, clicks: Clicks) -> float:
         scene=np.zeros(len(clicks), dtype=np.int64), keypoint=np.zeros(len(clicks), dtype=np.int64)
     )
     reading = read_as_named(rays)._replace(depth_used=np.zeros(len(clicks), dtype=bool))
-    point = _lifted_scene(trial, int(clicks[0]))[None]
+    point = lifted_in_scene(trial, int(clicks[0]))[None]
     return refit(rays, reading, np.eye(4)[None], point, sigma_px=trial.fit.sigma_px).cost
 
 
@@ -308,7 +200,7 @@ def _starts_at(trial: Trial, trusted: Explanation) -> list[tuple[np.ndarray, np.
     """Start with the keypoint where the trusted clicks put it, and with their scene placed by them."""
     click, points = trusted.clicks[0], trial.fit.points_model.copy()
     model_from_scene = invert(trial.fit.scene_from_model[trusted.scene])
-    points[trusted.keypoints[0]] = transform(model_from_scene, _lifted_scene(trial, click))
+    points[trusted.keypoints[0]] = transform(model_from_scene, lifted_in_scene(trial, click))
     return [(trial.fit.scene_from_model, points)]
 
 
@@ -323,115 +215,4 @@ def _others(placed: Placements, worst: Explanation, tried: Sequence[Clicks]) -> 
             yield from (placed[key] for key in rivals if tuple(placed[key].tolist()) not in known)
 
 
-# Wrong names --------------------------------------------------------------------------------------
-
-
-def _reread(trial: Trial, explanation: Explanation) -> tuple[Explanation, Trial]:
-    """The clicks were meant for other keypoints."""
-    undone = undo(trial.reading, explanation)
-    reread = trial.read(undone, *_scene_matched(trial, undone, explanation.scene))
-    gain = trial.fit.cost - reread.fit.cost
-    return replace(
-        explanation, gain=_weighed(gain, len(explanation.clicks), len(explanation.keypoints))
-    ), reread
-
-
-def _other_names(trial: Trial, placed: Placements, suspects: Sequence[Explanation]) -> list[Explanation]:
-    """The few most promising transpositions and renamings, by where the clicks would then lie."""
-    ranked: list[tuple[float, Explanation]] = []
-    certain: list[Explanation] = []
-    known = sorted({k for _, k in placed})
-    strongest = sorted(suspects, key=lambda e: -e.gain)[:3]
-    for suspect in strongest:
-        (a,) = suspect.keypoints
-        others = [_rename(suspect, b) for b in known if b != a]
-        for scene in {scene for scene, k in placed if k == a}:
-            here = sorted(k for s, k in placed if s == scene)
-            few = len(here) <= FEW_IN_SCENE and scene == suspect.scene
-            if few:  # where a click in four is wrong, no place can be trusted to rank by
-                certain += [_swap(placed, scene, *pair) for pair in combinations(here, 2)]
-            others += [_swap(placed, scene, *sorted((a, b))) for b in here if b != a]
-        ranked += [_ranked(trial, other) for other in dict.fromkeys(others)]
-    best = sorted((r for r in ranked if np.isfinite(r[0])), key=lambda r: r[0])
-    return list(dict.fromkeys([*certain, *[e for _, e in best][:5]]))
-
-
-def _swap(placed: Placements, scene: int, a: int, b: int) -> Explanation:
-    clicks = [*placed[scene, a].tolist(), *placed[scene, b].tolist()]
-    meant = [b] * len(placed[scene, a]) + [a] * len(placed[scene, b])
-    return Explanation("swapped", scene, (a, b), tuple(clicks), tuple(meant))
-
-
-def _rename(suspect: Explanation, meant: int) -> Explanation:
-    return replace(suspect, kind="wrong name", meant=(meant,) * len(suspect.clicks), gain=0.0)
-
-
-def _ranked(trial: Trial, explanation: Explanation) -> tuple[float, Explanation]:
-    """How much nearer the scene's clicks would lie to their keypoints; infinite for no improvement."""
-    undone = undo(trial.reading, explanation)
-    own = np.flatnonzero(trial.reading.ray_used & (trial.rays.scene == explanation.scene))
-    before = trial.miss_px(own, trial.reading.keypoint)
-    after = trial.miss_px(own, undone.keypoint)
-    changed = np.isin(own, explanation.clicks)
-    if after[changed].max() > NEAR_PX:
-        for moved, _ in _scene_anew(trial, undone, explanation.scene):
-            after = trial.miss_px(own, undone.keypoint, moved)
-    if np.median(after[changed]) > NEAR_PX:
-        return np.inf, explanation
-    return float(np.minimum(after / NEAR_PX, 1).sum() - np.minimum(before / NEAR_PX, 1).sum()), explanation
-
-
 # Starts -------------------------------------------------------------------------------------------
-
-
-def _scene_anew(trial: Trial, reading: Reading, scene: int) -> list[tuple[np.ndarray, np.ndarray]]:
-    """A start with one scene fitted to the model by the nearest depths of its clicks (robust Kabsch).
-
-    Empty when fewer than three of its keypoints have a depth.
-    """
-    rays, fit = trial.rays, trial.fit
-    own = np.flatnonzero(reading.ray_used & (rays.scene == scene) & np.isfinite(rays.depths_m[:, 0]))
-    if len(np.unique(reading.keypoint[own])) < 3:
-        return []
-    lifted = np.array([_lifted_scene(trial, int(click)) for click in own])[None]
-    model = fit.points_model[reading.keypoint[own]][None]
-    weights = np.ones((1, len(own)))
-    for _ in range(4):
-        placed = kabsch_stack(model, lifted, weights)
-        gaps_m = np.linalg.norm(transform(placed[0], model[0]) - lifted[0], axis=1)
-        weights = 1 / (1 + (gaps_m / 0.02) ** 2)[None] ** 2
-    moved = fit.scene_from_model.copy()
-    moved[scene] = placed[0]
-    return [(moved, fit.points_model)]
-
-
-def _scene_matched(trial: Trial, reading: Reading, scene: int) -> list[tuple[np.ndarray, np.ndarray]]:
-    """A start with one scene placed by the three of its clicks, at any depth, that most others agree with."""
-    rays, fit = trial.rays, trial.fit
-    places: dict[int, list[np.ndarray]] = {}
-    for click in np.flatnonzero(reading.ray_used & (rays.scene == scene)):
-        scene_from_camera = invert(rays.camera_from_scene[click])
-        for depth_m in rays.depths_m[click][np.isfinite(rays.depths_m[click])][:2]:
-            in_camera = depth_m * np.append(rays.xy[click], 1.0)
-            places.setdefault(int(reading.keypoint[click]), []).append(
-                transform(scene_from_camera, in_camera)
-            )
-    trusted = reading.ray_used & ((rays.scene != scene) | fit.hold_points)
-    model = {int(k): fit.points_model[k][None] for k in np.unique(reading.keypoint[trusted])}
-    found = match(
-        model, {k: np.array(p[:4]) for k, p in places.items()}, samples=150, random=np.random.default_rng(0)
-    )
-    if found is None:
-        return []
-    moved = fit.scene_from_model.copy()
-    moved[scene] = found
-    return [(moved, fit.points_model)]
-
-
-def _lifted_scene(trial: Trial, click: int) -> Float64[np.ndarray, "3"]:
-    """A click at the depth of the nearest surface, in its scene; at its keypoint's depth where none is."""
-    depth_m = trial.rays.depths_m[click, 0]
-    if not np.isfinite(depth_m):
-        depth_m = trial.fit.in_camera[click, 2]
-    in_camera = depth_m * np.append(trial.rays.xy[click], 1.0)
-    return transform(invert(trial.rays.camera_from_scene[click]), in_camera)
