@@ -15,7 +15,8 @@ from rpl_data.clicks.lift import lift_clicks
 from rpl_data.clicks.table import clicks_from_csv
 from rpl_data.geometry import sphere_around, transform
 from rpl_data.images import depth_reader, read_color
-from rpl_data.label.label import SceneObject, label_frames
+from rpl_data.label.alone import SceneObject
+from rpl_data.label.label import label_frames
 from rpl_data.meshes import save_mesh
 from rpl_data.reconstruct.surface import fuse_surface
 from rpl_data.segment.segment import segment_object

@@ -9,23 +9,22 @@ independent of one another: ranges of them may be labelled in parallel.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from rpl_data.geometry import Pixels, Points, Transform, inside_image, invert, square_box, transform
-from rpl_data.label.masks import MaskPatch, Window, box_of, cleaned, encode, overlap, reaches_border
+from rpl_data.geometry import Pixels, Transform, inside_image, invert, square_box, transform
+from rpl_data.label.alone import Body, ObjectAlone, SceneObject, object_alone
+from rpl_data.label.masks import box_of, encode, overlap, reaches_border
 from rpl_data.label.occlusion import (
     FAR_M,
     DepthPatch,
-    KeypointSurface,
     Tolerances,
     depth_agreement,
     hidden_pixels,
     keypoints_seen,
 )
-from rpl_data.raycast import PixelTable, RayScene, depth_along_m
+from rpl_data.raycast import PixelTable
 from rpl_data.types import (
     Box,
     DataError,
@@ -34,33 +33,11 @@ from rpl_data.types import (
     FrameLabel,
     InstanceLabel,
     Intrinsics,
-    KeypointModel,
-    Mesh,
     ReadDepth,
     Scene,
     SquareBox,
     Trajectory,
 )
-
-MARGIN_PX = 3
-"""Margin around the projected region, for filters that look at neighbouring pixels."""
-
-
-@dataclass(frozen=True)
-class SceneObject:
-    """An object and its pose in one scene.
-
-    Attributes:
-        model: the sparse model.
-        covariance: One 3x3 covariance per keypoint, in m^2, in the object frame. It is that of the
-            keypoint's position in the scene (shape and pose together); NaN where never clicked.
-        mesh: the dense model, in the object frame.
-    """
-
-    model: KeypointModel
-    covariance: Float64[np.ndarray, "k 3 3"]
-    mesh: Mesh
-    scene_from_object: Transform
 
 
 def sample_frames(frames: Sequence[Frame], *, rate_hz: float | None) -> list[Frame]:
@@ -129,14 +106,14 @@ def _label_frames(
     tolerances: Tolerances,
 ) -> Iterator[FrameLabel]:
     camera = PixelTable.of(scene.intrinsics)
-    bodies = [_Body.of(item) for item in objects]
+    bodies = [Body.of(item) for item in objects]
     for frame in frames:
         depth_m = None if frame.depth is None else read_depth(frame)
         camera_from_scene = invert(trajectory.at(frame.index))
         objects_alone = []
         for body in bodies:
             eq3 = camera_from_scene @ body.item.scene_from_object
-            alone = _object_alone(camera, body, refined.get((frame.index, body.item.model.name), eq3))
+            alone = object_alone(camera, body, refined.get((frame.index, body.item.model.name), eq3))
             if alone is not None:
                 objects_alone.append(alone)
         instances = tuple(
@@ -145,96 +122,13 @@ def _label_frames(
         yield FrameLabel(scene.name, frame.index, frame.timestamp_s, instances)
 
 
-@dataclass(frozen=True)
-class _Body:
-    """An object prepared for ray casting.
-
-    Attributes:
-        rays: its mesh.
-        hull: vertices of its convex hull, in the object frame.
-        around: its surface around the keypoints.
-    """
-
-    item: SceneObject
-    rays: RayScene
-    hull: Points
-    around: KeypointSurface
-
-    @staticmethod
-    def of(item: SceneObject) -> _Body:
-        from scipy.spatial import ConvexHull
-
-        rays = RayScene([item.mesh], threads=1)
-        corners = ConvexHull(item.mesh.vertices, qhull_options="QJ").vertices  # QJ: flat meshes too
-        around = KeypointSurface.around(rays, item.model.points_object)
-        return _Body(item, rays, item.mesh.vertices[corners], around)
-
-
-# One object in one frame, without occluders -------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class _ObjectAlone:
-    """One object rendered without occluders, in the window of the image that holds it.
-
-    Attributes:
-        window: rows and columns of the image.
-        depth_m: depth of the mesh in the window; FAR_M where the mesh is not.
-        mask: pixels of the window that the object covers.
-    """
-
-    body: _Body
-    camera_from_object: Transform
-    keypoints_px: Pixels
-    window: Window
-    depth_m: DepthPatch
-    mask: MaskPatch
-
-
-def _object_alone(camera: PixelTable, body: _Body, camera_from_object: Transform) -> _ObjectAlone | None:
-    """Render one object without occluders; None when it covers no pixel.
-
-    Its depth, mask and projected keypoints are computed in the window of the image that holds it.
-    """
-    keypoints_px = camera.project(transform(camera_from_object, body.item.model.points_object))
-    window = _window(camera, transform(camera_from_object, body.hull), keypoints_px)
-    if window is None:
-        return None
-    depth_m = depth_along_m(body.rays, camera.directions[window], camera_from_object)
-    depth_m[depth_m == 0] = FAR_M
-    # Pin-holes of a fused mesh are closed; the hole of a handle is wider and stays.
-    mask = cleaned(depth_m < FAR_M, "close", size_px=3)
-    if not mask.any():
-        return None
-    return _ObjectAlone(body, camera_from_object, keypoints_px, window, depth_m, mask)
-
-
-def _window(
-    camera: PixelTable, hull_camera: Points, keypoints_px: Float64[np.ndarray, "k 2"]
-) -> Window | None:
-    """Part of the image that holds the object, its keypoints and a margin; None when out of view."""
-    window = camera.window(hull_camera)
-    if window is None:
-        return None
-    shown = np.rint(keypoints_px[inside_image(camera.intrinsics, keypoints_px)]).astype(int)
-    height, width = camera.intrinsics.height, camera.intrinsics.width
-    return _widened(window[0], shown[:, 1], height), _widened(window[1], shown[:, 0], width)
-
-
-def _widened(span: slice, numbers: Int64[np.ndarray, " n"], size: int) -> slice:
-    """The span extended to those numbers and by the margin, limited to 0..size."""
-    low = min(span.start, numbers.min(initial=size)) - MARGIN_PX
-    high = max(span.stop, numbers.max(initial=-1) + 1) + MARGIN_PX
-    return slice(max(int(low), 0), min(int(high), size))
-
-
 # Occlusion ----------------------------------------------------------------------------------------
 
 
 def _instance(
     camera: PixelTable,
-    alone: _ObjectAlone,
-    objects_alone: Sequence[_ObjectAlone],
+    alone: ObjectAlone,
+    objects_alone: Sequence[ObjectAlone],
     depth_m: DepthImage | None,
     tolerances: Tolerances,
 ) -> InstanceLabel:
@@ -263,7 +157,7 @@ def _instance(
 
 
 def _visibility(
-    camera: PixelTable, alone: _ObjectAlone, others: DepthPatch, measured: DepthPatch, tolerances: Tolerances
+    camera: PixelTable, alone: ObjectAlone, others: DepthPatch, measured: DepthPatch, tolerances: Tolerances
 ) -> Int64[np.ndarray, " k"]:
     """COCO's v per keypoint: 0 never clicked, behind the camera or outside the image; 1 hidden; 2 seen."""
     visibility = np.zeros(len(alone.keypoints_px), dtype=np.int64)
@@ -276,7 +170,7 @@ def _visibility(
     return visibility
 
 
-def _nearest_other(alone: _ObjectAlone, objects_alone: Sequence[_ObjectAlone]) -> DepthPatch:
+def _nearest_other(alone: ObjectAlone, objects_alone: Sequence[ObjectAlone]) -> DepthPatch:
     """Depth of the nearest other object in the window; FAR_M = none."""
     nearest = np.full_like(alone.depth_m, FAR_M)
     for other in objects_alone:

@@ -25,7 +25,8 @@ import open3d as o3d
 
 from rpl_data.geometry import from_rotvec, invert, project, transform
 from rpl_data.images import depth_reader, read_depth_m
-from rpl_data.label.label import SceneObject, label_frames
+from rpl_data.label.alone import SceneObject
+from rpl_data.label.label import label_frames
 from rpl_data.raycast import RayScene, render_depth_m
 from rpl_data.types import Frame, FrameLabel, Intrinsics, KeypointModel, Mesh, Scene, Trajectory
 from rpl_data.workspace.workspace import Workspace

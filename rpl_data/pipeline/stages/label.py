@@ -9,7 +9,8 @@ from pathlib import Path
 
 from rpl_data.files import remove
 from rpl_data.geometry import Transform
-from rpl_data.label.label import SceneObject, label_frames, sample_frames
+from rpl_data.label.alone import SceneObject
+from rpl_data.label.label import label_frames, sample_frames
 from rpl_data.meshes import load_mesh
 from rpl_data.pipeline.context import Context, posed_frames, step
 from rpl_data.pipeline.ledger import Advance, Outcome, Step
