@@ -54,7 +54,7 @@ def full_disk() -> Callable[[int], AbstractContextManager[None]]:
 def tiny_workspace(tmp_path_factory: pytest.TempPathFactory) -> Workspace:
     """A small synthetic recording, built to its report once a session; look, but do not change it."""
     from rpl_data.pipeline.build import build
-    from rpl_data.pipeline.recipe import load_recipe
+    from rpl_data.pipeline.recipe_file import load_recipe
 
     workspace = Workspace(tmp_path_factory.mktemp("tiny"))
     build(load_recipe(TINY), workspace, workers=1)

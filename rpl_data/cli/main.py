@@ -76,7 +76,7 @@ def build_recipe(
             1 = only this one.
         again: a stage to run again although nothing it depends on has changed, or `all`.
     """
-    from rpl_data.pipeline.recipe import load_recipe
+    from rpl_data.pipeline.recipe_file import load_recipe
 
     run_build(
         load_recipe(recipe, root=root), workspace or Path("workspaces") / recipe.stem, None, again, workers
@@ -94,7 +94,7 @@ def import_(recipe: Path, workspace: Path = HERE, root: Path | None = None, agai
         root: where the relative paths of the recipe start; the recipe's own folder when left out.
         again: run the stage even if nothing it depends on has changed.
     """
-    from rpl_data.pipeline.recipe import load_recipe
+    from rpl_data.pipeline.recipe_file import load_recipe
 
     run_build(load_recipe(recipe, root=root), workspace, "import", "import" if again else None)
 
@@ -220,7 +220,7 @@ def truth(
     from tempfile import TemporaryDirectory
 
     from rpl_data.cli.truth import write_true_poses
-    from rpl_data.pipeline.recipe import load_recipe
+    from rpl_data.pipeline.recipe_file import load_recipe
     from rpl_data.pipeline.sources import recordings_of
 
     loaded = load_recipe(recipe, root=root)
@@ -277,7 +277,7 @@ def annotate(
         port: where the page is served.
     """
     from rpl_data.cli.annotate import address_of, listening, serve
-    from rpl_data.pipeline.recipe import load_recipe
+    from rpl_data.pipeline.recipe_file import load_recipe
 
     address = address_of(host, port)
     if recipe is not None:

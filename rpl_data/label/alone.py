@@ -58,6 +58,7 @@ class Body:
 
     @staticmethod
     def of(item: SceneObject) -> Body:
+        """Prepare an object."""
         from scipy.spatial import ConvexHull
 
         rays = RayScene([item.mesh], threads=1)

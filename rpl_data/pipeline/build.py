@@ -16,7 +16,8 @@ from rpl_data.files import locked, read_text, sweep, write_text
 from rpl_data.pipeline.context import Context
 from rpl_data.pipeline.ledger import Entry, Ledger, Outcome, Step
 from rpl_data.pipeline.pool import Pool
-from rpl_data.pipeline.recipe import Recipe, load_recipe, recipe_to_yaml
+from rpl_data.pipeline.recipe import Recipe
+from rpl_data.pipeline.recipe_file import load_recipe, recipe_to_yaml
 from rpl_data.pipeline.stages import (
     clicks,
     cut,

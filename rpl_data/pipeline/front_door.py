@@ -7,7 +7,8 @@ from pathlib import Path
 
 from rpl_data.pipeline import build as pipeline
 from rpl_data.pipeline.build import Tell, stages_named
-from rpl_data.pipeline.recipe import Recipe, load_recipe
+from rpl_data.pipeline.recipe import Recipe
+from rpl_data.pipeline.recipe_file import load_recipe
 from rpl_data.types import DataError
 from rpl_data.workspace.workspace import Workspace
 

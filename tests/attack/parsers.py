@@ -31,7 +31,7 @@ def seeds(folder: Path) -> Iterator[tuple[str, Path, Parser]]:
     from rpl_data.formats.models import meshlab, meta_data, sparse_model, surfels
     from rpl_data.formats.recordings import camera_file, pose_lines
     from rpl_data.meshes import load_cloud, load_mesh, mesh_to_ply
-    from rpl_data.pipeline.recipe import load_recipe
+    from rpl_data.pipeline.recipe_file import load_recipe
     from rpl_data.types import Mesh, PointCloud
 
     chance = np.random.default_rng(0)

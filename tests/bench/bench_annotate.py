@@ -30,7 +30,7 @@ from rpl_data.cli.annotate import work_of
 from rpl_data.clicks.log import click_event, keypoints_event
 from rpl_data.geometry import invert, project, transform
 from rpl_data.pipeline.build import build
-from rpl_data.pipeline.recipe import load_recipe
+from rpl_data.pipeline.recipe_file import load_recipe
 from rpl_data.types import Recording, Trajectory
 from rpl_data.workspace.workspace import Workspace
 

@@ -26,7 +26,7 @@ from driving import SHOWN, Server, on_page
 
 from rpl_data.geometry import invert, project, transform
 from rpl_data.pipeline.build import build
-from rpl_data.pipeline.recipe import load_recipe
+from rpl_data.pipeline.recipe_file import load_recipe
 from rpl_data.types import Intrinsics
 from rpl_data.workspace.workspace import Workspace
 

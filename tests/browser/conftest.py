@@ -43,7 +43,7 @@ def browser() -> Iterator[Browser]:
 def unmarked(tiny_workspace: Workspace, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The tiny recording, imported but without any click."""
     from rpl_data.pipeline.build import build
-    from rpl_data.pipeline.recipe import load_recipe
+    from rpl_data.pipeline.recipe_file import load_recipe
 
     folder = tmp_path_factory.mktemp("unmarked")
     shutil.copytree(tiny_workspace.recording, folder / "recording")

@@ -225,7 +225,7 @@ def test_two_logs_of_one_name_are_refused_before_the_second_is_unpacked(tmp_path
 
 
 def test_a_recipe_unpacks_into_the_workspace(tmp_path: Path) -> None:
-    from rpl_data.pipeline.recipe import parse_recipe
+    from rpl_data.pipeline.recipe_file import parse_recipe
     from rpl_data.pipeline.sources import recordings_of
     from rpl_data.workspace.workspace import Workspace
 

@@ -18,7 +18,7 @@ from rpl_data.formats.models.meshlab import write_picked_points
 from rpl_data.geometry import invert, project, transform
 from rpl_data.meshes import save_mesh
 from rpl_data.pipeline.build import build
-from rpl_data.pipeline.recipe import load_recipe
+from rpl_data.pipeline.recipe_file import load_recipe
 from rpl_data.recordings.open import open_scenes
 from rpl_data.types import DataError, Mesh
 from rpl_data.workspace.workspace import Workspace

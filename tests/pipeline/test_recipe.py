@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from rpl_data.pipeline.recipe import load_recipe, recipe_to_yaml
+from rpl_data.pipeline.recipe_file import load_recipe, recipe_to_yaml
 from rpl_data.types import DataError
 
 DATASETS = Path(__file__).parents[2] / "datasets"

@@ -14,7 +14,7 @@ from rpl_data.formats.recordings.rpl import write_associations
 from rpl_data.geometry import from_rotvec
 from rpl_data.images import depth_reader, read_depth_m
 from rpl_data.pipeline.build import build
-from rpl_data.pipeline.recipe import parse_recipe
+from rpl_data.pipeline.recipe_file import parse_recipe
 from rpl_data.pipeline.stages.track import decoded
 from rpl_data.reconstruct.path import collected, losses
 from rpl_data.reconstruct.tracking import track

@@ -9,7 +9,7 @@ import open3d as o3d
 import pytest
 from scipy.spatial import cKDTree
 
-from rpl_data.pipeline.recipe import load_recipe, parse_recipe
+from rpl_data.pipeline.recipe_file import load_recipe, parse_recipe
 from rpl_data.twin import TwinSpec
 from rpl_data.twin.film import film
 from rpl_data.twin.objects import OBJECTS, build, spread_order

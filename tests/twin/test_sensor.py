@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from rpl_data.geometry import from_rotvec, invert, project, transform
-from rpl_data.pipeline.recipe import parse_recipe
+from rpl_data.pipeline.recipe_file import parse_recipe
 from rpl_data.twin import TwinSpec
 from rpl_data.twin.film import Film, film
 from rpl_data.twin.sensor import (

@@ -65,7 +65,7 @@ def table1(
 def built(source: Path, folder: Path, *, root: Path | None, workers: int | None) -> Workspace:
     """Open a workspace, or build a recipe."""
     from rpl_data.pipeline.build import build
-    from rpl_data.pipeline.recipe import load_recipe
+    from rpl_data.pipeline.recipe_file import load_recipe
     from rpl_data.workspace.workspace import Workspace
 
     if not source.is_file():
