@@ -13,6 +13,9 @@ if TYPE_CHECKING:
     from rpl_data.pipeline.ledger import Ledger
     from rpl_data.pipeline.recipe import Recipe
 
+HERE = Path(".")
+"""The workspace, when none is named."""
+
 
 def run_stage(workspace: Path, stage: str, again: bool, workers: int | None = None) -> Ledger:
     """Run a stage of a workspace, and what is out of date before it."""

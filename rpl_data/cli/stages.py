@@ -5,10 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from rpl_data.cli.building import run_stage
+from rpl_data.cli.building import HERE, run_stage
 from rpl_data.types import DataError
-
-HERE = Path(".")
 
 
 def track(workspace: Path = HERE, again: bool = False) -> None:

@@ -1,0 +1,77 @@
+"""The commands about clicks: the annotation page, and clicks in and out as CSV files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rpl_data.cli.building import HERE, run_build
+
+
+def annotate(
+    workspace: Path,
+    recipe: Path | None = None,
+    root: Path | None = None,
+    host: str = "127.0.0.1",
+    port: int = 8017,
+) -> None:
+    """Mark keypoints in the browser, on a page that says what to do next. Ctrl-C ends it.
+
+    Every click is on the disk before the page shows it as saved; end it whenever you like.
+
+    Example: rpl annotate my-workspace --recipe my.yaml --root my-recording
+
+    Args:
+        workspace: a folder made by `rpl build` or `rpl import`; with a recipe it may be empty.
+        recipe: read its recordings into the workspace first.
+        root: where the relative paths of the recipe start; the recipe's own folder when left out.
+        host: the address to listen on; any other than this machine's own asks for the token in the printed
+            URL.
+        port: where the page is served.
+    """
+    from rpl_data.cli.annotate import address_of, listening, serve
+    from rpl_data.pipeline.recipe_file import load_recipe
+
+    address = address_of(host, port)
+    if recipe is not None:
+        run_build(load_recipe(recipe, root=root), workspace, "clicks", None)
+    taken, address = listening(address)
+    with taken:
+        serve(
+            workspace, address, taken, ready=lambda: print(f"open {address.url}\nend with Ctrl-C", flush=True)
+        )
+
+
+def clicks_import(file: Path, workspace: Path = HERE, proposed: bool = False) -> None:
+    """Add the clicks of a CSV file; a click on the same keypoint in the same frame is replaced.
+
+    Example: rpl clicks import corrected.csv --workspace my-workspace
+
+    Args:
+        file: columns object,keypoint,scene,frame,u_px,v_px; a keypoint by name, or by number from 0.
+        workspace: a folder made by `rpl build` or `rpl import`.
+        proposed: the clicks are a program's (`python -m training.predict --clicks`): what a person decided
+            stays, and they only fill in keypoints that were neither clicked in that scene nor declared not
+            visible there.
+    """
+    from rpl_data.pipeline.build import context_of
+    from rpl_data.pipeline.stages.clicks import add_clicks
+    from rpl_data.workspace.workspace import Workspace
+
+    for name, count in add_clicks(context_of(Workspace(workspace)), file, proposed=proposed).items():
+        print(f"{name}: {count} clicks added or changed")
+
+
+def clicks_export(file: Path, workspace: Path = HERE) -> None:
+    """Write the clicks of all objects to a CSV file.
+
+    Example: rpl clicks export clicks.csv --workspace my-workspace
+
+    Args:
+        file: the CSV file to write; replaced when it is there.
+        workspace: a folder made by `rpl build` or `rpl import`.
+    """
+    from rpl_data.files import write_text
+    from rpl_data.pipeline.stages.clicks import clicks_table
+    from rpl_data.workspace.workspace import Workspace
+
+    write_text(file, clicks_table(Workspace(workspace)))
