@@ -14,8 +14,8 @@ ROOT = Path(__file__).parents[1]
 LAYERS = [
     {"version", "wording"},
     {"types"},
-    {"child", "command_line", "files", "geometry", "names", "rle"},
-    {"json_arrays", "ply"},
+    {"command_line", "files", "geometry"},
+    {"json_arrays", "untrusted"},
     {"images", "meshes", "raycast", "overlay", "drift"},
     {"formats", "clicks", "pose", "reconstruct", "workspace"},
     {"capture", "solve", "refine", "segment", "label", "export", "torch"},

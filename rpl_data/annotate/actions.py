@@ -6,8 +6,8 @@ from typing import Any
 
 from rpl_data.annotate.stores.scenes import SceneStore
 from rpl_data.clicks.log import OPS, Annotation, Event
-from rpl_data.names import MOST_KEYPOINTS, checked_keypoints
 from rpl_data.types import Click, DataError
+from rpl_data.untrusted.names import MOST_KEYPOINTS, checked_keypoints
 
 MOST_EVENTS = 20_000
 """In a batch: the clicks of a file."""

@@ -20,8 +20,8 @@ from rpl_data.annotate.suggest import Suggestion, suggest_frames
 from rpl_data.annotate.work import Work
 from rpl_data.clicks.log import Annotation
 from rpl_data.geometry import Transform
-from rpl_data.names import checked_name
 from rpl_data.types import Click, DataError
+from rpl_data.untrusted.names import checked_name
 from rpl_data.workspace.workspace import Workspace
 
 

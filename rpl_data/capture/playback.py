@@ -10,12 +10,12 @@ from typing import Any
 
 from rpl_data.capture.device import COLOR_FORMATS, choose, opened
 from rpl_data.capture.streams import Shot, Streams
-from rpl_data.child import in_child
 from rpl_data.formats.containers.db3 import repair_db3
 from rpl_data.formats.containers.rosbag import repair_bag
 from rpl_data.formats.recordings.frame_files import Camera, Listing, Pair, chosen, examine, without_poses
 from rpl_data.formats.recordings.saved_images import write_images
 from rpl_data.types import DataError, Recording
+from rpl_data.untrusted.child import in_child
 
 SUFFIXES = (".db3", ".bag")
 PATIENCE_S = 10.0

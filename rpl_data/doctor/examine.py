@@ -15,7 +15,7 @@ from rpl_data.doctor.corrections import faults, shifted
 from rpl_data.doctor.edges import FrameEdges, edges_of
 from rpl_data.doctor.findings import Diagnosis, Finding
 from rpl_data.doctor.pairing import SURE, decide_what_lags, lag_findings, lag_of, misregistered
-from rpl_data.drift import MAX_DRIFT_MM, cut, measure_drift
+from rpl_data.drift.drift import MAX_DRIFT_MM, cut, measure_drift
 from rpl_data.images import read_color, read_depth_m
 from rpl_data.types import DataError, DepthImage, Frame, Recording, Scene, Trajectory
 from rpl_data.wording import counted

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from rpl_data.drift import MAX_DRIFT_MM
+from rpl_data.drift.drift import MAX_DRIFT_MM
 from rpl_data.export.split import SplitRule
 from rpl_data.recordings.mend import Mend
 from rpl_data.twin.spec import TwinSpec

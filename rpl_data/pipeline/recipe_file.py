@@ -14,9 +14,9 @@ from typing import Any, TypeVar
 import yaml
 
 from rpl_data.files import FAULTS, read_text
-from rpl_data.names import MOST_KEYPOINTS, checked_keypoints, checked_name
 from rpl_data.pipeline.recipe import Recipe
 from rpl_data.types import DataError
+from rpl_data.untrusted.names import MOST_KEYPOINTS, checked_keypoints, checked_name
 
 AnyRecipe = TypeVar("AnyRecipe")
 SMALLEST_VOXEL_M, LARGEST_VOXEL_M = 0.0002, 0.1

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from rpl_data.names import checked_name
 from rpl_data.pipeline.recipe import SceneSource
 from rpl_data.recordings.open import open_scenes
 from rpl_data.types import DataError, Recording
+from rpl_data.untrusted.names import checked_name
 
 
 def recordings_of(

@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float64
 
+from rpl_data.drift.reprojection import depth_reprojection_error_m
 from rpl_data.geometry import (
     Pixels,
     Points,
@@ -26,7 +27,6 @@ from rpl_data.geometry import (
     project,
     transform,
 )
-from rpl_data.reprojection import depth_reprojection_error_m
 from rpl_data.types import DepthImage, Frame, GreyImage, Intrinsics, Scene, Trajectory
 
 MOST_CORNERS, FEWEST_CORNERS = 300, 15

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from rpl_data.names import checked_name
+from rpl_data.untrusted.names import checked_name
 
 
 @dataclass(frozen=True, init=False)

@@ -27,7 +27,6 @@ from rpl_data.json_arrays import (
     text,
     whole,
 )
-from rpl_data.rle import pixels_of_rle
 from rpl_data.types import (
     Box,
     Click,
@@ -47,6 +46,7 @@ from rpl_data.types import (
     Statement,
     StatementKind,
 )
+from rpl_data.untrusted.rle import pixels_of_rle
 
 
 def recording_to_json(recording: Recording) -> Json:

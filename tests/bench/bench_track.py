@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from made_scenes import errors, orbit, tracked
 
+from rpl_data.drift.reprojection import reprojection_over_gap
 from rpl_data.geometry import fit_rigid, invert, resized, transform
 from rpl_data.images import depth_reader, read_color, read_depth_m, read_grey
 from rpl_data.pipeline.stages.track import decoded
@@ -25,7 +26,6 @@ from rpl_data.reconstruct.surface import fuse_surface
 from rpl_data.reconstruct.tracking import Tracker, track
 from rpl_data.reconstruct.view import REDUCE, Viewer
 from rpl_data.recordings.open import open_scenes
-from rpl_data.reprojection import reprojection_over_gap
 from rpl_data.types import DataError, DepthImage, Frame, GreyImage, Recording, Scene, Trajectory
 from rpl_data.workspace.workspace import Workspace
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from made_scenes import CAMERA, errors, orbit, scene_of, shot
 
-from rpl_data.drift import measure_drift
+from rpl_data.drift.drift import measure_drift
 from rpl_data.geometry import from_rotvec, invert
 from rpl_data.images import read_depth_m
 from rpl_data.reconstruct.path_correction import choose_keyframes, correct_path

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from made_scenes import CAMERA, FRAMES, errors, orbit, scene_of, shot, tracked
 
+from rpl_data.drift.reprojection import reprojection_over_gap
 from rpl_data.formats.recordings.camera_file import write_camera
 from rpl_data.formats.recordings.rpl import write_associations
 from rpl_data.geometry import from_rotvec
@@ -19,7 +20,6 @@ from rpl_data.pipeline.stages.track import decoded
 from rpl_data.reconstruct.path import collected, losses
 from rpl_data.reconstruct.tracking import track
 from rpl_data.recordings.open import open_scenes
-from rpl_data.reprojection import reprojection_over_gap
 from rpl_data.types import DataError
 from rpl_data.workspace.workspace import Workspace
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from rpl_data.drift import Drift, cut, drift_from_json
+from rpl_data.drift.drift import Drift, cut, drift_from_json
 from rpl_data.files import read_json
 from rpl_data.pipeline.context import Context, step
 from rpl_data.pipeline.ledger import Advance, Outcome, Step

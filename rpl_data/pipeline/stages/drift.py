@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rpl_data.drift import drift_to_json, measure_drift
+from rpl_data.drift.drift import drift_to_json, measure_drift
 from rpl_data.files import write_json
 from rpl_data.pipeline.context import Context, step
 from rpl_data.pipeline.correction import LEAST_TIED, correct

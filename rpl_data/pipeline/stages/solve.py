@@ -9,7 +9,7 @@ import numpy as np
 
 from rpl_data.clicks.lift import lift_clicks
 from rpl_data.clicks.log import Annotation
-from rpl_data.drift import drift_from_json
+from rpl_data.drift.drift import drift_from_json
 from rpl_data.files import read_json
 from rpl_data.geometry import transform
 from rpl_data.pipeline.context import Context, known_points, step

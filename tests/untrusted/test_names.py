@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from rpl_data.clicks.table import clicks_from_csv
-from rpl_data.names import checked_keypoints, checked_name
 from rpl_data.pipeline.recipe_file import load_recipe
-from rpl_data.rle import pixels_of_rle
 from rpl_data.types import DataError
+from rpl_data.untrusted.names import checked_keypoints, checked_name
+from rpl_data.untrusted.rle import pixels_of_rle
 from rpl_data.workspace.workspace import Workspace
 
 BAD = [

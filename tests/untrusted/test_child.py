@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from rpl_data.child import in_child
 from rpl_data.files import decoding, read_bytes, read_json, read_text
 from rpl_data.meshes import load_mesh
 from rpl_data.types import DataError
+from rpl_data.untrusted.child import in_child
 
 FILE = Path("a.off")
 

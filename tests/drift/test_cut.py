@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from rpl_data.drift import Drift, cut, drift_from_json, drift_to_json, measure_drift
+from rpl_data.drift.drift import Drift, cut, drift_from_json, drift_to_json, measure_drift
 from rpl_data.formats.recordings.pose_lines import read_pose_lines
 from rpl_data.formats.recordings.rpl import write_poses
 from rpl_data.geometry import from_rotvec, rays, rigid

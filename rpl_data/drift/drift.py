@@ -18,13 +18,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64, Int64
 
+from rpl_data.drift.reprojection import depth_reprojection_error_m
 from rpl_data.geometry import (
     Transform,
     invert,
     rotation_angle_rad,
     transform,
 )
-from rpl_data.reprojection import depth_reprojection_error_m
 from rpl_data.types import Frame, ReadDepth, Scene, Span, Trajectory
 
 MAX_DRIFT_MM = 15.0

@@ -41,7 +41,7 @@ def in_child(work: Callable[..., Result], *arguments: Any, file: Path, limit_s: 
         task = pickle.dumps((work, arguments, str(answer), limit_s))
         paths = os.pathsep.join(path for path in sys.path if path)
         done = subprocess.run(
-            [sys.executable, "-c", "from rpl_data.child import _work; _work()"],
+            [sys.executable, "-c", "from rpl_data.untrusted.child import _work; _work()"],
             input=task,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rpl_data.drift.reprojection import depth_reprojection_error_m, reprojection_over_gap
 from rpl_data.geometry import from_rotvec, invert, rays
 from rpl_data.images import depth_reader
 from rpl_data.recordings.open import open_scenes
-from rpl_data.reprojection import depth_reprojection_error_m, reprojection_over_gap
 from rpl_data.types import DepthImage, Frame, Intrinsics, Scene, Trajectory
 
 CAMERA = Intrinsics(300.0, 300.0, 159.5, 119.5, 320, 240)

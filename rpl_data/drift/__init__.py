@@ -1,0 +1,1 @@
+"""How far camera poses drift, as the depth of a recording tells."""

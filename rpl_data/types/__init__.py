@@ -1,0 +1,66 @@
+"""The data types of rpl_data: what stages take and return.
+
+Every stage takes and returns the frozen dataclasses below; most of them
+are also files that `rpl_data/workspace/workspace.py` reads and writes. Conventions (frames, pixels, units)
+are in `rpl_data/geometry.py`.
+
+A missing value is absent, ``None``, or NaN in an array of numbers; never -1 or 0.
+"""
+
+from rpl_data.types.clicks import Click, Observation
+from rpl_data.types.errors import DataError
+from rpl_data.types.images import Box, ColorImage, DepthImage, DepthUnits, GreyImage, Rle, SquareBox
+from rpl_data.types.labels import FrameLabel, InstanceLabel, QualityRow
+from rpl_data.types.recording import (
+    DepthWarp,
+    Frame,
+    Intrinsics,
+    ReadDepth,
+    Recording,
+    Scene,
+    Span,
+    Trajectory,
+)
+from rpl_data.types.solution import (
+    ClickResidual,
+    DepthState,
+    KeypointModel,
+    NextClick,
+    Solution,
+    Statement,
+    StatementKind,
+)
+from rpl_data.types.surfaces import Mesh, PointCloud
+
+__all__ = [
+    "Box",
+    "Click",
+    "ClickResidual",
+    "ColorImage",
+    "DataError",
+    "DepthImage",
+    "DepthState",
+    "DepthUnits",
+    "DepthWarp",
+    "Frame",
+    "FrameLabel",
+    "GreyImage",
+    "InstanceLabel",
+    "Intrinsics",
+    "KeypointModel",
+    "Mesh",
+    "NextClick",
+    "Observation",
+    "PointCloud",
+    "QualityRow",
+    "ReadDepth",
+    "Recording",
+    "Rle",
+    "Scene",
+    "Solution",
+    "Span",
+    "SquareBox",
+    "Statement",
+    "StatementKind",
+    "Trajectory",
+]
