@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rpl_data.pipeline.front_door import build as build
-    from rpl_data.pipeline.recipe_file import load_recipe
+    from rpl_data.pipeline.recipe_file import load_recipe as load_recipe
     from rpl_data.recordings.open import open_recordings as open_recordings
     from rpl_data.types import DataError as DataError
     from rpl_data.workspace.workspace import Workspace as Workspace
