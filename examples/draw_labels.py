@@ -19,6 +19,7 @@ def main(folder: str, out: str) -> None:
         for label in workspace.labels(scene):
             picture = workspace.overlay(scene, label.frame)  # RGB; OpenCV writes BGR
             cv2.imwrite(str(Path(out) / scene / f"{label.frame:06d}.jpg"), picture[..., ::-1])
+        print(f"{Path(out) / scene}: {len(workspace.labels(scene))} pictures")
 
 
 if __name__ == "__main__":

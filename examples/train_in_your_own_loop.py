@@ -44,9 +44,8 @@ def main(export: str, name: str, epochs: int = 3) -> None:
     for epoch in range(int(epochs)):
         for batch in DataLoader(train, batch_size=8, shuffle=True):
             error = (model(batch["image"]) - batch["heatmaps"]) ** 2  # (batch, k, 32, 32)
-            loss = (
-                error.mean(dim=(2, 3)) * batch["weights"]
-            ).mean()  # weight 0: no label, or not in the crop
+            # A keypoint weighs 0 where it has no label, or is not in the crop.
+            loss = (error.mean(dim=(2, 3)) * batch["weights"]).mean()
             optimizer.zero_grad()
             loss.backward()
             optimizer.step()

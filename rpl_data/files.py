@@ -142,7 +142,7 @@ def read_bytes(path: Path) -> bytes:
     except FileNotFoundError as error:
         raise DataError(f"{path} does not exist") from error
     except (OSError, ValueError) as error:
-        raise DataError(f"cannot read {path}: {error}") from error
+        raise _unreadable(path, error) from error
 
 
 def read_text(path: Path, *, errors: Literal["strict", "replace"] = "strict") -> str:
@@ -156,7 +156,13 @@ def read_text(path: Path, *, errors: Literal["strict", "replace"] = "strict") ->
     except FileNotFoundError as error:
         raise DataError(f"{path} does not exist") from error
     except (OSError, ValueError) as error:  # ValueError: not UTF-8, or a path with a zero byte
-        raise DataError(f"cannot read {path}: {error}") from error
+        raise _unreadable(path, error) from error
+
+
+def _unreadable(path: Path, error: OSError | ValueError) -> DataError:
+    if isinstance(error, IsADirectoryError):
+        return DataError(f"{path} is a folder; give a file")
+    return DataError(f"cannot read {path}: {getattr(error, 'strerror', None) or error}")
 
 
 def append_bytes(path: Path, content: bytes) -> None:

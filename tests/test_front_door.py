@@ -75,6 +75,7 @@ def test_a_recipe_file_is_built_in_one_call(
     )
     assert {item.stage for item in told if item.state == "ran"} == {"solve"}
     assert {item.stage for item in told if item.state == "kept"} >= {"import", "clicks"}
+    assert "import: up to date" in map(str, told)
 
 
 def test_relative_paths_start_at_the_root_given(tiny_workspace: Workspace, tmp_path: Path) -> None:

@@ -55,10 +55,11 @@ def clicks_import(file: Path, workspace: Path = HERE, proposed: bool = False) ->
     """
     from rpl_data.pipeline.build import context_of
     from rpl_data.pipeline.stages.clicks import add_clicks
+    from rpl_data.wording import counted
     from rpl_data.workspace.workspace import Workspace
 
     for name, count in add_clicks(context_of(Workspace(workspace)), file, proposed=proposed).items():
-        print(f"{name}: {count} clicks added or changed")
+        print(f"{name}: {counted(count, 'click')} added or changed")
 
 
 def clicks_export(file: Path, workspace: Path = HERE) -> None:

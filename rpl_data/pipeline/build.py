@@ -74,6 +74,15 @@ class Progress:
     seconds: float = 0.0
     outcome: Outcome = Outcome()
 
+    def __str__(self) -> str:
+        """One line for a person, as `tell=print` shows it."""
+        step = f"{self.stage} {self.item}".strip()
+        if self.state == "kept":
+            return f"{step}: up to date"
+        if self.state == "ran":
+            return f"{step}: done in {self.seconds:.1f} s"
+        return f"{step}: {self.done} of {self.total}" if self.total else f"{step}: {self.done} done"
+
 
 Tell = Callable[[Progress], None]
 

@@ -6,7 +6,7 @@ from collections.abc import Collection
 from pathlib import Path
 
 from rpl_data.pipeline import build as pipeline
-from rpl_data.pipeline.build import Tell, stages_named
+from rpl_data.pipeline.build import Progress, Tell, stages_named
 from rpl_data.pipeline.recipe import Recipe
 from rpl_data.pipeline.recipe_file import load_recipe
 from rpl_data.types import DataError
@@ -21,7 +21,7 @@ def build(
     until: str | None = None,
     again: str | Collection[str] = (),
     workers: int | None = None,
-    tell: Tell = lambda progress: None,
+    tell: Tell | None = None,
 ) -> Workspace:
     """Make everything that a recipe asks for; only what is out of date is run.
 
@@ -36,8 +36,8 @@ def build(
         again: a stage, or several, to run although nothing they depend on has changed; "all" for all.
         workers: number of processes; one per core when left out, 1 = this process only. More than one needs
             a program that can be imported: keep its calls below `if __name__ == "__main__":`.
-        tell: called with the `Progress` of every step, as often as it gets on; its `state` is "ran" when
-            the step is finished.
+        tell: called with the `Progress` of every step, as often as it advances; its `state` is "ran" when
+            the step is finished. `print` shows a line each time; nothing is printed when left out.
 
     Returns:
         The workspace. `print` it to see what it holds; what the stages had to say is in its report.
@@ -48,8 +48,14 @@ def build(
     """
     place = workspace if isinstance(workspace, Workspace) else Workspace(workspace)
     chosen = stages_named(again, until)
-    pipeline.build(_recipe(recipe, root), place, until=until, again=chosen, workers=workers, tell=tell)
+    pipeline.build(
+        _recipe(recipe, root), place, until=until, again=chosen, workers=workers, tell=tell or _say_nothing
+    )
     return place
+
+
+def _say_nothing(progress: Progress) -> None:
+    """Progress that nobody asked for."""
 
 
 def _recipe(recipe: str | Path | Recipe, root: str | Path | None) -> Recipe:

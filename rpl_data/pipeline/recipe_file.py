@@ -15,6 +15,7 @@ import yaml
 
 from rpl_data.files import FAULTS, read_text
 from rpl_data.pipeline.recipe import Recipe
+from rpl_data.pipeline.recipe_faults import misfit
 from rpl_data.types import DataError
 from rpl_data.untrusted.names import MOST_KEYPOINTS, checked_keypoints, checked_name
 
@@ -51,6 +52,12 @@ def load_recipe(path: str | Path, *, root: str | Path | None = None) -> Recipe:
             wrong type; the message names the key.
     """
     path = Path(path).expanduser()
+    if not path.exists() or path.is_dir():
+        found = "is a folder" if path.is_dir() else "does not exist"
+        raise DataError(
+            f"{path} {found}; give the recipe, a YAML file: datasets/recording.yaml is one to copy, and "
+            "explains every field"
+        )
     try:
         data = yaml.load(read_text(path), _OnceLoader)
     except (yaml.YAMLError, *FAULTS) as error:  # such as ValueError for a date that is none
@@ -129,7 +136,9 @@ def _instantiate(data: dict[str, Any], source: str) -> Recipe:
     try:
         recipe: Recipe = parser.instantiate(parser.parse_object({"recipe": data})).recipe
     except (ArgumentError, *FAULTS) as error:
-        raise DataError(f"{source}: {' '.join(str(error).split()).replace('recipe.', '')}") from error
+        found = misfit(Recipe, data, "")
+        said = " ".join(str(error).split()).replace("recipe.", "")  # of what only jsonargparse refuses
+        raise DataError(f"{source}: {f'{found.where} {found.text}' if found else said}") from error
     return recipe
 
 

@@ -18,6 +18,7 @@ from rpl_data.json_arrays import Json
 from rpl_data.torch.image_files import read_image, to_unit_range
 from rpl_data.torch.splits import split_file
 from rpl_data.torch.transforms import Image
+from rpl_data.wording import counted
 
 
 class InstanceTarget(TypedDict):
@@ -87,6 +88,7 @@ class InstanceDataset(Dataset[InstanceSample]):
                 rpl-data.
         """
         coco_json = split_file(path, split)
+        self._coco_json = coco_json
         data = read_coco(coco_json)
         by_id = sorted(data["categories"], key=lambda category: int(category["id"]))
         self.names = ["background", *(category["name"] for category in by_id)]
@@ -96,6 +98,12 @@ class InstanceDataset(Dataset[InstanceSample]):
         self._annotations: dict[int, list[Json]] = {image["id"]: [] for image in self._images}
         for annotation in data["annotations"]:
             self._annotations[annotation["image_id"]].append(annotation)
+
+    def __repr__(self) -> str:
+        return (
+            f"InstanceDataset({str(self._coco_json)!r}): {counted(len(self), 'image')} of "
+            f"{', '.join(self.names[1:])}"
+        )
 
     def __len__(self) -> int:
         """Number of images."""

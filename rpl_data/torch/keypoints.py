@@ -32,6 +32,7 @@ from rpl_data.torch.transforms import (
     warped,
 )
 from rpl_data.types import DataError, KeypointModel
+from rpl_data.wording import counted
 
 DISTORTION_LENGTH = 14
 """Length of OpenCV's longest list of distortion coefficients; shorter lists are padded with zeros."""
@@ -146,6 +147,7 @@ class KeypointDataset(Dataset[KeypointSample]):
         """
         coco_json = split_file(path, split)
         data = read_coco(coco_json)
+        self._coco_json = coco_json
         self.model, category_id = _choose(data, object, coco_json)
         self.input_px, self.heatmap_px = input_px, heatmap_px
         self._sigma_px, self._augment = sigma_px, augment
@@ -155,6 +157,13 @@ class KeypointDataset(Dataset[KeypointSample]):
             raise NoInstance(f"{coco_json} has no instance of {self.model.name}; train on another split")
         self._points_object = torch.from_numpy(self.model.points_object.copy())
         self._cache = PixelCache(self._rows.files.tolist(), self._rectangles(), cache) if cache else None
+
+    def __repr__(self) -> str:
+        return (
+            f"KeypointDataset({str(self._coco_json)!r}): {counted(len(self), 'instance')} of "
+            f"{self.model.name}, {counted(len(self.model.keypoints), 'keypoint')}, "
+            f"crops of {self.input_px} px, heatmaps of {self.heatmap_px} px"
+        )
 
     def __len__(self) -> int:
         """Number of instances."""

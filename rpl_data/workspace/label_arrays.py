@@ -9,9 +9,10 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from rpl_data.types import DataError, FrameLabel, InstanceLabel
+from rpl_data.wording import counted
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class LabelArrays:
     """All labels of one object: n rows, one per labelled frame that shows it.
 
@@ -40,6 +41,13 @@ class LabelArrays:
     boxes_px: Float64[np.ndarray, "n 4"]
     visib_fract: Float64[np.ndarray, " n"]
     quality: Float64[np.ndarray, " n"]
+
+    def __repr__(self) -> str:
+        scenes, keypoints = len(set(self.scenes)), self.keypoints_px.shape[1]
+        return (
+            f"LabelArrays of {self.object}: {counted(len(self), 'label')} in {counted(scenes, 'scene')}, "
+            f"{counted(keypoints, 'keypoint')}"
+        )
 
     def __len__(self) -> int:
         """Number of labels."""

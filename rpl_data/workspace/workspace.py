@@ -86,6 +86,7 @@ class Workspace(SceneFiles):
     def load_solution(self, object_name: str) -> Solution:
         """Load the solution of an object; DataError when there is none yet."""
         if not self.solution_file(object_name).exists():
+            self._refuse_unknown_object(object_name)
             raise DataError(f"object {object_name} has no solution yet; run `rpl solve` on {self.root}")
         path = self.solution_file(object_name)
         with decoding(path, "make it again with `rpl solve --again true`"):
@@ -142,9 +143,11 @@ class Workspace(SceneFiles):
         """Load the labels of a scene, one frame at a time."""
         path = self.labels_file(scene)
         if not path.exists():
+            fault = f"scene {scene} has no labels yet; run `rpl label` on {self.root}"
+            if scene not in self.scene_names():
+                fault = f"there is no scene {scene} in {self.root}"
             raise DataError(
-                f"scene {scene} has no labels yet; run `rpl label` on {self.root}. "
-                f"Scenes with labels: {', '.join(self.labelled_scene_names()) or 'none'}"
+                f"{fault}. Scenes with labels: {', '.join(self.labelled_scene_names()) or 'none'}"
             )
         refuse_special(path)
         with path.open(encoding="utf-8", errors="replace") as file:
@@ -175,10 +178,13 @@ class Workspace(SceneFiles):
             scene: only this one; all labelled scenes when left out.
 
         Raises:
-            DataError: the scene has no labels, or none of the object.
+            DataError: there is no such scene or object, or it has no labels.
         """
         scenes = self.labelled_scene_names() if scene is None else [scene]
-        return label_arrays(object_name, (label for name in scenes for label in self.labels(name)))
+        labels = [label for name in scenes for label in self.labels(name)]
+        if not any(item.object == object_name for label in labels for item in label.instances):
+            self._refuse_unknown_object(object_name)
+        return label_arrays(object_name, labels)
 
     def model(self, object_name: str) -> KeypointModel:
         """The sparse model: names of the keypoints and their positions in the object frame, metres."""
@@ -186,6 +192,9 @@ class Workspace(SceneFiles):
 
     def mesh(self, object_name: str) -> Mesh:
         """The dense model in the object frame, metres."""
+        if not self.mesh_file(object_name).exists():
+            self._refuse_unknown_object(object_name)
+            raise DataError(f"object {object_name} has no mesh yet; run `rpl segment` on {self.root}")
         return load_mesh(self.mesh_file(object_name))
 
     def overlay(self, scene: str, frame: int) -> ColorImage:
@@ -200,3 +209,8 @@ class Workspace(SceneFiles):
             raise DataError(f"scene {scene} has no label of frame {frame}; the nearest with one is {near}")
         models = {item.object: self.model(item.object) for item in labels[frame].instances}
         return draw_overlay(read_color(self.load_scene(scene).frame(frame)), labels[frame], models)
+
+    def _refuse_unknown_object(self, name: str) -> None:
+        if name not in self.object_names():
+            known = ", ".join(self.object_names()) or "none"
+            raise DataError(f"there is no object {name} in {self.root}; its objects are: {known}")

@@ -136,10 +136,29 @@ def test_clicks_go_out_and_in(recipe: Path, tmp_path: Path, capsys: pytest.Captu
     table.write_text(f"object,keypoint,scene,frame,u_px,v_px\n{moved}\n")
     capsys.readouterr()
     assert main(["clicks", "import", str(table), *at]) == 0
-    assert "carton: 1 clicks added or changed" in capsys.readouterr().out
+    assert "carton: 1 click added or changed" in capsys.readouterr().out
     after = place.load_annotation("carton").clicks
     assert Click("carton", before[0].keypoint, before[0].scene, before[0].frame, 10.0, 20.0) in after
     assert len(after) == len(before)
+
+
+@pytest.mark.parametrize(
+    ("row", "fault"),
+    [
+        ("carton,0,01,600,10,20", "scene 01 has no frame 600"),
+        ("carton,0,7,0,10,20", "clicks in scene 7; the workspace has the scenes 00, 01, 02"),
+    ],
+)
+def test_clicks_that_no_solve_could_use_are_not_added(
+    recipe: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], row: str, fault: str
+) -> None:
+    place, table = Workspace(tmp_path / "ws"), tmp_path / "clicks.csv"
+    at = ["--workspace", str(place.root)]
+    assert main(["import", str(recipe), *at]) == 0
+    table.write_text(f"object,keypoint,scene,frame,u_px,v_px\n{row}\n")
+    assert main(["clicks", "import", str(table), *at]) == 1
+    assert fault in capsys.readouterr().err
+    assert not place.load_annotation("carton").clicks
 
 
 def test_proposed_clicks_only_fill_in(
@@ -159,7 +178,7 @@ def test_proposed_clicks_only_fill_in(
     proposals.write_text(heading + first + "".join(moved))
     capsys.readouterr()
     assert main(["clicks", "import", str(proposals), *at, "--proposed=true"]) == 0
-    assert "carton: 1 clicks added or changed" in capsys.readouterr().out
+    assert "carton: 1 click added or changed" in capsys.readouterr().out
     after = set(place.load_annotation("carton").clicks)
     assert before < after and len(after) == len(before) + 1
 

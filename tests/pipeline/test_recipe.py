@@ -4,7 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from rpl_data.pipeline.recipe_file import load_recipe, recipe_to_yaml
+from rpl_data.pipeline.recipe import Recipe
+from rpl_data.pipeline.recipe_faults import misfit
+from rpl_data.pipeline.recipe_file import load_recipe, parse_recipe, recipe_to_yaml
 from rpl_data.types import DataError
 
 DATASETS = Path(__file__).parents[2] / "datasets"
@@ -64,10 +66,20 @@ def test_recording_recipe_names_every_field(tmp_path: Path) -> None:
         ("scens: []", "unknown key 'scens'; did you mean 'scenes'"),
         ("scenes: [{path: a, fromat: b}]", r"unknown key 'scenes\[0\].fromat'; did you mean 'format'"),
         ("split: {val_fractoin: 3}", "unknown key 'split.val_fractoin'; did you mean 'val_fraction'"),
-        ("scenes: [{format: rpl}]", "scenes.*required: path"),
+        ("scenes: [{format: rpl}]", r"scenes\[0\].path is missing"),
+        ("scenes: rec", r"scenes must be a list, as \[a, b\], not 'rec'"),
+        ("scenes: [{path: a, names: [00]}]", r"scenes\[0\].names\[0\] must be text, in quotes .*, not 0"),
+        ("scenes: [{path: a, camera: [500, 500, x, 240]}]", r"camera\[2\] must be a number, not 'x'"),
+        ("scenes: [{path: a, mend: {pose_lag: 1.5}}]", "mend.pose_lag must be a whole number, not 1.5"),
+        ("objects: [{name: cup}]", r"objects\[0\].keypoints is missing"),
+        ("objects: [{name: c, keypoints: 3, skeleton: [[0]]}]", r"skeleton\[0\] must be a list of 2"),
+        ("reconstruct: track", "reconstruct must hold `key: value` lines, not 'track'"),
+        ("reconstruct: {method: trak}", "method must be `auto`, `given` or `track`, not 'trak'"),
+        ("refine: {scenes: perhaps}", "refine.scenes must be true or false, not 'perhaps'"),
+        ("twin: {scenes: four}", "twin.scenes must be a whole number or a list"),
         ("scenes: []", "no scenes"),
         ("scenes: [{path: a}]", "no objects"),
-        ("label: {rate: often}\ntwin: {}", "label.rate"),
+        ("label: {rate: often}\ntwin: {}", "label.rate must be a number or `all`, not 'often'"),
         ("label: {rate: 0}\ntwin: {}", "label.rate must be positive"),
         ("scenes: [{path: a}]\nobjects: [{name: c, keypoints: 2}]", "at least 3 keypoints, got 2"),
         ("scenes: [{path: a}]\nobjects: [{name: c, keypoints: 3, skeleton: [[0, 3]]}]", "beyond 0..2"),
@@ -99,5 +111,20 @@ def test_refused(text: str, message: str, tmp_path: Path) -> None:
 
 
 def test_missing_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(DataError, match="nowhere.yaml does not exist"):
+    with pytest.raises(DataError, match="nowhere.yaml does not exist; give the recipe, a YAML file"):
         load_recipe(tmp_path / "nowhere.yaml")
+    with pytest.raises(DataError, match="is a folder; give the recipe"):
+        load_recipe(tmp_path)
+
+
+def test_what_the_parser_takes_is_no_misfit() -> None:
+    """Numbers that YAML reads as text are numbers, and a union takes either of its kinds."""
+    data = {
+        "name": "x",
+        "scenes": [{"path": "a", "metres_per_unit": "1e-3", "names": None}],
+        "objects": [{"name": "c", "keypoints": ["a", "b", "c"], "skeleton": [[0, 1]]}],
+        "label": {"rate": "all"},
+        "split": {"test_scenes": ["00"]},
+    }
+    parse_recipe(data, source="x.yaml")
+    assert misfit(Recipe, data, "") is None

@@ -161,6 +161,12 @@ def test_workers_draw_different_numbers_and_seeds_repeat(coco):
     assert len({round(float(turn), 6) for turn in turns}) == len(turns)
 
 
+def test_shown_at_a_prompt(coco):
+    text = "5 instances of box, 4 keypoints, crops of 128 px, heatmaps of 64 px"
+    shown = repr(KeypointDataset(coco, object="box", input_px=128))
+    assert str(coco) in shown and shown.endswith(text)
+
+
 def test_messages(coco, tmp_path):
     with pytest.raises(DataError, match="choose one of box, can"):
         KeypointDataset(coco)

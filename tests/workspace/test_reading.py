@@ -53,6 +53,7 @@ def test_labels_as_arrays_are_the_labels_as_objects(tiny_workspace: Workspace) -
         assert (arrays.visib_fract[row], arrays.quality[row]) == (item.visib_fract, item.quality)
     only = tiny_workspace.label_arrays("carton", scene="01")
     assert set(only.scenes) == {"01"}
+    assert repr(only) == "LabelArrays of carton: 6 labels in 1 scene, 11 keypoints"
     np.testing.assert_array_equal(only.camera_from_object, arrays.camera_from_object[6:12])
 
 
@@ -96,11 +97,11 @@ def test_labels_of_a_part_are_those_of_its_frames(tiny_workspace: Workspace, tmp
 @pytest.mark.parametrize(
     ("look", "message"),
     [
-        (lambda w: w.labels("07"), "scene 07 has no labels yet.*Scenes with labels: 00, 01, 02"),
+        (lambda w: w.labels("07"), "there is no scene 07 in .*Scenes with labels: 00, 01, 02"),
         (lambda w: w.frames("07"), "has no scene '07'"),
-        (lambda w: w.label_arrays("cup"), "object cup has no label"),
-        (lambda w: w.model("cup"), "object cup has no solution yet"),
-        (lambda w: w.mesh("cup"), "there is no mesh"),
+        (lambda w: w.label_arrays("cup"), "no object cup in .*; its objects are: carton"),
+        (lambda w: w.model("cup"), "no object cup in .*; its objects are: carton"),
+        (lambda w: w.mesh("cup"), "no object cup in .*; its objects are: carton"),
         (lambda w: w.overlay("00", 99), "no label of frame 99; the nearest with one is 5"),
     ],
 )

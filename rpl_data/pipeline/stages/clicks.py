@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
-from rpl_data.clicks.log import events_to, keypoints_event
+from rpl_data.clicks.log import Event, events_to, keypoints_event
 from rpl_data.clicks.table import clicks_from_csv, clicks_to_csv, objects_in_csv
 from rpl_data.files import read_text
 from rpl_data.pipeline.context import Context, step
 from rpl_data.pipeline.ledger import Advance, Outcome, Step, stamps
 from rpl_data.pipeline.recipe import ObjectRecipe
-from rpl_data.types import DataError
+from rpl_data.types import Click, DataError
 from rpl_data.wording import counted
 from rpl_data.workspace.workspace import Workspace
 
@@ -31,7 +32,7 @@ def _clicks_step(context: Context, item: ObjectRecipe) -> Step:
             return _name_keypoints(context.workspace, item)
         changed = import_clicks(context.workspace, item, item.clicks)
         return Outcome(
-            messages=(f"{item.name}: {counted(changed, 'click')} changed from {item.clicks}",)
+            messages=(f"{item.name}: {counted(changed, 'click')} added or changed, from {item.clicks}",)
             if changed
             else ()
         )
@@ -56,7 +57,7 @@ def _name_keypoints(workspace: Workspace, item: ObjectRecipe) -> Outcome:
 
 
 def import_clicks(workspace: Workspace, item: ObjectRecipe, path: Path) -> int:
-    """Make the log of an object agree with the CSV file; returns the number of events added."""
+    """Make the log of an object agree with the CSV file; returns the number of clicks changed."""
     clicks = clicks_from_csv(
         read_text(path), source=str(path), object_name=item.name, keypoints=item.keypoint_names
     )
@@ -64,17 +65,26 @@ def import_clicks(workspace: Workspace, item: ObjectRecipe, path: Path) -> int:
     events = events_to(workspace.load_annotation(item.name), item.keypoint_names, clicks)
     if events:
         workspace.append_events(item.name, events)
-    return len(events)
+    return _changed_clicks(events)
+
+
+def _changed_clicks(events: Sequence[Event]) -> int:
+    """How many of the events are about a click, not about the names of the keypoints."""
+    return sum(event["op"] != "keypoints" for event in events)
 
 
 def add_clicks(context: Context, path: Path, *, proposed: bool = False) -> dict[str, int]:
-    """Add the clicks of a CSV file to the logs; returns the number of events added, by object.
+    """Add the clicks of a CSV file to the logs; returns how many changed, by object.
 
     Args:
         context: context of the workspace.
         path: the CSV file.
         proposed: the clicks come from a program: skip keypoints that were already clicked in that scene
             or declared not visible there.
+
+    Raises:
+        DataError: the file names an object, a keypoint, a scene or a frame that is not there; nothing is
+            added then.
     """
     text = read_text(path)
     named = set(objects_in_csv(text, source=str(path)))
@@ -90,13 +100,29 @@ def add_clicks(context: Context, path: Path, *, proposed: bool = False) -> dict[
         names = annotation.keypoints or item.keypoint_names
         clicks = clicks_from_csv(text, source=str(path), object_name=item.name, keypoints=names)
         clicks = [context.workspace.parts().click_in_scene(click) for click in clicks]
+        _refuse_unknown_frames(context.workspace, clicks, path)
         if proposed:
             decided = annotation.skipped | {(click.keypoint, click.scene) for click in annotation.clicks}
             clicks = [click for click in clicks if (click.keypoint, click.scene) not in decided]
         events[item.name] = events_to(annotation, names, [*annotation.clicks, *clicks])
     for name, found in events.items():  # only after the whole file was read
         context.workspace.append_events(name, found)
-    return {name: len(found) for name, found in events.items()}
+    return {name: _changed_clicks(found) for name, found in events.items()}
+
+
+def _refuse_unknown_frames(workspace: Workspace, clicks: Sequence[Click], path: Path) -> None:
+    """Such a click would stop every later solve, and only the annotation page could take it back."""
+    known = workspace.scene_names()
+    for name in dict.fromkeys(click.scene for click in clicks):
+        if name not in known:
+            raise DataError(
+                f"{path} has clicks in scene {name}; the workspace has the scenes {', '.join(known)}; "
+                "use the same names"
+            )
+        scene = workspace.load_scene(name)
+        for click in clicks:
+            if click.scene == name:
+                scene.frame(click.frame)
 
 
 def clicks_table(workspace: Workspace) -> str:
