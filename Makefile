@@ -36,5 +36,6 @@ $(STAMP): constraints.txt pyproject.toml
 		{ echo "Python 3.11 or newer is needed, $(PYTHON) is older: make PYTHON=/path/to/python3.11" >&2; exit 1; }
 	@sh .ci/system-packages $(PYTHON)
 	test -x .venv/bin/pip || $(PYTHON) -m venv .venv
+	@echo "Installing the packages into .venv: 7 GB, without a word for some minutes."
 	.venv/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[training,dev]'
 	@touch $@

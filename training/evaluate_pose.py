@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 def evaluate_pose(
     coco: Path,
-    keypoints: list[Path] = [],  # noqa: B006 (never changed)
+    keypoints: list[Path] | Path = [],  # noqa: B006 (never changed)
     detector: Path | None = None,
     split: str = "test",
     crops: Crops = "detected",
@@ -37,7 +37,7 @@ def evaluate_pose(
 
     Args:
         coco: folder with true labels: export/coco_truth (or export/coco to see how well labels are learned).
-        keypoints: checkpoints of train_keypoints, one per object.
+        keypoints: checkpoint of train_keypoints, or a list with one per object.
         detector: checkpoint of train_detector; not needed when crops are given.
         split: train, val or test.
         crops: `given` takes the labels' boxes, `detected` the detector's.
@@ -55,7 +55,7 @@ def evaluate_pose(
     if out is not None and out.suffix == ".json":
         raise DataError(f"--out is a folder, {split}_poses.json is written into it; got the file {out}")
     use_threads(threads)
-    pipeline = load_pipeline(keypoints, detector)
+    pipeline = load_pipeline([keypoints] if isinstance(keypoints, Path) else keypoints, detector)
     coco_json = split_file(coco, split)
     truth = true_objects(coco_json)
     unreadable: Counter[str] = Counter()

@@ -22,7 +22,7 @@ SURE = 0.5
 
 def predict(
     images: Path,
-    keypoints: list[Path] = [],  # noqa: B006 (never changed)
+    keypoints: list[Path] | Path = [],  # noqa: B006 (never changed)
     detector: Path | None = None,
     camera: list[float] = [],  # noqa: B006
     distortion: list[float] = [],  # noqa: B006
@@ -43,7 +43,7 @@ def predict(
 
     Args:
         images: an image, or a folder; folders in it are looked into.
-        keypoints: checkpoints of train_keypoints, one per object.
+        keypoints: checkpoint of train_keypoints, or a list with one per object.
         detector: checkpoint of train_detector.
         camera: fx, fy, cx, cy in pixels; the centre of the top-left pixel is 0, 0.
         distortion: OpenCV's coefficients, when the lens has any.
@@ -64,7 +64,7 @@ def predict(
 
     use_threads(threads)
     files = images_of(images)
-    pipeline = load_pipeline(keypoints, detector)
+    pipeline = load_pipeline([keypoints] if isinstance(keypoints, Path) else keypoints, detector)
     entries: list[dict[str, Any]] = []
     proposals: list[Click] = []
     unreadable: Counter[str] = Counter()

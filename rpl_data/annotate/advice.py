@@ -10,6 +10,7 @@ import numpy as np
 
 from rpl_data.annotate.live import FEWEST, Live
 from rpl_data.clicks.log import Annotation
+from rpl_data.wording import counted
 
 ENOUGH = FEWEST + 1
 """Clicks a scene: three place it, the fourth checks them."""
@@ -142,9 +143,12 @@ def _asking(annotation: Annotation, scene: str, here: Sequence[int], keypoint: i
             return f"scene {scene}: click exactly on {name} of the {annotation.object}"
         what = f"a corner or mark of the {annotation.object} that you will know again in every scene"
         return f"scene {scene}: click exactly on {what}; it becomes keypoint {name}"
-    why = f" ({live.loose[scene]})" if scene in live.loose and here else ""
-    done = f"{len(here)} of {count} are{why}"
-    return f"scene {scene}: mark keypoint {name}, {done}; not visible here? skip it (S)"
+    done = f"{len(here)} of {counted(count, 'keypoint')} clicked in this scene"
+    if len(here) < FEWEST:
+        done += f"; it needs at least {FEWEST}"
+    elif scene in live.loose:
+        done += f"; {live.loose[scene]}"
+    return f"scene {scene}: mark keypoint {name} ({done}). Not visible here? Skip it (S)"
 
 
 def _most_helpful(annotation: Annotation, live: Live) -> Advice | None:

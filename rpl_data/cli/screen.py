@@ -12,7 +12,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 from rpl_data.evaluate.quality import format_table
 from rpl_data.pipeline import build
 from rpl_data.pipeline.ledger import Ledger
-from rpl_data.pipeline.results import quality_rows, split_summary, timings
+from rpl_data.pipeline.results import quality_rows, split_summary, timings, worth_knowing
 from rpl_data.types import Recording
 from rpl_data.workspace.workspace import Workspace
 
@@ -92,7 +92,7 @@ def print_results(workspace: Workspace, ledger: Ledger, screen: Screen, until: s
     rows = quality_rows(ledger)
     if rows and until in (None, "quality", "report"):
         say(f"\nerrors against the truth\n{format_table(rows)}")
-    known = [line for entry in ledger.of_stage("solve").values() for line in entry.outcome.messages]
+    known = worth_knowing(ledger)
     if known:
         say("\nWorth knowing\n" + "\n".join(f"    {line}" for line in known))
     if until in (None, "report"):

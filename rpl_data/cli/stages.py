@@ -76,7 +76,7 @@ def surface(workspace: Path = HERE, again: bool = False) -> None:
 
 
 def refine(workspace: Path = HERE, again: bool = False) -> None:
-    """Register the scenes of each object on one another: their surfaces and print, together with the clicks.
+    """Register the scenes of each object on one another, by their surfaces and colours and the clicks.
 
     A scene keeps the pose of its clicks where parts of its surface that were left out of the registration do
     not agree better with the other scenes afterwards; that is said.

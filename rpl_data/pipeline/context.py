@@ -34,18 +34,23 @@ class Context:
     @property
     def scene_sources(self) -> tuple[SceneSource, ...]:
         """Sources of the scenes; the twin's recording when the recipe names none."""
-        return self.recipe.scenes or (SceneSource(self.workspace.recording, metres_per_unit=0.001),)
+        return self.recipe.scenes or (SceneSource(self._twin_recording, metres_per_unit=0.001),)
 
     @property
     def objects(self) -> tuple[ObjectRecipe, ...]:
         """The objects; those that the twin wrote when the recipe names none."""
         return self.recipe.objects or tuple(self._twin_objects())
 
+    @property
+    def _twin_recording(self) -> Path:
+        """As the paths of recipe files, absolute: a build started in another folder is no other build."""
+        return self.workspace.recording.absolute()
+
     def _twin_objects(self) -> Iterator[ObjectRecipe]:
         truth = Workspace(self.workspace.truth)
         for name in truth.object_names():
             model = truth.load_solution(name).model
-            clicks = self.workspace.recording / "clicks.csv"
+            clicks = self._twin_recording / "clicks.csv"
             yield ObjectRecipe(name, model.keypoints, clicks, model.skeleton)
 
     @property

@@ -30,6 +30,13 @@ def timings(ledger: Ledger) -> dict[str, dict[str, float | int]]:
     return found
 
 
+def worth_knowing(ledger: Ledger) -> list[str]:
+    """What the stages after the reading of recordings had to say about the result, each line once."""
+    stages = ("cut", "solve", "refine", "segment", "label", "export")
+    said = [line for stage in stages for x in ledger.of_stage(stage).values() for line in x.outcome.messages]
+    return list(dict.fromkeys(said))
+
+
 def split_summary(ledger: Ledger) -> str:
     """Write one line per split: its images, scenes, and how near its views are to those of training."""
     entry = ledger.entries.get("export/coco")

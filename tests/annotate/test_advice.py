@@ -54,6 +54,13 @@ def test_clicks_that_disagree_want_a_third_scene():
     assert (skipped.scene, skipped.frame) == ("00", 3)  # no third scene shows it: look at the first
 
 
+def test_a_scene_with_too_few_clicks_says_how_many_it_needs():
+    step = advised(clicks=[c for c in CLICKS if c.scene != "02" or c.keypoint == 0])
+    assert (step.scene, step.keypoint) == ("02", 1)
+    asked = "mark keypoint b (1 of 4 keypoints clicked in this scene; it needs at least 3). Not visible here?"
+    assert asked in step.text
+
+
 def test_a_keypoint_that_nothing_checks_is_not_done():
     clicks = [c for c in CLICKS if c.keypoint != 3 or c.scene == "00"]
     said = Statement("unchecked", (CLICKS[3],), "nothing checks keypoint d")

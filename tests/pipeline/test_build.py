@@ -14,12 +14,14 @@ from rpl_data.geometry import Sphere
 from rpl_data.meshes import joined_meshes
 from rpl_data.pipeline import build as module
 from rpl_data.pipeline.build import Progress, alone_in, build, recipe_of, stale_steps
+from rpl_data.pipeline.context import Context
 from rpl_data.pipeline.ledger import Ledger, Outcome, Step, stamps
 from rpl_data.pipeline.pool import Pool
 from rpl_data.pipeline.recipe import LabelRecipe, ObjectRecipe, Recipe, SceneSource
-from rpl_data.pipeline.results import quality_rows, timings
+from rpl_data.pipeline.results import quality_rows, timings, worth_knowing
 from rpl_data.pipeline.stages import ORDER
 from rpl_data.pipeline.stages.surface import joined_spheres
+from rpl_data.twin.spec import TwinSpec
 from rpl_data.types import DataError, Mesh
 from rpl_data.workspace.workspace import Workspace
 
@@ -145,6 +147,24 @@ def test_interrupted_build_goes_on(recording: Path, tmp_path: Path) -> None:
     watcher = Watcher()
     build(recipe, workspace, until="label", workers=1, tell=watcher)
     assert watcher.ran == ["label/01", "label/02"]
+
+
+def test_a_twin_is_the_same_from_another_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The sources of a twin's scenes are part of what a step depends on, so their paths are absolute."""
+    monkeypatch.chdir(tmp_path)
+    recipe = Recipe("x", twin=TwinSpec())
+    places = Workspace("ws"), Workspace(tmp_path / "ws")
+    near, far = (Context(recipe, place, Pool(1)).scene_sources for place in places)
+    assert near == far
+
+
+def test_what_the_segmentation_says_is_worth_knowing(tmp_path: Path) -> None:
+    ledger = Ledger(tmp_path / "stages.json")
+    for stage in ("import", "solve", "segment"):
+        outcome = Outcome(messages=(f"{stage} speaks",))
+        step = Step(stage, "cup", 1, {}, {}, (), (), lambda advance, outcome=outcome: outcome)
+        ledger.run(step, lambda done, total: None)
+    assert worth_knowing(ledger) == ["solve speaks", "segment speaks"]
 
 
 def test_removed_scene_disappears(built: tuple[Recipe, Workspace], recording: Path) -> None:

@@ -13,6 +13,7 @@ from typing import Any
 import torch
 
 from rpl_data.types import DataError
+from rpl_data.wording import counted
 from training.runs.options import Learning, Run
 
 LAST, BEST = "last.ckpt", "best.ckpt"
@@ -33,9 +34,10 @@ def checkpoint_to_resume(run: Run) -> Path | None:
     if not last.exists() or run.overwrite:
         return None
     if not run.resume:
+        done = counted(trained_epochs(last), "epoch")
         raise DataError(
-            f"{run.out} holds a run that was trained for {trained_epochs(last)} epochs; go on with "
-            "--resume true, start anew with --overwrite true, or choose another --out"
+            f"{run.out} holds a run that was trained for {done}; go on with --resume true, start anew with "
+            "--overwrite true, or choose another --out"
         )
     return last
 

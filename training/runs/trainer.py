@@ -22,6 +22,7 @@ from torch.utils.data import DataLoader, Dataset
 
 from rpl_data.torch.epochs import Collate, training_batches, validation_batches
 from rpl_data.types import DataError
+from rpl_data.wording import counted
 from training.runs.callbacks import Checkpoints, EpochLines, Steps
 from training.runs.folder import LAST, changes, checkpoint_to_resume, delete_run, new_logs, trained_epochs
 from training.runs.options import Run
@@ -92,7 +93,7 @@ def fit(lesson: Lesson, run: Run, *, resumed: Path | None) -> Path:
     if resumed is not None:
         say("; ".join([f"goes on after epoch {done}", *changes(resumed, settings)]))
     if done >= (run.until or run.learning.epochs):
-        say(f"{last} was trained for {done} epochs already; ask for more with --learning.epochs")
+        say(f"{last} was trained for {counted(done, 'epoch')} already; ask for more with --learning.epochs")
         return last
     if resumed is None:
         rank_zero_only(delete_run)(run.out)

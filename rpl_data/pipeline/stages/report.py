@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from rpl_data.pipeline.context import Context, step
 from rpl_data.pipeline.ledger import Advance, Ledger, Outcome, Step
-from rpl_data.pipeline.results import quality_rows, split_summary, timings
+from rpl_data.pipeline.results import quality_rows, split_summary, timings, worth_knowing
 from rpl_data.workspace.workspace import Workspace
 
-VERSION = 1
+VERSION = 2
 """Increase it when the stage writes something else for the same input: its steps then run again."""
 
 
@@ -24,12 +24,7 @@ def report_steps(context: Context) -> list[Step]:
             rows=quality_rows(ledger),
             timings=timings(ledger),
             split=split_summary(ledger),
-            warnings=[
-                line
-                for stage in ("cut", "export")
-                for entry in ledger.of_stage(stage).values()
-                for line in entry.outcome.messages
-            ],
+            warnings=worth_knowing(ledger),
             remarks={video: drift_remarks(workspace, ledger, video) for video in workspace.video_names()},
         )
         return Outcome()

@@ -62,7 +62,7 @@ function missing(result) {
   const all = [...lines, ...result.warnings, ...unchecked.map((statement) => statement.text)];
   if (!all.length) return [];
   const rest = all.length > 6 ? [element("p", { className: "note quiet", textContent: `and ${all.length - 6} more` })] : [];
-  return [element("h2", { className: "warn", textContent: "Tied too little" }),
+  return [element("h2", { className: "warn", textContent: "Clicks still needed" }),
     ...all.slice(0, 6).map((text) => element("p", { className: "note", textContent: text })), ...rest];
 }
 

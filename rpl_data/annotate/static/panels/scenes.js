@@ -7,7 +7,7 @@ import { element, refill } from "./dom.js";
 
 const list = document.getElementById("scenes");
 const WORDS = {
-  tied: ["good", "tied"], bad: ["bad", "wrong click"], doubt: ["warn", "doubtful"], loose: ["warn", "loose"], few: ["warn", "too few"],
+  tied: ["good", "placed"], bad: ["bad", "wrong click"], doubt: ["warn", "doubtful"], loose: ["warn", "not placed"], few: ["warn", "too few"],
 };
 
 export function setUp() {
