@@ -272,6 +272,14 @@ def test_missing_camera(mistake: Callable[..., str], tmp_path: Path) -> None:
     assert "camera.txt" in mistake()
 
 
+def test_forgotten_root(recipe: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "elsewhere").mkdir()
+    at = ["--root", str(tmp_path / "elsewhere"), "--workspace", str(tmp_path / "ws")]
+    spoil(recipe, lambda text: text.replace("path: recording", "path: ."))
+    assert main(["import", str(recipe), *at]) == 1
+    assert "elsewhere holds no recording" in capsys.readouterr().err
+
+
 def test_not_a_workspace(mistake: Callable[..., str], tmp_path: Path) -> None:
     assert "is not a workspace" in mistake("status", "--workspace", str(tmp_path / "nothing"))
 

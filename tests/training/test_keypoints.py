@@ -215,6 +215,13 @@ def detector(coco, tmp_path_factory) -> Path:
     return train_detector(coco, out=out, network=network, learning=FAST, machine=ONE)
 
 
+def test_one_checkpoint_needs_no_list(tmp_path, capsys):
+    cv2.imwrite(str(tmp_path / "photo.png"), np.zeros((4, 4, 3), np.uint8))
+    for given in ("lone.ckpt", "[lone.ckpt, other.ckpt]"):
+        assert main(predict, [str(tmp_path), "--keypoints", given]) == 1
+        assert "there is no checkpoint lone.ckpt" in capsys.readouterr().err
+
+
 def test_predictions(coco, run, detector, tmp_path):
     camera = [CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy]
     (tmp_path / "in" / "desk").mkdir(parents=True)

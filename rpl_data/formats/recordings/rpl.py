@@ -91,6 +91,11 @@ def read_rpl(
     if metres_per_unit is not None:
         check_unit(metres_per_unit)
     single = (path / "associations.txt").exists()
+    if not single and not (path / "camera.txt").exists() and not _scenes_in(path):
+        raise DataError(
+            f"{path} holds no recording: neither camera.txt nor a folder with associations.txt; check the "
+            "path, and --root, where the relative paths of a recipe start"
+        )
     camera_file = (path.parent if single and not (path / "camera.txt").exists() else path) / "camera.txt"
     said = CameraFile(camera) if camera and not camera_file.exists() else read_camera(camera_file)
     unit_m = said.metres_per_unit if metres_per_unit is None else metres_per_unit
@@ -113,9 +118,13 @@ def _single_scene(path: Path, names: Sequence[str] | None) -> dict[str, Path]:
     return {path.name if names is None else str(names[0]): path}
 
 
-def _scene_folders(path: Path, names: Sequence[str] | None) -> dict[str, Path]:
+def _scenes_in(path: Path) -> dict[str, Path]:
     marks = ("associations.txt", "camera.poses", "rgb", "depth")
-    found = {p.name: p for p in folders_in(path) if any((p / mark).exists() for mark in marks)}
+    return {p.name: p for p in folders_in(path) if any((p / mark).exists() for mark in marks)}
+
+
+def _scene_folders(path: Path, names: Sequence[str] | None) -> dict[str, Path]:
+    found = _scenes_in(path)
     if not found:
         raise DataError(f"{path} has no scene: none of its folders holds an associations.txt")
     return chosen(found, names, path)
