@@ -20,6 +20,12 @@ def coco(tmp_path_factory):
     return exported(tmp_path_factory.mktemp("instances")) / "train.json"
 
 
+def test_shown_at_a_prompt(coco):
+    assert repr(InstanceDataset(coco)).endswith(
+        f"train.json'): {len(InstanceDataset(coco))} images of box, can"
+    )
+
+
 def test_targets_are_the_annotations(coco):
     dataset, data = InstanceDataset(coco), read_coco(coco)
     assert dataset.names == ["background", "box", "can"] and len(dataset) == len(data["images"]) == 6
