@@ -70,8 +70,14 @@ class KeypointDataModule(LightningDataModule):
 
     def train_dataloader(self) -> DataLoader[Any]:
         """Batches of the training set, shuffled anew in every epoch."""
+        done = 0 if self.trainer is None else self.trainer.fit_loop.epoch_progress.current.processed
         return training_batches(
-            self.train, batch=self._batch, workers=self._workers, seed=self._seed, collate=collate_readable
+            self.train,
+            batch=self._batch,
+            workers=self._workers,
+            seed=self._seed,
+            collate=collate_readable,
+            epoch=done,
         )
 
     def val_dataloader(self) -> DataLoader[Any] | list[DataLoader[Any]]:

@@ -32,9 +32,9 @@ class EpochOrder(Sampler[tuple[int, int]]):
     the order are repeated at its end, so that all shares are equally long.
     """
 
-    def __init__(self, dataset: Sized, seed: int) -> None:
-        """Start at epoch 0; `set_epoch` chooses another one."""
-        self._dataset, self._seed, self._epoch = dataset, seed, 0
+    def __init__(self, dataset: Sized, seed: int, epoch: int = 0) -> None:
+        """Start at an epoch, counted from 0; `set_epoch` chooses another one."""
+        self._dataset, self._seed, self._epoch = dataset, seed, epoch
 
     def set_epoch(self, epoch: int) -> None:
         """Choose the epoch, counted from 0, else epochs follow one another. Lightning calls this."""
@@ -94,6 +94,7 @@ def training_batches(
     seed: int,
     collate: Collate,
     drop_last: bool = False,
+    epoch: int = 0,
 ) -> DataLoader[Any]:
     """Make shuffled batches of a dataset with random augmentation; unreadable samples become `Unreadable`.
 
@@ -104,11 +105,13 @@ def training_batches(
         seed: of the order, and of all random numbers that the dataset draws.
         collate: makes a batch of samples and `Unreadable`s.
         drop_last: leave out the last batch of an epoch when it is smaller than the others.
+        epoch: the first one, counted from 0. Where a training goes on, Lightning lets worker processes load
+            the first batches before it calls `set_epoch`.
     """
     return DataLoader(
         Readable(SeededRows(dataset, seed)),
         batch_size=batch,
-        sampler=EpochOrder(dataset, seed),
+        sampler=EpochOrder(dataset, seed, epoch),
         num_workers=workers,
         persistent_workers=workers > 0,
         collate_fn=collate,

@@ -98,7 +98,7 @@ def fit(lesson: Lesson, run: Run, *, resumed: Path | None) -> Path:
     if resumed is None:
         rank_zero_only(delete_run)(run.out)
     steps = Steps(run.learning, run.seed)
-    train, val = _batches(lesson, run)
+    train, val = _batches(lesson, run, done)
     kept = Checkpoints(run.out, monitor=lesson.monitor, settings=settings)
     trainer = _trainer(run, [steps, EpochLines(), kept])
     started = time.process_time(), time.perf_counter()
@@ -110,8 +110,8 @@ def fit(lesson: Lesson, run: Run, *, resumed: Path | None) -> Path:
     return last
 
 
-def _batches(lesson: Lesson, run: Run) -> tuple[DataLoader[Any], DataLoader[Any] | None]:
-    """Batches to train on, and those to validate on where there is something to validate."""
+def _batches(lesson: Lesson, run: Run, done: int) -> tuple[DataLoader[Any], DataLoader[Any] | None]:
+    """Batches to train on after `done` epochs, and those to validate on where there is something."""
     batch, workers = run.learning.batch, run.machine.workers
     train = training_batches(
         lesson.train,
@@ -120,6 +120,7 @@ def _batches(lesson: Lesson, run: Run) -> tuple[DataLoader[Any], DataLoader[Any]
         seed=run.seed,
         collate=lesson.collate,
         drop_last=lesson.drop_last,
+        epoch=done,
     )
     if lesson.val is None or run.validate_every == 0:
         return train, None
@@ -183,8 +184,8 @@ def _fit(
     except SystemExit:  # Lightning's answer to KeyboardInterrupt
         if trainer.is_global_zero:
             print(
-                f"interrupted in epoch {trainer.current_epoch + 1}; {last} holds the "
-                f"{trained_epochs(last)} epochs before it: go on with --resume true",
+                f"interrupted in epoch {trainer.current_epoch + 1}; {last} holds what "
+                f"{counted(trained_epochs(last), 'epoch')} taught: go on with --resume true",
                 file=sys.stderr,
             )
         raise
