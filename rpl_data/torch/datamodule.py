@@ -70,7 +70,9 @@ class KeypointDataModule(LightningDataModule):
 
     def train_dataloader(self) -> DataLoader[Any]:
         """Batches of the training set, shuffled anew in every epoch."""
-        done = 0 if self.trainer is None else self.trainer.fit_loop.epoch_progress.current.processed
+        # What Lightning gives `set_epoch`, a moment too late for worker processes.
+        progress: Any = None if self.trainer is None else self.trainer.fit_loop.epoch_progress.current
+        done = 0 if progress is None else progress.processed
         return training_batches(
             self.train,
             batch=self._batch,

@@ -69,8 +69,10 @@ class DetectionDataset(Dataset[tuple[Tensor, DetectionTarget]]):
 
         Raises:
             DataError: there is no such split (the message says why), the file is not an export of rpl-data,
-                it has no image, or boxes would be rotated.
+                it has no image, boxes would be rotated, or the width is not above 0.
         """
+        if width_px < 1:
+            raise DataError(f"width_px is {width_px}; it must be above 0")
         if augment is not None and augment.rotation_deg:
             raise DataError(f"rotation_deg is {augment.rotation_deg}; a rotated box is not upright: give 0")
         coco_json = split_file(path, split)

@@ -143,8 +143,12 @@ class KeypointDataset(Dataset[KeypointSample]):
 
         Raises:
             DataError: there is no such split (the message says why), the file is not an export of rpl-data,
-                or it has no such object, or no instance of it.
+                it has no such object or no instance of it, or a size is not above 0.
         """
+        if min(input_px, heatmap_px) < 1 or sigma_px <= 0:
+            raise DataError(
+                f"input_px is {input_px}, heatmap_px {heatmap_px}, sigma_px {sigma_px}; all must be above 0"
+            )
         coco_json = split_file(path, split)
         data = read_coco(coco_json)
         self._coco_json = coco_json

@@ -8,10 +8,13 @@ takes its options from `Augmentation` still prints its help quickly.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64, UInt8
+
+from rpl_data.types import DataError
 
 Affine = Float64[np.ndarray, "2 3"]
 Image = UInt8[np.ndarray, "height width 3"]
@@ -37,6 +40,14 @@ class Augmentation:
     rotation_deg: float = 30.0
     gain: float = 0.2
     offset: float = 0.1
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be drawn."""
+        for name, value in vars(self).items():
+            if not 0 <= value < math.inf:
+                raise DataError(f"augment.{name} is {value}; it is a largest deviation: give 0 or more")
+        if self.scale >= 1:
+            raise DataError(f"augment.scale is {self.scale}; below 1, or a box could vanish")
 
 
 FULL_FROM_HALF: Affine = np.array([[2, 0, 0.5], [0, 2, 0.5]])

@@ -15,9 +15,17 @@ from labelled_scenes import exported
 
 from rpl_data.types import DataError
 from training.runs.callbacks import Steps
-from training.runs.folder import changes, trained_epochs
+from training.runs.folder import (
+    changes,
+    checkpoint_to_resume,
+    delete_run,
+    read_checkpoint,
+    trained_epochs,
+)
 from training.runs.options import DetectorNetwork, Learning, Machine, MaskNetwork, Network, Run
+from training.runs.program import main
 from training.runs.schedule import learning_rate, optimizer_of, set_step
+from training.runs.trainer import start
 from training.train_detector import train_detector
 from training.train_keypoints import train_keypoints
 from training.train_masks import train_masks
@@ -220,3 +228,57 @@ def test_options_that_contradict_themselves():
         Run(Path("run"), CYCLE, ONE, seed=-1)
     with pytest.raises(DataError, match="--until"):
         Run(Path("run"), CYCLE, ONE, until=0)
+
+
+MISTAKES = {
+    "--augment.scale=-1": "augment.scale is -1.0",
+    "--machine.devices=0": "devices and threads must be at least 1",
+    "--machine.workers=-1": "workers 0 or more",
+    "--machine.threads=0": "threads must be at least 1",
+    "--seed=4294967296": "--seed at most 4294967295",
+    "--network.width_px=1": "width_px must be at least 32",
+    "--network.features=33": "multiple of 32",
+}
+
+
+@pytest.mark.parametrize("option", MISTAKES)
+def test_an_impossible_option_is_one_line(tmp_path, capsys, option):
+    assert main(train_detector, [str(tmp_path), "--out", str(tmp_path / "run"), option], presets=True) == 1
+    assert MISTAKES[option] in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_run_is_not_deleted_for_a_machine_that_is_not_there(tmp_path):
+    (tmp_path / "last.ckpt").write_text("of an earlier run")
+    many = Run(tmp_path, CYCLE, Machine(accelerator="gpu", devices=99), overwrite=True)
+    with pytest.raises(DataError, match="asks for 99 GPUs, and torch finds"):
+        start(many)
+    with pytest.raises(DataError, match="cannot write .*choose another --out"):
+        start(Run(tmp_path / "last.ckpt", CYCLE, ONE))
+    assert (tmp_path / "last.ckpt").exists()
+
+
+def test_the_best_of_a_run_without_a_last_is_not_left_to_another(tmp_path):
+    """As the first epoch leaves it when it is ended between its validation and its end."""
+    (tmp_path / "best.ckpt").write_text("of another run")
+    with pytest.raises(DataError, match="trained for 0 epochs; go on"):
+        checkpoint_to_resume(Run(tmp_path, CYCLE, ONE))
+    assert checkpoint_to_resume(Run(tmp_path, CYCLE, ONE, resume=True)) is None
+    delete_run(tmp_path)
+    assert not (tmp_path / "best.ckpt").exists()
+
+
+def test_a_foreign_file_is_no_checkpoint(tmp_path):
+    for content in (b"root:x:0:0:root:/root:/bin/bash\n" * 40, b"", b"PK\x03\x04", bytes(range(256))):
+        (tmp_path / "file").write_bytes(content)
+        with pytest.raises(DataError, match="cannot read .* as weights"):
+            read_checkpoint(tmp_path / "file")
+
+
+def test_ctrl_c_outside_of_the_training_is_one_line(capsys):
+    def predict() -> None:
+        """Interrupted while it is imported."""
+        raise KeyboardInterrupt
+
+    assert main(predict, []) == 130
+    assert capsys.readouterr().err == "predict: interrupted\n"

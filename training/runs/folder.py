@@ -18,6 +18,18 @@ from training.runs.options import Learning, Run
 
 LAST, BEST = "last.ckpt", "best.ckpt"
 
+FOREIGN = (
+    UnpicklingError,
+    RuntimeError,
+    EOFError,
+    LookupError,
+    TypeError,
+    ValueError,
+    AttributeError,
+    OSError,
+)
+"""What torch raises where a file is not one that it wrote."""
+
 LOGS = re.compile(r"logs\d*|csv|tensorboard")
 """Folders that runs write their logs into. Mask R-CNN runs of version 0.1 wrote csv and tensorboard."""
 
@@ -28,10 +40,12 @@ def checkpoint_to_resume(run: Run) -> Path | None:
     A run that was interrupted before its first checkpoint has nothing to go on with, and starts again.
 
     Raises:
-        DataError: the folder holds a run, and neither `resume` nor `overwrite` says what to do with it.
+        DataError: the folder holds a run, and neither `resume` nor `overwrite` says what to do with it; or
+            there can be no such folder.
     """
     last = run.out / LAST
-    if not last.exists() or run.overwrite:
+    _make_folder(run.out)
+    if not holds_run(run.out) or run.overwrite:
         return None
     if not run.resume:
         done = counted(trained_epochs(last), "epoch")
@@ -39,12 +53,24 @@ def checkpoint_to_resume(run: Run) -> Path | None:
             f"{run.out} holds a run that was trained for {done}; go on with --resume true, start anew with "
             "--overwrite true, or choose another --out"
         )
-    return last
+    return last if last.exists() else None
+
+
+def holds_run(out: Path) -> bool:
+    """Whether a training wrote checkpoints here; one ended within its first epoch may have its best alone."""
+    return (out / LAST).exists() or (out / BEST).exists()
+
+
+def _make_folder(out: Path) -> None:
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DataError(f"cannot write {out}: {error.strerror}; choose another --out") from error
 
 
 def delete_run(out: Path) -> None:
     """Delete the checkpoints and logs of the run in a folder; other files stay."""
-    if not (out / LAST).exists():
+    if not holds_run(out):
         return
     for path in sorted(out.iterdir()):
         if path.is_dir() and LOGS.fullmatch(path.name):
@@ -69,8 +95,9 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
         raise DataError(f"{path} does not exist; expected a checkpoint or a file of weights")
     try:
         content = torch.load(path, map_location="cpu", weights_only=True)
-    except (UnpicklingError, RuntimeError, EOFError, KeyError, ValueError, OSError) as error:
-        raise DataError(f"cannot read {path} as weights: {str(error).splitlines()[0]}") from error
+    except FOREIGN as error:
+        why = str(error).partition("\n")[0]
+        raise DataError(f"cannot read {path} as weights: {why}; give a file that a training wrote") from error
     if not isinstance(content, dict):
         raise DataError(f"{path} holds a {type(content).__name__}; expected a dictionary of tensors")
     return content

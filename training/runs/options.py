@@ -14,6 +14,12 @@ Crops = Literal["given", "detected"]
 Architecture = Literal["small_fcos", "fcos", "ssdlite"]
 Precision = Literal["32-true", "16-mixed", "bf16-mixed"]
 
+SMALLEST_IMAGE_PX = 32
+"""Narrowest image that the detector's feature map of stride 8 can halve twice more."""
+
+HIGHEST_SEED = 2**32 - 1
+"""NumPy takes no higher one."""
+
 
 @dataclass(frozen=True)
 class Network:
@@ -37,6 +43,11 @@ class Network:
     sigma_px: float = 1.0
     loss: Literal["squares", "entropy"] = "squares"
 
+    def __post_init__(self) -> None:
+        """Refuse what cannot be built; the sizes are judged together with the images."""
+        if min(self.stacks, self.levels) < 1 or self.features < 2:
+            raise DataError("network: stacks and levels must be at least 1, features at least 2")
+
 
 @dataclass(frozen=True)
 class DetectorNetwork:
@@ -52,6 +63,13 @@ class DetectorNetwork:
     architecture: Architecture = "small_fcos"
     width_px: int = 192
     features: int = 64
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be built."""
+        if self.width_px < SMALLEST_IMAGE_PX:
+            raise DataError(f"network.width_px must be at least {SMALLEST_IMAGE_PX}, got {self.width_px}")
+        if self.architecture == "small_fcos" and (self.features < 32 or self.features % 32):
+            raise DataError(f"network.features must be a multiple of 32, got {self.features}")
 
 
 @dataclass(frozen=True)
@@ -154,6 +172,11 @@ class Machine:
     workers: int = 0
     threads: int | None = None
 
+    def __post_init__(self) -> None:
+        """Refuse what no machine has."""
+        if self.devices < 1 or self.workers < 0 or (self.threads is not None and self.threads < 1):
+            raise DataError("machine: devices and threads must be at least 1, workers 0 or more")
+
 
 @dataclass(frozen=True)
 class Run:
@@ -181,7 +204,7 @@ class Run:
         """Refuse what contradicts itself."""
         if self.resume and self.overwrite:
             raise DataError("--resume goes on with a run and --overwrite deletes it; choose one of them")
-        if min(self.seed, self.validate_every) < 0:
-            raise DataError("--seed and --validate_every must be 0 or more")
+        if min(self.seed, self.validate_every) < 0 or self.seed > HIGHEST_SEED:
+            raise DataError(f"--seed and --validate_every must be 0 or more, --seed at most {HIGHEST_SEED}")
         if self.until is not None and self.until < 1:
             raise DataError("--until must be at least 1")

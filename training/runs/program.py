@@ -9,6 +9,9 @@ from rpl_data.types import DataError
 from rpl_data.wording import counted
 from training.runs.old_names import arguments_with_new_names
 
+INTERRUPTED = 130
+"""Exit status after Ctrl-C, as shells have it."""
+
 
 def main(
     program: Callable[..., object],
@@ -38,6 +41,9 @@ def main(
     except DataError as error:
         print(f"{program.__name__}: {error}", file=sys.stderr)
         return 1
+    except KeyboardInterrupt:
+        print(f"{program.__name__}: interrupted", file=sys.stderr)
+        return INTERRUPTED
     return 0
 
 

@@ -10,7 +10,6 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from pickle import UnpicklingError
 from typing import Any, TypeVar
 
 import torch
@@ -24,8 +23,16 @@ from rpl_data.torch.epochs import Collate, training_batches, validation_batches
 from rpl_data.types import DataError
 from rpl_data.wording import counted
 from training.runs.callbacks import Checkpoints, EpochLines, Steps
-from training.runs.folder import LAST, changes, checkpoint_to_resume, delete_run, new_logs, trained_epochs
-from training.runs.options import Run
+from training.runs.folder import (
+    FOREIGN,
+    LAST,
+    changes,
+    checkpoint_to_resume,
+    delete_run,
+    new_logs,
+    trained_epochs,
+)
+from training.runs.options import Machine, Run
 from training.runs.program import say_left_out, use_threads
 
 Module = TypeVar("Module", bound=LightningModule)
@@ -65,15 +72,28 @@ def start(run: Run) -> Path | None:
     """Set threads and seed; the checkpoint to go on with comes back, None for a run from the beginning.
 
     Raises:
-        DataError: the folder holds a run, and the options do not say what to do with it.
+        DataError: the folder holds a run, and the options do not say what to do with it; or they ask for
+            more GPUs than there are.
     """
     import cv2
 
+    _check_machine(run.machine)
     resumed = checkpoint_to_resume(run)
     use_threads(run.machine.threads)
     cv2.setNumThreads(1)  # its threads would compete with torch's
     seed_everything(run.seed, workers=True, verbose=False)
     return resumed
+
+
+def _check_machine(machine: Machine) -> None:
+    """Refuse more GPUs than this machine has, before an earlier run is deleted."""
+    gpus = torch.cuda.device_count() or int(torch.backends.mps.is_available())
+    asked = machine.accelerator == "gpu" or (machine.accelerator == "auto" and gpus > 0)
+    if asked and machine.devices > gpus:
+        raise DataError(
+            f"machine.devices asks for {counted(machine.devices, 'GPU')}, and torch finds {gpus} here; "
+            "ask for fewer, or train with --machine.accelerator cpu"
+        )
 
 
 def fit(lesson: Lesson, run: Run, *, resumed: Path | None) -> Path:
@@ -234,6 +254,6 @@ def load_module(kind: type[Module], checkpoint: Path, program: str) -> Module:
         raise DataError(f"there is no checkpoint {checkpoint}; train one with {program}")
     try:
         loaded = kind.load_from_checkpoint(checkpoint, map_location="cpu", weights_only=True)
-    except (KeyError, TypeError, RuntimeError, OSError, UnpicklingError) as error:
+    except FOREIGN as error:
         raise DataError(f"{checkpoint} is no checkpoint of {program}: {error}") from error
     return loaded.eval()
