@@ -55,6 +55,12 @@ STAGES: dict[str, Callable[[Context], list[Step]]] = {
 }
 """The stages in order. Each plans its steps once those of the stages before it are up to date."""
 
+FORGET: dict[str, Callable[[Context], None]] = {
+    "refine": refine.forget_refined,
+    "label": label.forget_labels,
+}
+"""What removes the files of a stage that the recipe no longer asks for; planning changes nothing."""
+
 
 @dataclass(frozen=True)
 class Progress:
@@ -131,8 +137,8 @@ def _build(
         for stage, plan in STAGES.items():
             steps = plan(context)
             ledger.keep_only(stage, [item.item for item in steps])
-            if stage == "label":
-                label.forget_labels(context)
+            if stage in FORGET:
+                FORGET[stage](context)
             for item in steps:
                 _bring_up_to_date(ledger, item, stage in again, tell)
             if stage == until:

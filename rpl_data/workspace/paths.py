@@ -86,11 +86,11 @@ class Paths:
 
     def given_file(self, scene: str) -> Path:
         """The poses that the recording came with, as `trajectory_file`; none where it had none."""
-        return self.root / "scenes" / scene / "given.txt"
+        return self._scene(scene) / "given.txt"
 
     def corrected_file(self, scene: str) -> Path:
         """The poses as the images correct them, as `trajectory_file`, whether they are used or not."""
-        return self.root / "scenes" / scene / "corrected.txt"
+        return self._scene(scene) / "corrected.txt"
 
     def surface_file(self, scene: str) -> Path:
         """The surface near the objects, in the scene frame."""
@@ -122,7 +122,7 @@ class Paths:
 
     def refined_file(self, object_name: str) -> Path:
         """The solution after its scenes were registered on one another."""
-        return self.root / "objects" / object_name / "refined.json"
+        return self._object(object_name) / "refined.json"
 
     def mesh_file(self, object_name: str) -> Path:
         """The dense model as triangles, in the object frame, metres."""

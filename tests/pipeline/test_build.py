@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,11 +14,11 @@ from rpl_data.clicks.table import clicks_from_csv
 from rpl_data.geometry import Sphere
 from rpl_data.meshes import joined_meshes
 from rpl_data.pipeline import build as module
-from rpl_data.pipeline.build import Progress, alone_in, build, recipe_of, stale_steps
+from rpl_data.pipeline.build import FORGET, STAGES, Progress, alone_in, build, recipe_of, stale_steps
 from rpl_data.pipeline.context import Context
 from rpl_data.pipeline.ledger import Ledger, Outcome, Step, stamps
 from rpl_data.pipeline.pool import Pool
-from rpl_data.pipeline.recipe import LabelRecipe, ObjectRecipe, Recipe, SceneSource
+from rpl_data.pipeline.recipe import LabelRecipe, ObjectRecipe, Recipe, RefineRecipe, SceneSource
 from rpl_data.pipeline.results import quality_rows, timings, worth_knowing
 from rpl_data.pipeline.stages import ORDER
 from rpl_data.pipeline.stages.surface import joined_spheres
@@ -279,15 +280,20 @@ def test_the_order_of_stages_is_that_of_the_build() -> None:
 
 
 def test_planning_changes_nothing(tiny_workspace: Workspace, tmp_path: Path) -> None:
-    """Labels of a recording that is no longer placed go when the build runs, not when it is asked about."""
+    """What is no longer asked for goes when the build runs, not when it is asked about."""
     root = Path(shutil.copytree(tiny_workspace.root, tmp_path / "ws", symlinks=True))
     workspace = Workspace(root)
     shutil.copy(workspace.labels_file("00"), workspace.labels_file("old_scene"))
+    recipe = replace(recipe_of(workspace), refine=RefineRecipe(scenes=False))
+    context = Context(recipe, workspace, Pool(1))
     before = {path: path.stat().st_mtime_ns for path in root.rglob("*")}
-    stale_steps(recipe_of(workspace), workspace)
+    for plan in STAGES.values():
+        plan(context)
     assert {path: path.stat().st_mtime_ns for path in root.rglob("*")} == before
-    build(recipe_of(workspace), workspace, until="label", workers=1)
-    assert not workspace.labels_file("old_scene").exists()
+    build(recipe, workspace, until="refine", workers=1)
+    assert not workspace.refined_file("carton").exists()
+    FORGET["label"](context)
+    assert workspace.labelled_scene_names() == ["00", "01", "02"]
 
 
 def test_a_refused_build_leaves_the_recipe_alone(recording: Path, tmp_path: Path) -> None:

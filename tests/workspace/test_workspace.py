@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
@@ -31,6 +32,7 @@ from rpl_data.types import (
     Trajectory,
 )
 from rpl_data.workspace import workspace as ws
+from rpl_data.workspace.paths import Paths
 
 FullDisk = Callable[[int], AbstractContextManager[None]]
 RNG = np.random.default_rng(3)
@@ -269,3 +271,18 @@ def test_scene_json_names_pixels_in_place(workspace: ws.Workspace, tmp_path: Pat
         "index": 2, "timestamp_s": 1.1e9 + 1 / 30, "color": str(tmp_path / "1.png"),
         "depth": str(tmp_path / "1.depth.png"),
     }  # fmt: skip
+
+
+def test_no_name_leads_out_of_the_workspace(tmp_path: Path) -> None:
+    """Every file and folder that is named after a scene or an object."""
+    named = [
+        name
+        for name, method in vars(Paths).items()
+        if inspect.isfunction(method) and name not in {"__init__", "__eq__", "__hash__", "export"}
+        if len(inspect.signature(method).parameters) == 2
+    ]
+    assert len(named) > 15
+    for name in named:
+        for wrong in ("..", "../../etc", "a/b", ""):
+            with pytest.raises(DataError, match="cannot be the name of"):
+                getattr(Paths(tmp_path), name)(wrong)

@@ -8,8 +8,8 @@ from rpl_data.geometry import transform
 from rpl_data.meshes import load_mesh
 from rpl_data.pipeline.context import Box3, Context, crop_of, step
 from rpl_data.pipeline.ledger import Advance, Outcome, Step
+from rpl_data.pipeline.lifted_clicks import observe
 from rpl_data.pipeline.recipe import ObjectRecipe
-from rpl_data.pipeline.stages.solve import observe
 from rpl_data.refine.evidence import Verdict
 from rpl_data.types import PointCloud, Solution
 from rpl_data.workspace.workspace import Workspace
@@ -21,10 +21,15 @@ VERSION = 1
 def refine_steps(context: Context) -> list[Step]:
     """The scenes of each object registered on one another; nothing when the recipe turns it off."""
     if not context.recipe.refine.scenes:
-        for name in context.object_names:
-            context.workspace.remove_refined(name)
         return []
     return [_refine_step(context, item) for item in context.objects]
+
+
+def forget_refined(context: Context) -> None:
+    """Where the recipe turns refinement off, the solution of the clicks is the one that counts again."""
+    if not context.recipe.refine.scenes:
+        for name in context.object_names:
+            context.workspace.remove_refined(name)
 
 
 def _refine_step(context: Context, item: ObjectRecipe) -> Step:

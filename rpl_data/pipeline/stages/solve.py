@@ -7,13 +7,13 @@ from dataclasses import asdict, replace
 
 import numpy as np
 
-from rpl_data.clicks.lift import lift_clicks
 from rpl_data.clicks.log import Annotation
 from rpl_data.drift.drift import drift_from_json
 from rpl_data.files import read_json
 from rpl_data.geometry import transform
 from rpl_data.pipeline.context import Context, known_points, step
 from rpl_data.pipeline.ledger import Advance, Outcome, Step
+from rpl_data.pipeline.lifted_clicks import observe
 from rpl_data.pipeline.recipe import ObjectRecipe
 from rpl_data.solve.register import Registration, register_scene
 from rpl_data.solve.residuals import click_spreads_m
@@ -23,9 +23,7 @@ from rpl_data.types import (
     DataError,
     KeypointModel,
     Observation,
-    Scene,
     Solution,
-    Trajectory,
 )
 from rpl_data.workspace.workspace import Workspace
 
@@ -239,40 +237,3 @@ def _placed(model: KeypointModel, scene: str, found: Registration) -> Iterator[s
             f"the click that would help most: keypoint {model.keypoints[best.keypoint]} in frame "
             f"{best.frame}, which should leave {best.left_mm:.1f} mm"
         )
-
-
-def observe(workspace: Workspace, object_name: str, *, scene: str | None = None) -> list[Observation]:
-    """The clicks of an object (in one scene, or all), lifted; those in frames without a pose are left out.
-
-    Raises:
-        DataError: there are none, or a click cannot be lifted.
-    """
-    clicks = workspace.load_annotation(object_name).clicks
-    if scene is not None:
-        clicks = tuple(click for click in clicks if click.scene == scene)
-    where = f" in scene {scene}" if scene else ""
-    if not clicks:
-        raise DataError(
-            f"object {object_name} has no clicks{where}; mark them with `rpl annotate {workspace.root}`, "
-            "name a CSV file with `clicks:` in the recipe, or run "
-            f"`rpl clicks import FILE.csv --workspace {workspace.root}`"
-        )
-    scenes = {name: workspace.load_scene(name) for name in workspace.scene_names()}
-    trajectories = {
-        name: workspace.load_trajectory(scenes[name]) for name in {c.scene for c in clicks} & scenes.keys()
-    }
-    posed = [
-        c for c in clicks if not (c.scene in scenes and _lost(c, scenes[c.scene], trajectories[c.scene]))
-    ]
-    if not posed:
-        raise DataError(
-            f"object {object_name}: all {len(clicks)} clicks{where} are in frames whose pose is not known; "
-            "click in others"
-        )
-    return lift_clicks(posed, scenes, trajectories, workspace.depth_reader)
-
-
-def _lost(click: Click, scene: Scene, trajectory: Trajectory) -> bool:
-    """The clicked frame lies within the recording, but has no pose or was left out for having none."""
-    within = scene.frames and scene.frames[0].index <= click.frame <= scene.frames[-1].index
-    return bool(within) and click.frame not in trajectory.frames

@@ -12,7 +12,7 @@ from rpl_data.evaluate.quality import LabelErrors, ModelError, label_errors, mer
 from rpl_data.evaluate.truth import TrueObject, true_labels
 from rpl_data.geometry import Transform, invert
 from rpl_data.meshes import load_mesh
-from rpl_data.pipeline.stages.solve import observe
+from rpl_data.pipeline.lifted_clicks import observe
 from rpl_data.solve.solve import register
 from rpl_data.types import DataError, KeypointModel, QualityRow, Solution
 from rpl_data.workspace.workspace import Workspace
