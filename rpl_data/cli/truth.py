@@ -41,7 +41,7 @@ def write_true_poses(
     if not wanted:
         raise DataError(
             f"the recordings have true poses of {', '.join(sorted(known)) or 'no object'}; the recipe's "
-            f"objects are {', '.join(keypoints)}; call them alike"
+            f"objects are {', '.join(keypoints) or 'not named'}; call them alike"
         )
     content: Json = {}
     for name, cad in cads_in(cads, wanted, metres_per_unit=metres_per_unit).items():

@@ -110,8 +110,9 @@ class Ledger:
         entry = self.entries.get(step.name)
         if entry is None or entry.version != step.version or entry.after != self._before(step):
             return False
-        sources = _as_counted(step.sources, entry.sources)
-        if not (_same(entry.options, step.options) and _same(entry.sources, sources)):
+        stored = _absolute(entry.sources)
+        sources = _as_counted(_absolute(step.sources), stored)
+        if not (_same(_absolute(entry.options), _absolute(step.options)) and _same(stored, sources)):
             return False
         return all(_is_there(path, entry.folders.get(str(path))) for path in step.outputs)
 
@@ -169,6 +170,19 @@ def _same(one: Json, other: Json) -> bool:
     return json.dumps(one, sort_keys=True) == json.dumps(other, sort_keys=True)
 
 
+def _absolute(record: Json) -> Json:
+    """A record with absolute paths: older versions noted those of a twin as the workspace was named."""
+
+    def of(key: str, value: Any) -> Any:
+        if isinstance(value, list | tuple):
+            return [of(key, each) for each in value]
+        if isinstance(value, dict):
+            return _absolute(value)
+        return str(Path(value).absolute()) if key == "path" else value
+
+    return {str(Path(key).absolute()) if "/" in key else key: of(key, value) for key, value in record.items()}
+
+
 def _as_counted(sources: Json, stored: Json) -> Json:
     """The sources with images only counted where an older version counted them, so that its builds hold."""
     counted = {name for name, value in stored.items() if isinstance(value, int)}
@@ -201,7 +215,7 @@ MANY = 64
 
 
 def stamps(*paths: Path, but_not: Path | None = None, names: Sequence[str] | None = None) -> Json:
-    """Size and time of files by path; of a folder, those of its files.
+    """Size and time of files by absolute path; of a folder, those of its files.
 
     The images of a folder are summed up: their number, and a digest of their names, sizes and times. More
     than `MANY` files of another kind in a folder, such as one per frame, are summed up too: their number,
@@ -212,9 +226,10 @@ def stamps(*paths: Path, but_not: Path | None = None, names: Sequence[str] | Non
         names: if there are folders with these names, only they are searched.
     """
     found: Json = {}
-    for path in paths:
+    elsewhere = None if but_not is None else but_not.absolute()
+    for path in (each.absolute() for each in paths):
         if path.is_dir():
-            found |= _folder_stamps(path, but_not, frozenset(names or ()))
+            found |= _folder_stamps(path, elsewhere, frozenset(names or ()))
         elif stamp := _stamp(path):
             found[str(path)] = stamp
     return found

@@ -11,6 +11,8 @@ from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from types import TracebackType
 from typing import Any, TypeVar
 
+from rpl_data.types import DataError
+
 Result = TypeVar("Result")
 RANGE = 100
 """Largest number of items per task: a finished task keeps them in memory until its turn."""
@@ -27,6 +29,8 @@ class Pool:
     """
 
     def __init__(self, workers: int | None = None, executor: Executor | None = None) -> None:
+        if workers is not None and workers < 1:
+            raise DataError(f"workers is {workers}; give 1 or more, or leave it out for one per core")
         self.workers = workers or os.cpu_count() or 1
         self._given = executor
         self._own: ProcessPoolExecutor | None = None

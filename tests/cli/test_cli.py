@@ -183,7 +183,9 @@ def test_proposed_clicks_only_fill_in(
     assert before < after and len(after) == len(before) + 1
 
 
-def test_register_places_a_scene_and_keeps_the_model(recipe: Path, tmp_path: Path) -> None:
+def test_register_places_a_scene_and_keeps_the_model(
+    recipe: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     place, clicks = Workspace(tmp_path / "ws"), tmp_path / "recording" / "clicks.csv"
     whole = clicks.read_text().splitlines(keepends=True)
     later = tmp_path / "later.csv"
@@ -200,6 +202,10 @@ def test_register_places_a_scene_and_keeps_the_model(recipe: Path, tmp_path: Pat
     assert (solution.model.points_object == model.points_object).all()
     assert set(solution.scene_from_object) == {"00", "01", "02"}
     assert place.labels_file("02").exists()
+    assert main(["register", "carton", "99", *at]) == 1
+    assert "has no scene '99'" in capsys.readouterr().err
+    assert main(["status", *at]) == 0
+    assert "solve     up to date" in capsys.readouterr().out, "a mistake leaves everything as it was"
 
 
 # Mistakes -----------------------------------------------------------------------------------------

@@ -273,6 +273,8 @@ def test_pool_keeps_the_order_and_equals_one_process() -> None:
         assert [b - a for a, b in ranges] == [100] * 10
         assert list(pool.stream(range, ranges)) == list(range(1000))
     assert Pool(1).ranges(1000) == [(0, 1000)]
+    with pytest.raises(DataError, match="workers is 0; give 1 or more"):
+        Pool(0)
 
 
 def test_the_order_of_stages_is_that_of_the_build() -> None:
@@ -294,6 +296,17 @@ def test_planning_changes_nothing(tiny_workspace: Workspace, tmp_path: Path) -> 
     assert not workspace.refined_file("carton").exists()
     FORGET["label"](context)
     assert workspace.labelled_scene_names() == ["00", "01", "02"]
+
+
+def test_a_workspace_is_the_same_however_it_is_named(
+    tiny_workspace: Workspace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`cd my-workspace; rpl status` and `rpl status --workspace my-workspace` agree."""
+    recipe = recipe_of(tiny_workspace)
+    for folder in (tiny_workspace.root, tiny_workspace.root.parent):
+        monkeypatch.chdir(folder)
+        found = stale_steps(recipe, Workspace(tiny_workspace.root.relative_to(folder)))
+        assert all(holds for steps in found.values() for _, holds in steps)
 
 
 def test_a_refused_build_leaves_the_recipe_alone(recording: Path, tmp_path: Path) -> None:

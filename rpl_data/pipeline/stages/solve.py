@@ -189,37 +189,39 @@ def register_step(context: Context, object_name: str, scene: str) -> Step:
     if item is None:
         raise DataError(f"the recipe has no object {object_name!r}; it has {', '.join(context.object_names)}")
 
+    # Done before the step runs: a mistake must not leave the solve of the object out of date.
+    workspace = context.workspace
+    workspace.load_scene(scene)
+    solution = workspace.load_solution(object_name)
+    found = register_scene(
+        solution.model,
+        observe(workspace, object_name, scene=scene),
+        covariance=solution.covariance,
+        click_sigma_px=solution.click_sigma_px,
+        depth_sigma_ratio=solution.depth_sigma_ratio,
+        trajectory_sigma_m=trajectory_sigmas_m(workspace, [scene]).get(scene, 0.0),
+    )
+
     def run(advance: Advance) -> Outcome:
-        solution = context.workspace.load_solution(object_name)
-        observations = observe(context.workspace, object_name, scene=scene)
-        strayed_m = trajectory_sigmas_m(context.workspace, [scene])
-        found = register_scene(
-            solution.model,
-            observations,
-            covariance=solution.covariance,
-            click_sigma_px=solution.click_sigma_px,
-            depth_sigma_ratio=solution.depth_sigma_ratio,
-            trajectory_sigma_m=strayed_m.get(scene, 0.0),
-        )
-        kept = tuple(r for r in solution.residuals if r.click.scene != scene)
-        covariances = {**solution.covariance_in_scene, scene: found.covariance_in_scene}
-        context.workspace.save_solution(
-            replace(
-                solution,
-                scene_from_object={**solution.scene_from_object, scene: found.scene_from_object},
-                residuals=(*kept, *found.residuals),
-                covariance_in_scene=covariances,
-                statements=(
-                    *found.statements,
-                    *(s for s in solution.statements if all(click.scene != scene for click in s.clicks)),
-                ),
-                next_clicks=found.next_clicks,
-            )
-        )
+        workspace.save_solution(_with_scene(solution, scene, found))
         return Outcome(messages=tuple(_placed(solution.model, scene, found)))
 
     # It takes the place of the solve in the ledger, so that a build goes on from it and does not solve again.
     return replace(_solve_step(context, item), run=run)
+
+
+def _with_scene(solution: Solution, scene: str, found: Registration) -> Solution:
+    """The solution with the object placed in one more scene, or placed there anew."""
+    others = tuple(residual for residual in solution.residuals if residual.click.scene != scene)
+    elsewhere = (s for s in solution.statements if all(click.scene != scene for click in s.clicks))
+    return replace(
+        solution,
+        scene_from_object={**solution.scene_from_object, scene: found.scene_from_object},
+        residuals=(*others, *found.residuals),
+        covariance_in_scene={**solution.covariance_in_scene, scene: found.covariance_in_scene},
+        statements=(*found.statements, *elsewhere),
+        next_clicks=found.next_clicks,
+    )
 
 
 def _placed(model: KeypointModel, scene: str, found: Registration) -> Iterator[str]:
