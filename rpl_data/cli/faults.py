@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import platform
 import tempfile
 import traceback
@@ -19,6 +20,8 @@ def reported(error: Exception, arguments: Sequence[str]) -> str:
     where = next(iter(getattr(error, "__notes__", ())), arguments[0] if arguments else "rpl")
     if isinstance(error, OSError) and error.filename is not None:  # the machine's fault, not ours
         return f"cannot use {error.filename}: {error.strerror or error}; mend that and run the command again"
+    if isinstance(error, OSError) and error.errno == errno.ENOSPC:
+        return f"the disk is full at {where}; free some space and run the command again"
     if isinstance(error, MemoryError):
         return f"the memory is full at {where}; close other programs, or use fewer --workers"
     about = f"rpl-data {version('rpl-data')}, Python {platform.python_version()}, {platform.platform()}"

@@ -37,6 +37,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from rpl_data.command_line import run
 
         run(COMMANDS, arguments, program="rpl", description=HELP)
+        sys.stdout.flush()  # here, where a disk that is full can be said
     except DataError as error:
         print(f"rpl: {error}", file=sys.stderr)
         return 1

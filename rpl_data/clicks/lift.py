@@ -135,14 +135,6 @@ class _Piece(NamedTuple):
     dv_px: np.ndarray
 
 
-def candidate_depths_m(
-    depth_m: DepthImage, u_px: float, v_px: float, *, pixel_rad: float
-) -> tuple[Float64[np.ndarray, " candidates"], Float64[np.ndarray, " candidates"]]:
-    """Depths of the surfaces within `RADIUS_PX` of a pixel, nearest first, and their standard deviations."""
-    found = candidate_surfaces(depth_m, u_px, v_px, pixel_rad=pixel_rad)
-    return found.depths_m, found.sigmas_m
-
-
 def candidate_surfaces(depth_m: DepthImage, u_px: float, v_px: float, *, pixel_rad: float) -> Candidates:
     """Find the surfaces within `RADIUS_PX` of a pixel.
 

@@ -44,6 +44,7 @@ def test_a_fault_of_ours_is_one_line_and_a_file(
     ("error", "message"),
     [
         (PermissionError(13, "Permission denied", "/root/x"), "rpl: cannot use /root/x: Permission denied"),
+        (OSError(28, "No space left on device"), "rpl: the disk is full at status"),
         (MemoryError(), "rpl: the memory is full at status"),
     ],
 )
@@ -53,6 +54,19 @@ def test_a_fault_of_the_machine_is_said_as_one(
     monkeypatch.setitem(command.COMMANDS, "status", failing(error))
     assert command.main(["status"]) == 1
     assert capsys.readouterr().err.startswith(message)
+
+
+def test_ctrl_c_while_modules_load_is_one_line() -> None:
+    """Wherever it strikes: here, when the first of our modules is looked for."""
+    program = (
+        "import sys, rpl_data.cli.__main__ as command\n"
+        "class Impatient:\n"
+        "    def find_spec(self, *_): raise KeyboardInterrupt\n"
+        "sys.meta_path.insert(0, Impatient())\n"
+        "sys.exit(command.start())"
+    )
+    child = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert (child.returncode, child.stderr) == (130, "rpl: interrupted before it began\n")
 
 
 def test_a_port_that_is_taken_gives_way_to_the_next() -> None:

@@ -10,7 +10,6 @@ from rpl_data.clicks.lift import (
     LIFT_SIGMA_M,
     SLOPE_SIGMA_PX,
     STEEPEST,
-    candidate_depths_m,
     candidate_surfaces,
     lift,
     lift_clicks,
@@ -29,7 +28,7 @@ def edge_image(left_m: float, right_m: float) -> np.ndarray:
 
 
 def depths_at(image, u_px, v_px):
-    return candidate_depths_m(image, u_px, v_px, pixel_rad=1 / 600)[0]
+    return candidate_surfaces(image, u_px, v_px, pixel_rad=1 / 600).depths_m
 
 
 def test_both_surfaces_of_an_edge_are_kept_nearest_first():
@@ -124,7 +123,8 @@ def test_a_far_surface_is_less_sure_and_continued_as_a_plane():
     columns = np.mgrid[0:480, 0:640][1]
     inverse = 1 / 0.7 + 0.0005 * (columns - 200)
     image = np.where(columns >= 206, 1 / inverse, 0).astype(np.float32)
-    depths, sigmas = candidate_depths_m(image, 200.0, 50.0, pixel_rad=1 / 600)
+    found = candidate_surfaces(image, 200.0, 50.0, pixel_rad=1 / 600)
+    depths, sigmas = found.depths_m, found.sigmas_m
     assert depths == pytest.approx([0.7], abs=1e-3)
     slope_m = SLOPE_SIGMA_PX * 0.0005 * 0.7**2  # metres over so many pixels
     assert sigmas[0] == pytest.approx(
