@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
+import json
 import os
 import resource
+import shutil
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
 import pytest
+from built_once import made_once, moved_copy, plain_recipe
 
 from rpl_data.workspace.workspace import Workspace
 
@@ -53,9 +58,36 @@ def full_disk() -> Callable[[int], AbstractContextManager[None]]:
 @pytest.fixture(scope="session")
 def tiny_workspace(tmp_path_factory: pytest.TempPathFactory) -> Workspace:
     """A small synthetic recording, built to its report once a session; look, but do not change it."""
-    from rpl_data.pipeline.build import build
-    from rpl_data.pipeline.recipe_file import load_recipe
 
-    workspace = Workspace(tmp_path_factory.mktemp("tiny"))
-    build(load_recipe(TINY), workspace, workers=1)
-    return workspace
+    def make(folder: Path) -> None:
+        from rpl_data.pipeline.build import build
+        from rpl_data.pipeline.recipe_file import load_recipe
+
+        build(load_recipe(TINY), Workspace(folder), workers=1)
+
+    built = made_once(tmp_path_factory, "tiny", make)
+    # Commands lock a workspace, so each process has one of its own.
+    return Workspace(moved_copy(built, tmp_path_factory.mktemp("tiny") / "workspace"))
+
+
+@pytest.fixture(scope="session")
+def plain_build(tiny_workspace: Workspace, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder whose `recording` is built into its `ws` by its `recipe.yaml`, one command after the other.
+
+    It is the tiny recording, as if it were anybody's. `said.json` has what each command printed. Only
+    for `moved_copy`.
+    """
+
+    def make(folder: Path) -> None:
+        from rpl_data.cli.main import main
+
+        shutil.copytree(tiny_workspace.recording, folder / "recording")
+        recipe, said = plain_recipe(folder), {}
+        for command in ("import", "solve", "surface", "segment", "label", "export", "report"):
+            with contextlib.redirect_stdout(io.StringIO()) as printed:
+                first = [command, str(recipe)] if command == "import" else [command]
+                assert main([*first, "--workspace", str(folder / "ws")]) == 0
+            said[command] = printed.getvalue()
+        (folder / "said.json").write_text(json.dumps(said))
+
+    return made_once(tmp_path_factory, "plain", make)

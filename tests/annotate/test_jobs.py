@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import threading
 import time
 from collections.abc import Callable
@@ -12,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from annotate_client import act, client_of
+from built_once import moved_copy
 from fastapi.testclient import TestClient
 
 from rpl_data.annotate.jobs import Jobs
@@ -19,28 +19,19 @@ from rpl_data.annotate.news import News
 from rpl_data.annotate.work import Tell
 from rpl_data.files import locked
 from rpl_data.meshes import load_cloud, load_mesh
-from rpl_data.pipeline.build import build
-from rpl_data.pipeline.recipe import LabelRecipe, ObjectRecipe, Recipe, SceneSource
+from rpl_data.pipeline.ledger import Ledger
 from rpl_data.types import DataError
 from rpl_data.workspace.workspace import Workspace
 
 
-@pytest.fixture(scope="module")
-def built(tiny_workspace: Workspace, tmp_path_factory: pytest.TempPathFactory) -> Workspace:
-    """The tiny recording outside the workspace, built to its labels, so that a copy is up to date too."""
-    source, workspace = tiny_workspace.recording, Workspace(tmp_path_factory.mktemp("jobs") / "ws")
-    scenes = (SceneSource(source, metres_per_unit=0.001),)
-    model = tiny_workspace.load_solution("carton").model
-    item = ObjectRecipe("carton", model.keypoints, source / "clicks.csv")
-    recipe = Recipe("jobs", scenes=scenes, objects=(item,), label=LabelRecipe("all"))
-    build(recipe, workspace, until="label", workers=1)
-    return workspace
-
-
 @pytest.fixture
-def root(built: Workspace, tmp_path: Path) -> Path:
-    shutil.copytree(built.root, tmp_path / "ws")
-    return tmp_path / "ws"
+def root(plain_build: Path, tmp_path: Path) -> Path:
+    """A workspace that is built to its labels, its recording beside it."""
+    workspace = Workspace(moved_copy(plain_build, tmp_path / "plain") / "ws")
+    ledger = Ledger(workspace.stages_file)
+    for stage in ("export", "report"):
+        ledger.keep_only(stage, ())
+    return workspace.root
 
 
 @pytest.fixture

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from built_once import moved_copy
 
 from rpl_data.clicks.table import clicks_from_csv
 from rpl_data.geometry import Sphere
@@ -55,11 +56,10 @@ def recipe_for(recording: Path, **changes: object) -> Recipe:
 
 
 @pytest.fixture
-def built(recording: Path, tmp_path: Path) -> tuple[Recipe, Workspace]:
-    """A workspace of its own, built."""
-    recipe, workspace = recipe_for(recording), Workspace(tmp_path / "workspace")
-    build(recipe, workspace, workers=1)
-    return recipe, workspace
+def built(plain_build: Path, tmp_path: Path) -> tuple[Recipe, Workspace]:
+    """A workspace of its own, built; its recording may be changed."""
+    copy = moved_copy(plain_build, tmp_path / "built")
+    return recipe_for(copy / "recording"), Workspace(copy / "ws")
 
 
 def test_errors_are_small(tiny_workspace: Workspace) -> None:
@@ -98,8 +98,9 @@ def test_second_build_runs_nothing(tiny_workspace: Workspace) -> None:
     assert all(holds for steps in found.values() for _, holds in steps)
 
 
-def test_only_what_depends_on_a_change_runs(built: tuple[Recipe, Workspace], recording: Path) -> None:
+def test_only_what_depends_on_a_change_runs(built: tuple[Recipe, Workspace]) -> None:
     recipe, workspace = built
+    recording = recipe.scenes[0].path
     watcher = Watcher()
     build(recipe_for(recording, label=LabelRecipe(6.0)), workspace, workers=1, tell=watcher)
     assert watcher.ran == ["label/00", "label/01", "label/02", "export/coco", "report"]
@@ -135,8 +136,10 @@ def test_clicks_in_frames_without_a_pose_are_left_out_and_said(recording: Path, 
     assert entry.outcome.details["clicks"] == sum((c.scene, c.frame) != ("00", frame) for c in clicked)
 
 
-def test_interrupted_build_goes_on(recording: Path, tmp_path: Path) -> None:
-    recipe, workspace = recipe_for(recording), Workspace(tmp_path / "workspace")
+def test_interrupted_build_goes_on(built: tuple[Recipe, Workspace]) -> None:
+    recipe, workspace = built
+    for name in workspace.labelled_scene_names():
+        workspace.labels_file(name).unlink()
 
     def interrupt(progress: Progress) -> None:
         if progress.stage == "label" and progress.item == "01" and progress.done == 3:
@@ -168,13 +171,15 @@ def test_what_the_segmentation_says_is_worth_knowing(tmp_path: Path) -> None:
     assert worth_knowing(ledger) == ["solve speaks", "segment speaks"]
 
 
-def test_removed_scene_disappears(built: tuple[Recipe, Workspace], recording: Path) -> None:
-    _, workspace = built
+def test_removed_scene_disappears(built: tuple[Recipe, Workspace]) -> None:
+    recipe, workspace = built
+    recording = recipe.scenes[0].path
     clicks = recording / "clicks.csv"
     lines = clicks.read_text().splitlines(keepends=True)
     clicks.write_text("".join(line for line in lines if ",02," not in line))
     sources = (SceneSource(recording, names=("00", "01"), metres_per_unit=0.001),)
-    build(recipe_for(recording, scenes=sources), workspace, workers=1)
+    fewer = recipe_for(recording, scenes=sources, refine=RefineRecipe(scenes=False))
+    build(fewer, workspace, until="label", workers=1)
     assert workspace.scene_names() == workspace.labelled_scene_names() == ["00", "01"]
     assert "label/02" not in Ledger(workspace.stages_file).entries
 
@@ -283,7 +288,7 @@ def test_the_order_of_stages_is_that_of_the_build() -> None:
 
 def test_planning_changes_nothing(tiny_workspace: Workspace, tmp_path: Path) -> None:
     """What is no longer asked for goes when the build runs, not when it is asked about."""
-    root = Path(shutil.copytree(tiny_workspace.root, tmp_path / "ws", symlinks=True))
+    root = moved_copy(tiny_workspace.root, tmp_path / "ws")
     workspace = Workspace(root)
     shutil.copy(workspace.labels_file("00"), workspace.labels_file("old_scene"))
     recipe = replace(recipe_of(workspace), refine=RefineRecipe(scenes=False))
