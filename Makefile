@@ -7,9 +7,10 @@ STAMP := .venv/.made-from-constraints
 demo: $(STAMP)
 	.venv/bin/rpl build datasets/demo.yaml --workspace workspaces/demo
 
-# Two processes on two cores: more threads would only wait for one another.
+# Two processes on two cores: more threads would only wait for one another. Bytecode is kept, so that not every
+# process compiles everything anew.
 test: $(STAMP)
-	OMP_NUM_THREADS=1 .venv/bin/python -m pytest -n 2 tests
+	PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 .venv/bin/python -m pytest -n 2 tests
 
 # Most benchmarks are programs; those that share the tests' fixtures are run by pytest.
 bench: demo

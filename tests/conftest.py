@@ -14,9 +14,13 @@ from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
 import pytest
-from built_once import made_once, moved_copy, plain_recipe
+from array_checks import quick_checks
 
-from rpl_data.workspace.workspace import Workspace
+quick_checks()  # before anything of rpl_data is imported
+
+from built_once import made_once, moved_copy, plain_recipe  # noqa: E402
+
+from rpl_data.workspace.workspace import Workspace  # noqa: E402
 
 TINY = Path(__file__).parent / "tiny.yaml"
 
