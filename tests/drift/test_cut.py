@@ -15,7 +15,7 @@ from rpl_data.formats.recordings.rpl import write_poses
 from rpl_data.geometry import from_rotvec, rays, rigid
 from rpl_data.images import depth_reader
 from rpl_data.pipeline.build import build, context_of
-from rpl_data.pipeline.recipe import ObjectRecipe, Recipe, SceneSource
+from rpl_data.pipeline.recipe import ObjectRecipe, Recipe, RefineRecipe, SceneSource
 from rpl_data.pipeline.results import quality_rows
 from rpl_data.pipeline.stages.cut import choose_cut
 from rpl_data.types import Click, DataError, Frame, Intrinsics, Recording, Scene, Trajectory
@@ -243,7 +243,7 @@ def test_a_build_cuts_what_strays_and_its_labels_are_better(
     context = context_of(tiny_workspace)
     recipe = replace(
         context.recipe, twin=None, objects=context.objects, truth=tiny_workspace.truth,
-        scenes=(SceneSource(strayed, metres_per_unit=0.001),),
+        scenes=(SceneSource(strayed, metres_per_unit=0.001),), refine=RefineRecipe(scenes=False),
     )  # fmt: skip
     for limit_mm in (1000.0, 15.0):
         options = replace(context.recipe.reconstruct, method="given", max_drift_mm=limit_mm)

@@ -244,9 +244,11 @@ def test_a_recipe_unpacks_into_the_workspace(tmp_path: Path) -> None:
     assert read_depth_m(loaded, loaded.frames[5])[0, 0] == pytest.approx(0.705)
 
 
-def test_depth_that_would_unpack_to_gigabytes_is_broken_and_takes_no_memory(tmp_path: Path) -> None:
+def test_depth_that_would_unpack_to_hundreds_of_megabytes_is_broken_and_takes_no_memory(
+    tmp_path: Path,
+) -> None:
     packing = zlib.compressobj(9)
-    bomb = b"".join(packing.compress(bytes(2**20)) for _ in range(1024)) + packing.flush()
+    bomb = b"".join(packing.compress(bytes(2**20)) for _ in range(300)) + packing.flush()
     (tmp_path / "a.klg").write_bytes(struct.pack("<iqii", 1, 0, len(bomb), 0) + bomb)
     index = index_klg(tmp_path / "a.klg")
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
@@ -14,6 +15,7 @@ from rpl_data.workspace.workspace import Workspace
 from training.masks.scores import ClassScore, SplitScore
 from training.masks.settings import comparable, load_settings
 from training.reproduce.__main__ import main
+from training.reproduce.segmentation import experiment
 from training.reproduce.segmentation.experiment import given, segmentation, sources_of, train_round
 from training.reproduce.segmentation.page import verdict
 from training.reproduce.segmentation.progress import Progress
@@ -21,7 +23,7 @@ from training.train_masks import train_masks
 
 SETTINGS = """
 network: {backbone: resnet18, size_px: 64, channels: 32, hidden: 64, proposals: 20, rois: 16, detections: 5}
-learning: {epochs: 4, batch: 4, optimizer: adamw}
+learning: {epochs: 2, batch: 4, optimizer: adamw}
 weights: scratch
 head_epochs: 0
 machine: {workers: 0, accelerator: cpu}
@@ -31,6 +33,14 @@ machine: {workers: 0, accelerator: cpu}
 def scored(mean_iou: float | None) -> SplitScore:
     row = ClassScore("can", 5, mean_iou, 0, 0, None, None, None)
     return SplitScore(5, mean_iou, None, None, None, None, (row,))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def short_rounds() -> Iterator[None]:
+    """One epoch of one source, then one of the other."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(experiment, "ROUND_EPOCHS", 1)
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -56,9 +66,9 @@ def test_figure_page_and_numbers(workspace: Workspace, command: list[str]) -> No
     out = Path(command[3])
     found = json.loads((out / "segmentation.json").read_text())
     assert set(found["scores"]) == {"val", "test"} and set(found["scores"]["test"]) == {"OURS", "MANUAL"}
-    assert found["progress"]["epochs"] == 4 and len(found["progress"]["history"]) == 2
+    assert found["progress"]["epochs"] == 2 and len(found["progress"]["history"]) == 2
     assert found["progress"]["cpu_seconds"] > 0
-    assert found["verdict"]["test"]["valid"] is False  # four epochs of eleven images teach nothing
+    assert found["verdict"]["test"]["valid"] is False  # two epochs of eleven images teach nothing
     images = json.loads((workspace.export("coco_truth") / "test.json").read_text())["images"]
     assert found["scores"]["test"]["OURS"]["images"] == len(images) == 6
     assert cv2.imread(str(out / "segmentation.png")) is not None
@@ -75,7 +85,7 @@ def test_an_interrupted_run_goes_on_as_if_it_had_not_been(
     preset = Path(command[5])
     settings, sources = load_settings(preset), sources_of(workspace.root)
     train_round(sources, settings, Progress(comparable(settings)), tmp_path)
-    train_masks(sources["OURS"], tmp_path / "ours", **given(settings), resume=True, until=4)
+    train_masks(sources["OURS"], tmp_path / "ours", **given(settings), resume=True, until=2)
     segmentation(workspace.root, tmp_path, preset)
     straight, paused = (
         json.loads((f / "segmentation.json").read_text()) for f in (Path(command[3]), tmp_path)
