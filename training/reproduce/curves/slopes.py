@@ -43,9 +43,9 @@ def slope_of(
     rng = np.random.default_rng(0)
     span = float(x[-1] - x[0])
     draws = rng.integers(0, len(y), (resamples, len(y)))
-    changes = np.array([_slope(x, y[draw]) * span for draw in draws])
+    changes = _slopes(x, y[draws]) * span
     changes = changes[np.isfinite(changes)]
-    change = _slope(x, y) * span
+    change = float(_slopes(x, y[None])[0]) * span
     low, high = np.percentile(changes, [2.5, 97.5]) if len(changes) else (np.nan, np.nan)
     with_spread = [column[np.isfinite(column)].std() for column in y.T if np.isfinite(column).any()]
     relative = change / float(np.nanmean(y))
@@ -66,10 +66,17 @@ def before_the_fit(
     return freed
 
 
-def _slope(x: Float64[np.ndarray, " n"], y: Float64[np.ndarray, "seeds n"]) -> float:
-    """Least squares through the means of the columns that have a value."""
-    known = np.isfinite(y).any(axis=0)
-    if known.sum() < 2:
-        return float("nan")
-    means = np.array([column[np.isfinite(column)].mean() for column in y[:, known].T])
-    return float(np.polyfit(x[known], means, 1)[0])
+def _slopes(
+    x: Float64[np.ndarray, " n"], y: Float64[np.ndarray, "draws seeds n"]
+) -> Float64[np.ndarray, " draws"]:
+    """Least squares per draw, through the means of the columns with a value; NaN for fewer than two."""
+    finite = np.isfinite(y)
+    counts = finite.sum(axis=1)
+    known = counts > 0
+    means = np.where(finite, y, 0).sum(axis=1) / np.maximum(counts, 1)
+    columns = np.maximum(known.sum(axis=1), 1)
+    dx = np.where(known, x - ((known * x).sum(axis=1) / columns)[:, None], 0)
+    slopes: Float64[np.ndarray, " draws"] = np.full(len(y), np.nan)
+    enough = known.sum(axis=1) >= 2
+    slopes[enough] = (dx * means)[enough].sum(axis=1) / (dx**2)[enough].sum(axis=1)
+    return slopes
