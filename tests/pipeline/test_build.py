@@ -179,7 +179,7 @@ def test_removed_scene_disappears(built: tuple[Recipe, Workspace]) -> None:
     clicks.write_text("".join(line for line in lines if ",02," not in line))
     sources = (SceneSource(recording, names=("00", "01"), metres_per_unit=0.001),)
     fewer = recipe_for(recording, scenes=sources, refine=RefineRecipe(scenes=False))
-    build(fewer, workspace, until="label", workers=1)
+    build(fewer, workspace, until="export", workers=1)
     assert workspace.scene_names() == workspace.labelled_scene_names() == ["00", "01"]
     assert "label/02" not in Ledger(workspace.stages_file).entries
 
