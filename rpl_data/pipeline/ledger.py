@@ -11,7 +11,7 @@ import hashlib
 import json
 import os
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -159,7 +159,8 @@ class Ledger:
         write_json(self.path, {name: asdict(entry) for name, entry in self.entries.items()})
 
 
-def _entry(data: Mapping[str, Any]) -> Entry:
+def _entry(data: Any) -> Entry:
+    """An entry as it was written; any fault of it is `decoding`'s to name."""
     outcome = data["outcome"]
     messages = tuple(outcome["messages"])
     return Entry(**{**data, "outcome": Outcome(outcome["frames"], messages, outcome["details"])})

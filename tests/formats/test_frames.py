@@ -123,7 +123,7 @@ def test_a_camera_can_be_given(folder: Path) -> None:
 def test_wrong_folders_and_files_are_refused(folder: Path, tmp_path: Path) -> None:
     with pytest.raises(DataError, match="has no frame-<number>.color.jpg"):
         read_frames(tmp_path / "nowhere")
-    with pytest.raises(DataError, match=r"camera.txt is missing.*It looks like `format: frames`"):
+    with pytest.raises(DataError, match=r"holds no recording.*It looks like `format: frames`"):
         open_scenes(folder, "rpl")
     (folder / "camera-intrinsics.txt").write_text("50 51 31.5 23.5")
     with pytest.raises(DataError, match="expected the 9 numbers of the 3x3 matrix K, found 4"):
