@@ -1,13 +1,41 @@
-"""The paper's own solver: Eq. 2 by SciPy's SLSQP from the paper's start (section III-C)."""
+"""The paper's own solve: depth of the clicked pixel (III-B), Eq. 2 by SciPy's SLSQP (III-C)."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float64
 from scipy.optimize import minimize
 
-from rpl_data.geometry import rigid
+from rpl_data.geometry import depth_sigma_m, rigid, transform
 from rpl_data.solve.procrustes import Adjusted, Fragments
+from rpl_data.types import Observation
+
+
+def at_clicked_pixel(observation: Observation) -> Observation:
+    """The click with the depth of its pixel as the only candidate; with none where nothing was measured."""
+    depths_m = np.array([observation.pixel_depth_m] if observation.pixel_depth_m > 0 else [])
+    sigmas_m = np.asarray(depth_sigma_m(depths_m))
+    return replace(observation, depths_m=depths_m, depth_sigmas_m=sigmas_m, depth_slopes_m=None)
+
+
+def measured_fragments(
+    observations: Sequence[Observation], scenes: Sequence[str], keypoints: int
+) -> Fragments:
+    """The paper's W: every click lifted by the depth of its pixel; clicks without depth are left out.
+
+    The paper has one click per keypoint and scene. Of several, the mean is taken with their number as its
+    weight, which has the same minimum as one term of Eq. 2 per click.
+    """
+    points, clicks = np.zeros((len(scenes), keypoints, 3)), np.zeros((len(scenes), keypoints))
+    for o in observations:
+        if o.pixel_depth_m > 0:
+            row = scenes.index(o.click.scene), o.click.keypoint
+            points[row] += transform(o.scene_from_camera, o.pixel_depth_m * o.ray_camera)
+            clicks[row] += 1
+    return Fragments(points / np.maximum(clicks, 1)[..., None], clicks)
 
 
 def adjust_points_slsqp(fragments: Fragments) -> Adjusted:
@@ -24,8 +52,8 @@ def adjust_points_slsqp(fragments: Fragments) -> Adjusted:
     def cost(unknowns: Float64[np.ndarray, " u"]) -> float:
         transforms, points = _unpack(unknowns, scenes)
         total = 0.0
-        for s, transform in enumerate(transforms):
-            predicted = points @ transform[:3, :3].T + transform[:3, 3]
+        for s, scene_from_model in enumerate(transforms):
+            predicted = transform(scene_from_model, points)
             total += float(
                 (fragments.clicked[s, :, None] * (predicted - fragments.points_scene[s]) ** 2).sum()
             )
@@ -44,7 +72,7 @@ def adjust_points_slsqp(fragments: Fragments) -> Adjusted:
         options={"maxiter": 1000, "ftol": 1e-10},
     )
     transforms, points = _unpack(result.x, scenes)
-    proper = np.stack([_nearest_rigid(transform) for transform in transforms])
+    proper = np.stack([_nearest_rigid(found) for found in transforms])
     return Adjusted(proper, points, fragments.clicked)
 
 
@@ -66,7 +94,7 @@ def _matrix(quaternion_wxyz: Float64[np.ndarray, "4"]) -> Float64[np.ndarray, "3
     )
 
 
-def _nearest_rigid(transform: Float64[np.ndarray, "4 4"]) -> Float64[np.ndarray, "4 4"]:
+def _nearest_rigid(found: Float64[np.ndarray, "4 4"]) -> Float64[np.ndarray, "4 4"]:
     """The solver meets its constraint to ~1e-6 only; the rotation is made exact."""
-    u, _, vt = np.linalg.svd(transform[:3, :3])
-    return rigid(u @ vt, transform[:3, 3])
+    u, _, vt = np.linalg.svd(found[:3, :3])
+    return rigid(u @ vt, found[:3, 3])
