@@ -35,7 +35,7 @@ def fill_in(data: Mapping[str, Any], *, source: str) -> dict[str, Any]:
         DataError: there is no such method.
     """
     method = data.get("method", "ours")
-    if method not in METHODS:
+    if not isinstance(method, str) or method not in METHODS:
         raise DataError(f"{source}: method must be one of {', '.join(METHODS)}, got {method!r}")
     filled = {key: value for key, value in data.items() if key != "method"}
     for stage, options in METHODS[method].items():

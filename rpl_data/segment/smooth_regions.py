@@ -9,6 +9,7 @@ program has (RapidPoseLabels, `src/utils/region_growing.py` and `partial_model.p
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +21,7 @@ from rpl_data.geometry import Points
 NEIGHBOURS = 30
 REACH_M = 0.01
 """A neighbour lies at most this far away."""
-MAX_ANGLE_RAD = np.deg2rad(5)
+MAX_ANGLE_RAD = math.radians(5)
 MAX_CURVATURE = 1.0
 """Of a point that a region spreads from. Curvature as PCL measures it is at most 1/3: this lets all pass."""
 MOST_POINTS = 1000
@@ -43,7 +44,7 @@ class _Surface(NamedTuple):
 
 def grow_from_seeds(
     points: Points,
-    seeds: Points,
+    seeds: Float64[np.ndarray, "m 3"],
     *,
     neighbours: int = NEIGHBOURS,
     reach_m: float = REACH_M,
