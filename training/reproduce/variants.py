@@ -29,11 +29,10 @@ def built_beside(
     return made
 
 
-def copied(workspace: Workspace, folder: Path) -> Path:
+def copied(workspace: Workspace, folder: Path) -> None:
     """Copy a workspace that `built_beside` made, so that a variant need not build anew what they share."""
-    if not folder.exists():
+    if workspace.root.exists() and not folder.exists():
         shutil.copytree(workspace.root, folder)
-    return folder
 
 
 def same_input(workspace: Workspace, clicks: Path) -> Recipe:

@@ -25,7 +25,7 @@ from rpl_data.raycast import RayScene
 from rpl_data.types import Click, DepthImage
 from rpl_data.workspace.workspace import Workspace
 from training.reproduce.table1.rows import Scores, scores_of
-from training.reproduce.variants import built_beside
+from training.reproduce.variants import built_beside, copied
 
 NUDGED_PX, NUDGED_M = 10, 0.01
 """A careful click goes to the nearest pixel, at most so far away, that measures the keypoint so well."""
@@ -44,7 +44,11 @@ def papers_scores(
 def careful_scores(
     workspace: Workspace, truth: Workspace, folder: Path, *, tracked: bool, workers: int | None
 ) -> dict[str, Scores]:
-    """Errors of the paper's chain when a careful hand clicks and crops, by object."""
+    """Errors of the paper's chain when a careful hand clicks and crops, by object.
+
+    What does not depend on clicks is taken from the chain as it is, if that was built beside the folder.
+    """
+    copied(Workspace(folder.parent / "paper"), folder)
     clicks = folder / "careful.csv"
     write_text(clicks, careful_clicks(workspace, truth))
 

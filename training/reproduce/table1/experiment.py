@@ -57,7 +57,7 @@ def table1(
             place = in_kind(workspace, kind, out, seed=seed, workers=workers)
             found = measure(place, cad_folder=cad, metres_per_unit=cad_metres_per_unit, seed=seed)
             if baseline:
-                folder = out / "workspaces" / f"{workspace.root.resolve().name}_{kind}"
+                folder = out / "workspaces" / f"{workspace.root.resolve().name}_{kind}_baseline"
                 found = with_baseline(found, place, folder, tracked=kind == "tracked", workers=workers)
             rows += [replace(row, workspace=workspace.root.name, trajectories=kind) for row in found]
     path = write_page(out, rows, seed=seed)
@@ -109,10 +109,8 @@ def with_baseline(
     truth = truth_workspace(context_of(workspace))
     if truth is None:
         return list(rows)
-    paper, careful = (
-        scores(workspace, truth, Path(f"{folder}_{name}"), tracked=tracked, workers=workers)
-        for name, scores in (("paper", papers_scores), ("careful", careful_scores))
-    )
+    paper = papers_scores(workspace, truth, folder / "paper", tracked=tracked, workers=workers)
+    careful = careful_scores(workspace, truth, folder / "careful", tracked=tracked, workers=workers)
     return [replace(row, paper=paper.get(row.object), careful=careful.get(row.object)) for row in rows]
 
 
