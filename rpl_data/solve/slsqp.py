@@ -50,14 +50,9 @@ def adjust_points_slsqp(fragments: Fragments) -> Adjusted:
     start[3:free:7] = 1
 
     def cost(unknowns: Float64[np.ndarray, " u"]) -> float:
-        transforms, points = _unpack(unknowns, scenes)
-        total = 0.0
-        for s, scene_from_model in enumerate(transforms):
-            predicted = transform(scene_from_model, points)
-            total += float(
-                (fragments.clicked[s, :, None] * (predicted - fragments.points_scene[s]) ** 2).sum()
-            )
-        return total
+        turns, shifts, points = _unpack(unknowns, scenes)
+        predicted = np.einsum("sij,kj->ski", turns, points) + shifts[:, None]
+        return float((fragments.clicked[..., None] * (predicted - fragments.points_scene) ** 2).sum())
 
     def unit_length(unknowns: Float64[np.ndarray, " u"]) -> Float64[np.ndarray, " c"]:
         quaternions = unknowns[:free].reshape(-1, 7)[:, 3:]
@@ -71,30 +66,34 @@ def adjust_points_slsqp(fragments: Fragments) -> Adjusted:
         constraints={"type": "eq", "fun": unit_length},
         options={"maxiter": 1000, "ftol": 1e-10},
     )
-    transforms, points = _unpack(result.x, scenes)
-    proper = np.stack([_nearest_rigid(found) for found in transforms])
-    return Adjusted(proper, points, fragments.clicked)
+    turns, shifts, points = _unpack(result.x, scenes)
+    proper = [rigid(_nearest_rotation(turn), shift) for turn, shift in zip(turns, shifts, strict=True)]
+    return Adjusted(np.stack(proper), points, fragments.clicked)
 
 
-def _unpack(unknowns: Float64[np.ndarray, " u"], scenes: int) -> tuple[list[np.ndarray], np.ndarray]:
+def _unpack(
+    unknowns: Float64[np.ndarray, " u"], scenes: int
+) -> tuple[Float64[np.ndarray, "s 3 3"], Float64[np.ndarray, "s 3"], Float64[np.ndarray, "k 3"]]:
+    """Turns and shifts of all scenes, those of the first none, and the keypoints."""
     poses = unknowns[: 7 * (scenes - 1)].reshape(-1, 7)
-    transforms = [np.eye(4), *(rigid(_matrix(pose[3:]), pose[:3]) for pose in poses)]
-    return transforms, unknowns[7 * (scenes - 1) :].reshape(-1, 3)
+    shifts = np.concatenate([np.zeros((1, 3)), poses[:, :3]])
+    quaternions = np.concatenate([[[1.0, 0, 0, 0]], poses[:, 3:]])
+    return _matrices(quaternions), shifts, unknowns[7 * (scenes - 1) :].reshape(-1, 3)
 
 
-def _matrix(quaternion_wxyz: Float64[np.ndarray, "4"]) -> Float64[np.ndarray, "3 3"]:
-    """The matrix of a quaternion that need not have length 1 while the solver is under way."""
-    w, x, y, z = quaternion_wxyz
-    return np.array(
-        [
-            [w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z],
-        ]
-    )
+def _matrices(quaternions_wxyz: Float64[np.ndarray, "s 4"]) -> Float64[np.ndarray, "s 3 3"]:
+    """Matrices of quaternions that need not have length 1 while the solver is under way."""
+    w, x, y, z = quaternions_wxyz.T
+    rows = [
+        [w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z],
+    ]
+    return np.array(rows).transpose(2, 0, 1)
 
 
-def _nearest_rigid(found: Float64[np.ndarray, "4 4"]) -> Float64[np.ndarray, "4 4"]:
+def _nearest_rotation(turn: Float64[np.ndarray, "3 3"]) -> Float64[np.ndarray, "3 3"]:
     """The solver meets its constraint to ~1e-6 only; the rotation is made exact."""
-    u, _, vt = np.linalg.svd(found[:3, :3])
-    return rigid(u @ vt, found[:3, 3])
+    u, _, vt = np.linalg.svd(turn)
+    rotation: Float64[np.ndarray, "3 3"] = u @ vt
+    return rotation
