@@ -36,7 +36,8 @@ def fill_in(data: Mapping[str, Any], *, source: str) -> dict[str, Any]:
     """
     method = data.get("method", "ours")
     if not isinstance(method, str) or method not in METHODS:
-        raise DataError(f"{source}: method must be one of {', '.join(METHODS)}, got {method!r}")
+        names = " or ".join(f"`{name}`" for name in METHODS)
+        raise DataError(f"{source}: method must be {names}, not {method!r}")
     filled = {key: value for key, value in data.items() if key != "method"}
     for stage, options in METHODS[method].items():
         own = filled.get(stage, {})

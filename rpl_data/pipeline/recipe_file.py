@@ -127,8 +127,6 @@ def _refuse_unknown_keys(kind: Any, value: object, source: str, where: str) -> N
             raise DataError(f"{source}: unknown key {name!r}; {hint}Allowed here: {', '.join(allowed)}")
         if item is None and type(None) not in typing.get_args(hints[key]):
             raise DataError(f"{source}: {name} has no value; give one, or leave the line out for its default")
-        if dataclasses.is_dataclass(hints[key]) and not isinstance(item, Mapping):
-            raise DataError(f"{source}: {name} has options of its own, as in `{name}: {{...}}`; got {item!r}")
         _refuse_unknown_keys(hints[key], item, source, name)
 
 
