@@ -38,6 +38,7 @@ def click_scene(name, points, scene_from_object, cameras, random, noise_px=0.0, 
                     candidates,
                     0.0025 + 0 * candidates,
                     1 / 600,
+                    pixel_depth_m=float(candidates[0]) if len(candidates) else 0.0,
                 )
             )
     return observations

@@ -67,6 +67,7 @@ def build_recipe(
 
     Stages, in order: twin, import, clicks, track, drift, cut, solve, surface, refine, segment, label,
     export, quality, report. Interrupt it whenever you like: run it again and it goes on from there.
+    `method: paper` in the recipe makes every stage do what the paper does, as a baseline.
 
     Example: rpl build datasets/demo.yaml --workspace workspaces/demo
 

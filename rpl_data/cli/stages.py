@@ -54,6 +54,8 @@ def cut(workspace: Path = HERE, again: bool = False) -> None:
 def solve(workspace: Path = HERE, again: bool = False) -> None:
     """Turn clicks into sparse models: where each keypoint is, and where the objects stand in each scene.
 
+    The recipe's `solve: {method: slsqp}` is the paper's way: the depth of the clicked pixel, Eq. 2 by SLSQP.
+
     Example: rpl solve --workspace workspaces/demo
 
     Args:
@@ -93,6 +95,9 @@ def refine(workspace: Path = HERE, again: bool = False) -> None:
 def segment(workspace: Path = HERE, again: bool = False) -> None:
     """Cut the dense model of each object out of the surfaces.
 
+    The recipe's `segment: {method: smooth}` is the paper's way: region growing as in the Point Cloud Library,
+    seeded by the keypoints, nothing closed.
+
     Example: rpl segment --workspace workspaces/demo
 
     Args:
@@ -104,6 +109,8 @@ def segment(workspace: Path = HERE, again: bool = False) -> None:
 
 def label(workspace: Path = HERE, again: bool = False, workers: int | None = None) -> None:
     """Compute poses, keypoints, boxes and masks of the objects in the chosen frames.
+
+    The recipe's `label: {method: splat}` makes masks the paper's way: the dense model's points, gaps closed.
 
     Example: rpl label --workspace workspaces/demo
 

@@ -110,6 +110,7 @@ def lift(
         depth_sigmas_m=found.sigmas_m,
         pixel_rad=pixel_rad,
         depth_slopes_m=found.slopes_m,
+        pixel_depth_m=float(depth_m[round(click.v_px), round(click.u_px)]),
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,19 +10,17 @@ from jaxtyping import Float64, Int64
 
 from rpl_data.geometry import Pixels, Points, Transform, inside_image, transform
 from rpl_data.label.masks import MaskPatch, Window, cleaned
-from rpl_data.label.occlusion import (
-    FAR_M,
-    DepthPatch,
-    KeypointSurface,
-)
+from rpl_data.label.occlusion import FAR_M, DepthPatch, KeypointSurface
+from rpl_data.label.splat import splat
 from rpl_data.raycast import PixelTable, RayScene, depth_along_m
-from rpl_data.types import (
-    KeypointModel,
-    Mesh,
-)
+from rpl_data.types import KeypointModel, Mesh, PointCloud
 
 MARGIN_PX = 3
 """Margin around the projected region, for filters that look at neighbouring pixels."""
+
+Draw = Callable[[PixelTable, Window, Transform], tuple[DepthPatch, MaskPatch]]
+"""Draws an object, given `camera_from_object`, in a window of the image: its depth (FAR_M where it is not)
+and its mask."""
 
 
 @dataclass(frozen=True)
@@ -33,25 +32,29 @@ class SceneObject:
         covariance: One 3x3 covariance per keypoint, in m^2, in the object frame. It is that of the
             keypoint's position in the scene (shape and pose together); NaN where never clicked.
         mesh: the dense model, in the object frame.
+        dots: its points; where they are given, the mask is made of them, as in the paper, not of the mesh.
     """
 
     model: KeypointModel
     covariance: Float64[np.ndarray, "k 3 3"]
     mesh: Mesh
     scene_from_object: Transform
+    dots: PointCloud | None = None
 
 
 @dataclass(frozen=True)
 class Body:
-    """An object prepared for ray casting.
+    """An object prepared for drawing.
 
     Attributes:
+        draw: how its depth and mask are drawn.
         rays: its mesh.
         hull: vertices of its convex hull, in the object frame.
         around: its surface around the keypoints.
     """
 
     item: SceneObject
+    draw: Draw
     rays: RayScene
     hull: Points
     around: KeypointSurface
@@ -64,7 +67,22 @@ class Body:
         rays = RayScene([item.mesh], threads=1)
         corners = ConvexHull(item.mesh.vertices, qhull_options="QJ").vertices  # QJ: flat meshes too
         around = KeypointSurface.around(rays, item.model.points_object)
-        return Body(item, rays, item.mesh.vertices[corners], around)
+        draw = cast(rays) if item.dots is None else splat(item.dots.points)
+        return Body(item, draw, rays, item.mesh.vertices[corners], around)
+
+
+def cast(rays: RayScene) -> Draw:
+    """Draw a mesh by ray casting."""
+
+    def draw(
+        camera: PixelTable, window: Window, camera_from_object: Transform
+    ) -> tuple[DepthPatch, MaskPatch]:
+        depth_m = depth_along_m(rays, camera.directions[window], camera_from_object)
+        depth_m[depth_m == 0] = FAR_M
+        # Pin-holes of a fused mesh are closed; the hole of a handle is wider and stays.
+        return depth_m, cleaned(depth_m < FAR_M, "close", size_px=3)
+
+    return draw
 
 
 @dataclass(frozen=True)
@@ -94,10 +112,7 @@ def object_alone(camera: PixelTable, body: Body, camera_from_object: Transform) 
     window = _window(camera, transform(camera_from_object, body.hull), keypoints_px)
     if window is None:
         return None
-    depth_m = depth_along_m(body.rays, camera.directions[window], camera_from_object)
-    depth_m[depth_m == 0] = FAR_M
-    # Pin-holes of a fused mesh are closed; the hole of a handle is wider and stays.
-    mask = cleaned(depth_m < FAR_M, "close", size_px=3)
+    depth_m, mask = body.draw(camera, window, camera_from_object)
     if not mask.any():
         return None
     return ObjectAlone(body, camera_from_object, keypoints_px, window, depth_m, mask)

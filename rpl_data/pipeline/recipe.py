@@ -1,7 +1,8 @@
 """Recipes: a YAML file that says where scenes come from, which objects they show, and what to make.
 
-The dataclasses below are the grammar; a recipe file has exactly their fields. Other keys are refused,
-naming the nearest valid key, so a misspelt option never passes for a default.
+The dataclasses below are the grammar; a recipe file has exactly their fields, and may have `method: paper`,
+which stands for options of the stages (`presets.py`). Other keys are refused, naming the nearest valid key,
+so a misspelt option never passes for a default.
 """
 
 from __future__ import annotations
@@ -104,8 +105,8 @@ class Solve:
     """How the sparse model is solved from clicks.
 
     Attributes:
-        method: `robust` tolerates wrong clicks and wrong depths; `slsqp` is exactly the paper's Eq. 2
-            with scipy's SLSQP.
+        method: `robust` tolerates wrong clicks and wrong depths; `slsqp` is the paper's: the depth of the
+            clicked pixel itself, and Eq. 2 by SciPy's SLSQP.
     """
 
     method: Literal["robust", "slsqp"] = "robust"
@@ -124,19 +125,40 @@ class RefineRecipe:
 
 
 @dataclass(frozen=True)
+class SegmentRecipe:
+    """How the dense model is made.
+
+    Attributes:
+        method: `convex` grows regions across smooth and convex edges, without what the object stands on, and
+            closes them; `smooth` is the paper's: region growing as in the Point Cloud Library, seeded by the
+            keypoints, nothing closed.
+    """
+
+    method: Literal["convex", "smooth"] = "convex"
+
+
+@dataclass(frozen=True)
 class LabelRecipe:
-    """Which frames are labelled.
+    """Which frames are labelled, and how masks are made.
 
     Attributes:
         rate: frames per second (the paper's 3 Hz), or `all`.
+        method: `mesh` casts rays at the dense model's triangles; `splat` is the paper's: its points are
+            projected, and the gaps between them are closed.
     """
 
     rate: float | Literal["all"] = 3.0
+    method: Literal["mesh", "splat"] = "mesh"
 
     @property
     def rate_hz(self) -> float | None:
         """Frames per second; None = every frame."""
         return None if self.rate == "all" else float(self.rate)
+
+    @property
+    def dots(self) -> bool:
+        """Masks are made of the dense model's points."""
+        return self.method == "splat"
 
 
 @dataclass(frozen=True)
@@ -149,7 +171,7 @@ class Recipe:
         objects: the objects to label.
         twin: first make a synthetic recording with exact ground truth, in `recording/` of the workspace;
             scenes, objects, clicks and truth then default to those of this recording.
-        reconstruct, solve, refine, label, split: options of the stages.
+        reconstruct, solve, refine, segment, label, split: options of the stages.
         export: formats to write: `coco`, and `yolo`, `bop` and `okt` (ObjectKeypointTrainer), made from it.
         truth: the ground truth of these scenes, if it is known: a workspace folder, or a JSON file
             `{points_<object>: K x 3, camera_from_<object>: {scene: [4x4 per frame]}}`. The quality
@@ -163,6 +185,7 @@ class Recipe:
     reconstruct: Reconstruct = Reconstruct()
     solve: Solve = Solve()
     refine: RefineRecipe = RefineRecipe()
+    segment: SegmentRecipe = SegmentRecipe()
     label: LabelRecipe = LabelRecipe()
     split: SplitRule = SplitRule()
     export: tuple[str, ...] = ("coco",)

@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 import yaml
 
 from rpl_data.files import FAULTS, read_text
+from rpl_data.pipeline.presets import fill_in
 from rpl_data.pipeline.recipe import Recipe
 from rpl_data.pipeline.recipe_faults import misfit
 from rpl_data.types import DataError
@@ -73,6 +74,7 @@ def parse_recipe(data: object, *, source: str) -> Recipe:
     """Make a recipe from parsed YAML; paths stay as they are written."""
     if not isinstance(data, dict):
         raise DataError(f"{source}: a recipe is a list of `key: value` lines; see datasets/recording.yaml")
+    data = fill_in(data, source=source)
     _refuse_unknown_keys(Recipe, data, source, "")
     recipe = _instantiate(data, source)
     _check(recipe, source)
@@ -119,9 +121,10 @@ def _refuse_unknown_keys(kind: Any, value: object, source: str, where: str) -> N
     for key, item in value.items():
         name = f"{where}.{key}" if where else str(key)
         if key not in hints:
-            near = difflib.get_close_matches(str(key), hints, n=1, cutoff=0.4)
+            allowed = [*hints, *(["method"] if kind is Recipe else [])]
+            near = difflib.get_close_matches(str(key), allowed, n=1, cutoff=0.4)
             hint = f"did you mean {near[0]!r}? " if near else ""
-            raise DataError(f"{source}: unknown key {name!r}; {hint}Allowed here: {', '.join(hints)}")
+            raise DataError(f"{source}: unknown key {name!r}; {hint}Allowed here: {', '.join(allowed)}")
         if item is None and type(None) not in typing.get_args(hints[key]):
             raise DataError(f"{source}: {name} has no value; give one, or leave the line out for its default")
         _refuse_unknown_keys(hints[key], item, source, name)

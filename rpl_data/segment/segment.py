@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NoReturn
 
 import numpy as np
 from jaxtyping import Bool, Float64
@@ -92,11 +93,7 @@ def segment_object(
     surroundings = _all_surroundings(surfaces, solution, voxel_m, crop_m)
     grown = _regions(surroundings, keypoints, voxel_m)
     if not grown:
-        raise DataError(
-            f"object {solution.model.name}: none of {len(surfaces)} scene surfaces has points at the "
-            "keypoints; expected a surface there; check the clicks and the trajectories, and that depth is "
-            "measured there at all (dark and shiny parts give none): film such a part nearer or longer"
-        )
+        refuse_without_surface(solution.model.name, len(surfaces))
     agreed = [
         _not_seen_through(region, scene, surroundings, depth_views, voxel_m)
         for scene, region in grown.items()
@@ -109,6 +106,15 @@ def segment_object(
     closed = closed_mesh(cloud, anchors, voxel_m=voxel_m, views=depth_views)
     share = free_share(closed.mesh, depth_views) if depth_views else float("nan")
     return DenseModel(closed.mesh, cloud, closed.seen, closed.open_edges, share, warnings)
+
+
+def refuse_without_surface(object_name: str, surfaces: int) -> NoReturn:
+    """DataError: no region grew from the keypoints in any scene."""
+    raise DataError(
+        f"object {object_name}: none of {surfaces} scene surfaces has points at the keypoints; expected a "
+        "surface there; check the clicks and the trajectories, and that depth is measured there at all (dark "
+        "and shiny parts give none): film such a part nearer or longer"
+    )
 
 
 def grown_regions(

@@ -22,10 +22,11 @@ import numpy as np
 from jaxtyping import Bool, Float64
 from scipy.spatial.transform import Rotation
 
+from rpl_data.clicks.rigidity import generic_points
 from rpl_data.geometry import invert, rigid, transform
 from rpl_data.solve.bundle_adjustment import State
 from rpl_data.solve.click_rays import Noise, Rays, rays_of
-from rpl_data.solve.diagnosis import Placed, diagnose
+from rpl_data.solve.diagnosis import Diagnosis, Placed, diagnose
 from rpl_data.solve.hypotheses import hypotheses_of_scene
 from rpl_data.solve.initial_guess import Hypotheses, Start, join_clean, join_scenes
 from rpl_data.solve.near_ties import describe_near_ties, widened_for_near_ties
@@ -40,13 +41,14 @@ from rpl_data.solve.procrustes import Adjusted, Fragments, Loss, adjust_points, 
 from rpl_data.solve.refusals import refuse_bad, refuse_loose, refuse_untied
 from rpl_data.solve.register import register, register_scene
 from rpl_data.solve.residuals import click_fit, click_residuals, describe_keypoints
-from rpl_data.solve.search import Alternative, Found, search
-from rpl_data.solve.slsqp import adjust_points_slsqp
+from rpl_data.solve.search import Alternative, search
+from rpl_data.solve.slsqp import adjust_points_slsqp, at_clicked_pixel, measured_fragments
 from rpl_data.types import KeypointModel, Observation, Solution
 
-__all__ = ["Method", "first_fragments", "register", "register_scene", "solve", "solve_points"]
+__all__ = ["Method", "register", "register_scene", "solve", "solve_points"]
 
 Method = Literal["robust", "slsqp"]
+Compare = Callable[[Mapping[str, Float64[np.ndarray, "4 4"]]], float]
 STARTS = 2
 """How many scenes the joining begins with in turn, best connected first."""
 
@@ -58,7 +60,7 @@ def solve(
     *,
     method: Method = "robust",
     skeleton: Sequence[tuple[int, int]] = (),
-    compare: Callable[[Mapping[str, Float64[np.ndarray, "4 4"]]], float] | None = None,
+    compare: Compare | None = None,
     trajectory_sigma_m: Mapping[str, float] | None = None,
 ) -> Solution:
     """The sparse model and the scene transforms of one object.
@@ -66,8 +68,8 @@ def solve(
     Args:
         keypoints: their names; a keypoint never clicked stays without a position.
         observations: lifted clicks of all scenes.
-        method: `robust`, or `slsqp`, the paper's own way: each click's depth is what the sensor
-            measured nearest to it, the solver SciPy's SLSQP on Eq. 2.
+        method: `robust`, or `slsqp`, the paper's own way: each click's depth is that of its pixel, and
+            SciPy's SLSQP minimises Eq. 2 from the paper's start.
         compare: given `scene_from_object` of every scene, an extra cost in squared standard deviations
             by which answers are compared besides their clicks: how badly surfaces agree, say.
         trajectory_sigma_m: how far the poses of each scene stray, standard deviation per axis; it
@@ -78,22 +80,11 @@ def solve(
     """
     scenes = sorted({o.click.scene for o in observations})
     refuse_bad(object_name, observations)
-    groups = [hypotheses_of_scene([o for o in observations if o.click.scene == s]) for s in scenes]
-    refuse_untied(object_name, groups, scenes, keypoints)
-    clicked = np.array([[k in group for k in range(len(keypoints))] for group in groups])
-    rays = rays_of(observations, scenes)
     if method == "slsqp":
-        adjusted = adjust_points_slsqp(first_fragments(groups, len(keypoints)))
-        state = State(adjusted.scene_from_model, adjusted.points_model)
-        refuse_loose(object_name, state.points_model, clicked, scenes, keypoints)
-        found, noise = Found(state, 0.0, ()), estimate_noise(rays, state, noise=Noise())
+        observations = [at_clicked_pixel(o) for o in observations]
+        answer = _papers_answer(object_name, keypoints, observations, scenes)
     else:
-        starts = _starts(groups, len(keypoints))
-        refuse_loose(object_name, starts[0].points_model, clicked, scenes, keypoints)
-        found = search(rays, groups, starts, compare=_by_state(compare, scenes))
-        state, noise = adjust_with_noise(rays, found.state)
-    known: Bool[np.ndarray, " k"] = np.array(clicked.any(axis=0))
-    answer = _Answer(scenes, rays, state, noise, known, found.alternatives)
+        answer = _robust_answer(object_name, keypoints, observations, scenes, compare)
     return _solution(object_name, keypoints, skeleton, observations, answer, trajectory_sigma_m or {})
 
 
@@ -117,16 +108,42 @@ def solve_points(fragments: Fragments, *, method: Method = "robust", loss: Loss 
     return _in_first_scene(adjust_points(fragments, _complete(start), loss=loss))
 
 
+# The two ways -------------------------------------------------------------------------------------
+
+
+def _robust_answer(
+    object_name: str,
+    keypoints: Sequence[str],
+    observations: Sequence[Observation],
+    scenes: Sequence[str],
+    compare: Compare | None,
+) -> _Answer:
+    """Rays and candidate depths adjusted together, from several starts."""
+    groups = [hypotheses_of_scene([o for o in observations if o.click.scene == s]) for s in scenes]
+    refuse_untied(object_name, groups, scenes, keypoints)
+    clicked = np.array([[k in group for k in range(len(keypoints))] for group in groups])
+    rays, starts = rays_of(observations, scenes), _starts(groups, len(keypoints))
+    refuse_loose(object_name, starts[0].points_model, clicked, scenes, keypoints)
+    found = search(rays, groups, starts, compare=_by_state(compare, scenes))
+    state, noise = adjust_with_noise(rays, found.state)
+    return _Answer(scenes, rays, state, noise, np.asarray(clicked.any(axis=0)), found.alternatives)
+
+
+def _papers_answer(
+    object_name: str, keypoints: Sequence[str], observations: Sequence[Observation], scenes: Sequence[str]
+) -> _Answer:
+    """Eq. 2 by SLSQP on the points that the clicked pixels' own depths give; nothing repairs them."""
+    fragments = measured_fragments(observations, scenes, len(keypoints))
+    clicked = fragments.clicked > 0
+    refuse_loose(object_name, generic_points(len(keypoints)), clicked, scenes, keypoints)
+    adjusted = adjust_points_slsqp(fragments)
+    refuse_loose(object_name, adjusted.points_model, clicked, scenes, keypoints)
+    state, rays = State(adjusted.scene_from_model, adjusted.points_model), rays_of(observations, scenes)
+    noise = estimate_noise(rays, state, noise=Noise())
+    return _Answer(scenes, rays, state, noise, np.asarray(clicked.any(axis=0)), (), diagnosed=False)
+
+
 # The start ----------------------------------------------------------------------------------------
-
-
-def first_fragments(groups: Sequence[Hypotheses], keypoints: int) -> Fragments:
-    """The paper's W from the most likely position of every keypoint in every scene."""
-    points, clicked = np.zeros((len(groups), keypoints, 3)), np.zeros((len(groups), keypoints))
-    for s, group in enumerate(groups):
-        for k, positions in group.items():
-            points[s, k], clicked[s, k] = positions[0], 1
-    return Fragments(points, clicked)
 
 
 def _starts(groups: Sequence[Hypotheses], keypoints: int) -> list[State]:
@@ -141,9 +158,7 @@ def _starts(groups: Sequence[Hypotheses], keypoints: int) -> list[State]:
     return [state for _, state in found]
 
 
-def _by_state(
-    compare: Callable[[Mapping[str, Float64[np.ndarray, "4 4"]]], float] | None, scenes: Sequence[str]
-) -> Callable[[State], float] | None:
+def _by_state(compare: Compare | None, scenes: Sequence[str]) -> Callable[[State], float] | None:
     """The comparison by scene names as one by states."""
     if compare is None:
         return None
@@ -194,6 +209,8 @@ class _Answer(NamedTuple):
     noise: Noise
     known: Bool[np.ndarray, " k"]
     alternatives: Sequence[Alternative]
+    diagnosed: bool = True
+    """Whether its clicks are told right from wrong; what follows wrong clicks cannot judge them."""
 
 
 def _solution(
@@ -220,7 +237,7 @@ def _solution(
     }
     ties = describe_near_ties(answer.alternatives, state, answer.scenes, known)
     placed = Placed(answer.scenes, answer.rays, state, answer.noise, joint, in_scene, known, ties)
-    diagnosis = diagnose(observations, keypoints, placed)
+    diagnosis = diagnose(observations, keypoints, placed) if answer.diagnosed else Diagnosis((), ())
     return Solution(
         model=KeypointModel(object_name, tuple(keypoints), points, tuple(skeleton)),
         covariance=turn.T @ shape_covariance(joint, state, known) @ turn,

@@ -33,6 +33,7 @@ class Observation:
         pixel_rad: angle of one pixel there, 1 / focal length.
         depth_slopes_m: how each candidate's surface is tilted: the derivative of its depth by x and y of
             the ray, in metres per unit; None = every surface faces the camera.
+        pixel_depth_m: what the sensor measured at the clicked pixel itself; 0 = nothing.
     """
 
     click: Click
@@ -42,3 +43,4 @@ class Observation:
     depth_sigmas_m: Float64[np.ndarray, " candidates"]
     pixel_rad: float
     depth_slopes_m: Float64[np.ndarray, "candidates 2"] | None = None
+    pixel_depth_m: float = 0.0

@@ -53,7 +53,7 @@ def test_recording_recipe_names_every_field(tmp_path: Path) -> None:
     given = yaml.safe_load((DATASETS / "recording.yaml").read_text())
     whole = yaml.safe_load(recipe_to_yaml(load_recipe(DATASETS / "recording.yaml")))
     assert given.keys() == whole.keys() - {"twin"}
-    for part in ("reconstruct", "solve", "label", "split"):
+    for part in ("reconstruct", "solve", "refine", "segment", "label", "split"):
         assert given[part].keys() == whole[part].keys()
     assert given["scenes"][0].keys() == whole["scenes"][0].keys()
     assert given["scenes"][0]["mend"] == whole["scenes"][0]["mend"]

@@ -17,11 +17,13 @@ import pytest
 from rpl_data.formats.models.meshlab import write_picked_points
 from rpl_data.geometry import fit_rigid, transform
 from rpl_data.meshes import load_mesh, save_mesh
-from rpl_data.types import DataError
+from rpl_data.pipeline.build import recipe_of
+from rpl_data.types import Click, DataError
 from rpl_data.workspace.workspace import Workspace
 from training.reproduce.__main__ import COMMANDS, main
 from training.reproduce.curves.slopes import before_the_fit, slope_of
 from training.reproduce.results import finite_or_none, write_results
+from training.reproduce.table1.baseline import nearest_measuring
 from training.reproduce.table1.cad_protocol import by_cad, true_cads
 from training.reproduce.table1.experiment import measure
 from training.reproduce.table1.page import write_page
@@ -66,13 +68,29 @@ def test_table1_of_a_workspace(tiny_workspace: Workspace, tmp_path: Path) -> Non
     assert worst["scene"] in tiny_workspace.scene_names() and 3 <= worst["clicked"] <= row["keypoints"]
     assert row["strict"]["error_2d_px"] < worst["error_2d_px"] < 5 and 0.5 < worst["iou"] < 1
     assert f"carton, scene {worst['scene']}: " in (tmp_path / "table1.html").read_text()
+    paper, careful = row["paper"], row["careful"]
+    assert row["strict"]["error_3d_mm"] < careful["error_3d_mm"] < paper["error_3d_mm"]
+    assert paper["iou"] < careful["iou"] < row["strict"]["iou"]
+    beside = tmp_path / "workspaces" / f"{tiny_workspace.root.name}_given_baseline"
+    papers = recipe_of(Workspace(beside / "paper"))
+    assert (papers.solve.method, papers.segment.method, papers.label.method) == ("slsqp", "smooth", "splat")
+
+
+def test_a_careful_click_goes_to_the_nearest_pixel_that_measures_its_keypoint() -> None:
+    depth_m = np.full((60, 80), 0.9, np.float32)
+    depth_m[:, 40:] = 0.7
+    click = Click("carton", 0, "00", 0, 36.3, 20.2)
+    assert nearest_measuring(depth_m, click, 0.9) == (36.3, 20.2)
+    assert nearest_measuring(depth_m, click, 0.7) == (40.0, 20.0)
+    assert nearest_measuring(depth_m, click, 0.8) is None
+    assert nearest_measuring(depth_m, replace(click, u_px=20.0), 0.7) is None
 
 
 def test_drifting_trajectories_cost_accuracy_and_are_reproduced(
     tiny_workspace: Workspace, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     command = ["table1", str(tiny_workspace.root), "--out", str(tmp_path), "--workers", "1"]
-    command += ["--trajectories", "[given, drifting]"]
+    command += ["--trajectories", "[given, drifting]", "--baseline", "false"]
     assert main(command) == 0
     given, drifting = rows_of(tmp_path)
     assert drifting["trajectories"] == "drifting" and drifting["labels"] == given["labels"]
@@ -150,6 +168,24 @@ def test_results_hold_no_nan(tmp_path: Path) -> None:
     assert json.loads((tmp_path / "x.json").read_text()) == {"a": [None, 1.0]}
     assert "&lt;X&gt;" in page.read_text()
     assert finite_or_none({"t": (1, float("inf"))}) == {"t": [1, None]}
+
+
+# Ablation -----------------------------------------------------------------------------------------
+
+
+def test_ablation_of_a_workspace(
+    tiny_workspace: Workspace, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["ablation", str(tiny_workspace.root), "--out", str(tmp_path), "--workers", "1"]
+    assert main([*command, "--parts", "[papers_masks]"]) == 0
+    data = json.loads((tmp_path / "ablation.json").read_text())
+    whole, splat = data["rows"]["all"][0], data["rows"]["papers_masks"][0]
+    assert whole["error_2d_mean_px"] == splat["error_2d_mean_px"]  # the poses are the same
+    assert splat["iou_full_mean"] < whole["iou_full_mean"]
+    lines = {line.split()[0]: line.split()[1:] for line in capsys.readouterr().out.splitlines()}
+    assert lines["papers_masks"][4:6] == ["+0.00", "+0.00"] and lines["papers_masks"][7].startswith("-0.")
+    assert main([*command, "--parts", "[refining]"]) == 1
+    assert "there is no part 'refining'" in capsys.readouterr().err
 
 
 # Error curves -------------------------------------------------------------------------------------

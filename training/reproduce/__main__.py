@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from rpl_data.types import DataError
+from training.reproduce.ablation.experiment import ablation
 from training.reproduce.curves.experiment import curves
 from training.reproduce.segmentation.experiment import segmentation
 from training.reproduce.table1.experiment import table1
@@ -18,6 +19,7 @@ COMMANDS: dict[str, Any] = {
     "table2": table2,
     "segmentation": segmentation,
     "curves": curves,
+    "ablation": ablation,
 }
 
 

@@ -9,9 +9,10 @@ from pathlib import Path
 
 from rpl_data.files import remove
 from rpl_data.geometry import Transform
+from rpl_data.json_arrays import Json
 from rpl_data.label.alone import SceneObject
 from rpl_data.label.label import label_frames, sample_frames
-from rpl_data.meshes import load_mesh
+from rpl_data.meshes import load_cloud, load_mesh
 from rpl_data.pipeline.context import Context, posed_frames, step
 from rpl_data.pipeline.ledger import Advance, Outcome, Step
 from rpl_data.types import FrameLabel
@@ -33,7 +34,7 @@ def forget_labels(context: Context) -> None:
 
 
 def _label_step(context: Context, video: str) -> Step:
-    workspace, rate_hz = context.workspace, context.recipe.label.rate_hz
+    workspace, rate_hz, dots = context.workspace, context.recipe.label.rate_hz, context.recipe.label.dots
     parts = workspace.parts()
     standing = {scene: context.solutions_in(scene) for scene in parts.scenes_of(video)}
     placed = {scene: [item.model.name for item in found] for scene, found in standing.items() if found}
@@ -51,7 +52,7 @@ def _label_step(context: Context, video: str) -> Step:
         def labels() -> Iterator[FrameLabel]:
             for name, indices in chosen.items():
                 ranges = context.pool.ranges(len(indices))
-                tasks = [(workspace.root, name, video, placed[name], indices[a:b]) for a, b in ranges]
+                tasks = [(workspace.root, name, video, placed[name], indices[a:b], dots) for a, b in ranges]
                 yield from context.pool.stream(label_range, tasks)
 
         def counted() -> Iterator[FrameLabel]:
@@ -64,7 +65,9 @@ def _label_step(context: Context, video: str) -> Step:
         return Outcome(total, details={"instances": {item: counts[item] for item in names}})
 
     before = [step for item in names for step in (context.placed_by(item), f"segment/{item}")]
-    options = {"rate_hz": rate_hz} | {name: context.frames_of(name) for name in placed if name != video}
+    options: Json = {"rate_hz": rate_hz} | {name: context.frames_of(name) for name in placed if name != video}
+    if dots:
+        options |= {"masks": "splat"}
     output = workspace.labels_file(video)
     return step(
         "label",
@@ -78,21 +81,22 @@ def _label_step(context: Context, video: str) -> Step:
 
 
 def label_range(
-    root: Path, name: str, video: str, objects: Sequence[str], indices: Sequence[int]
+    root: Path, name: str, video: str, objects: Sequence[str], indices: Sequence[int], dots: bool = False
 ) -> Iterator[FrameLabel]:
     """Label some frames of a scene, under the name of its recording; runs in this or another process."""
     workspace = Workspace(root)
     scene = workspace.load_scene(name)
     trajectory = workspace.load_trajectory(scene)
-    bodies = [scene_object(workspace, item, name) for item in objects]
+    bodies = [scene_object(workspace, item, name, dots=dots) for item in objects]
     chosen = set(indices)
     frames = [frame for frame in scene.frames if frame.index in chosen]
     return label_frames(replace(scene, name=video), trajectory, bodies, frames, workspace.depth_reader(scene))
 
 
-def scene_object(workspace: Workspace, object_name: str, scene: str) -> SceneObject:
-    """Load an object and its pose in a scene."""
+def scene_object(workspace: Workspace, object_name: str, scene: str, *, dots: bool = False) -> SceneObject:
+    """Load an object and its pose in a scene; with its points, if masks are to be made of them."""
     solution = workspace.load_placed(object_name)
     scene_from_object: Transform = solution.scene_from_object[scene]
     mesh = load_mesh(workspace.mesh_file(object_name))
-    return SceneObject(solution.model, solution.covariance_at(scene), mesh, scene_from_object)
+    cloud = load_cloud(workspace.cloud_file(object_name)) if dots else None
+    return SceneObject(solution.model, solution.covariance_at(scene), mesh, scene_from_object, cloud)

@@ -35,16 +35,17 @@ def _segment_step(context: Context, item: ObjectRecipe) -> Step:
     scene_from_object = workspace.load_solution(item.name).scene_from_object
     scenes = [name for name in context.placed_scenes() if name in scene_from_object]
     crop, given = crop_of(workspace, item), given_mesh(workspace, item.name)
+    method = context.recipe.segment.method
 
     def run(advance: Advance) -> Outcome:
         if given is not None:
             return _keep_given(workspace, item.name, given)
-        from rpl_data.segment.segment import segment_object
+        from rpl_data.segment import METHODS
 
         solution = workspace.load_placed(item.name)
         surfaces = {name: load_mesh(workspace.surface_file(name)) for name in scenes}
         views = [view for name in scenes for view in depth_views(workspace, name, solution)]
-        dense = segment_object(surfaces, solution, voxel_m=voxel_m, crop_m=crop, depth_views=views)
+        dense = METHODS[method](surfaces, solution, voxel_m=voxel_m, crop_m=crop, depth_views=views)
         save_mesh(workspace.mesh_file(item.name), dense.mesh, seen=dense.seen)
         save_cloud(workspace.cloud_file(item.name), dense.cloud)
         lines = (*dense.warnings, *mesh_remarks(dense))
@@ -64,7 +65,7 @@ def _segment_step(context: Context, item: ObjectRecipe) -> Step:
         item.name,
         run,
         version=VERSION,
-        options={"voxel_m": voxel_m, "crop": crop},
+        options={"voxel_m": voxel_m, "crop": crop} | ({} if method == "convex" else {"method": method}),
         sources={} if given is None else stamps(workspace.given_mesh_file(item.name)),
         after=[context.placed_by(item.name), *(f"surface/{name}" for name in scenes)],
         outputs=[workspace.mesh_file(item.name), workspace.cloud_file(item.name)],

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rpl_data.types import DataError
-from training.reproduce.table1.rows import Row, Scores, Trajectories
+from training.reproduce.table1.rows import Row, Trajectories, scores_of
 
 if TYPE_CHECKING:
     from rpl_data.evaluate.cad import Cad
@@ -24,6 +24,7 @@ def table1(
     trajectories: list[Trajectories] | None = None,
     cad: Path | None = None,
     cad_metres_per_unit: float = 1.0,
+    baseline: bool = True,
     seed: int = 0,
     workers: int | None = None,
 ) -> None:
@@ -41,6 +42,8 @@ def table1(
             the end of a video) and tracked ones are made of a twin's recording. Given ones when left out.
         cad: folder with <object>.obj (or .ply, .stl) and <object>.pp, the keypoints picked on it.
         cad_metres_per_unit: of those meshes and points; 0.001 for millimetres.
+        baseline: where the truth is known, also build the paper's own chain (`method: paper`) on the same
+            recordings and clicks: as it is, and with a careful hand that clicks and crops.
         seed: of the drift and of the simulated picks on a twin's CAD.
         workers: processes; one per core when left out.
     """
@@ -53,6 +56,9 @@ def table1(
         for kind in kinds:
             place = in_kind(workspace, kind, out, seed=seed, workers=workers)
             found = measure(place, cad_folder=cad, metres_per_unit=cad_metres_per_unit, seed=seed)
+            if baseline:
+                folder = out / "workspaces" / f"{workspace.root.resolve().name}_{kind}_baseline"
+                found = with_baseline(found, place, folder, tracked=kind == "tracked", workers=workers)
             rows += [replace(row, workspace=workspace.root.name, trajectories=kind) for row in found]
     path = write_page(out, rows, seed=seed)
     print(as_text(rows))
@@ -90,6 +96,22 @@ def in_kind(
     changed = Workspace(out / "workspaces" / name)
     build(recipe, changed, until="label", workers=workers)
     return changed
+
+
+def with_baseline(
+    rows: Sequence[Row], workspace: Workspace, folder: Path, *, tracked: bool, workers: int | None
+) -> list[Row]:
+    """The rows with the errors of the paper's chain; unchanged where the truth is not known."""
+    from rpl_data.pipeline.build import context_of
+    from rpl_data.pipeline.context import truth_workspace
+    from training.reproduce.table1.baseline import careful_scores, papers_scores
+
+    truth = truth_workspace(context_of(workspace))
+    if truth is None:
+        return list(rows)
+    paper = papers_scores(workspace, truth, folder / "paper", tracked=tracked, workers=workers)
+    careful = careful_scores(workspace, truth, folder / "careful", tracked=tracked, workers=workers)
+    return [replace(row, paper=paper.get(row.object), careful=careful.get(row.object)) for row in rows]
 
 
 # Rows ---------------------------------------------------------------------------------------------
@@ -174,8 +196,3 @@ def labels_of(workspace: Workspace) -> dict[str, int]:
             for instance in label.instances:
                 counts[instance.object] = counts.get(instance.object, 0) + 1
     return counts
-
-
-def scores_of(row: QualityRow) -> Scores:
-    """Reduce errors to the figures of Table I."""
-    return Scores(row.error_3d_mean_mm, row.error_2d_mean_px, row.iou_full_mean, row.iou_visible_mean)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
+    from rpl_data.types import QualityRow
     from training.reproduce.table1.worst import WorstScene
 
 Trajectories = Literal["given", "drifting", "tracked"]
@@ -26,6 +27,11 @@ class Scores:
     iou_visible: float
 
 
+def scores_of(row: QualityRow) -> Scores:
+    """Reduce errors to the figures of Table I."""
+    return Scores(row.error_3d_mean_mm, row.error_2d_mean_px, row.iou_full_mean, row.iou_visible_mean)
+
+
 @dataclass(frozen=True)
 class Row:
     """The figures of one object of a workspace.
@@ -39,6 +45,8 @@ class Row:
         left_out: scenes that the paper's protocol could not judge, and why.
         cad_rms_mm: how well GT-CAD lies on the scenes' surfaces; NaN without a CAD.
         worst: the scene with the largest 2D error; None without truth.
+        paper: strict errors of the paper's own chain on the same recording and clicks; None if not asked for.
+        careful: those when a careful hand clicks and crops; see `baseline.py`.
     """
 
     workspace: str
@@ -53,3 +61,5 @@ class Row:
     left_out: tuple[str, ...]
     cad_rms_mm: float
     worst: WorstScene | None = None
+    paper: Scores | None = None
+    careful: Scores | None = None

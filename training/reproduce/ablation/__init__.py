@@ -1,0 +1,1 @@
+"""Every part of the chain switched off in turn, on the same recording and clicks."""
