@@ -72,12 +72,21 @@ def test_a_trajectory_without_poses(workspace: ws.Workspace, tmp_path: Path) -> 
     assert workspace.load_trajectory(scene).scene_from_camera.shape == (0, 4, 4)
 
 
+def save(workspace: ws.Workspace, scene: Scene) -> None:
+    workspace.save_recording(Recording(scene, None))
+
+
 @pytest.mark.parametrize(
     ("load", "message"),
     [
         (lambda w, s: w.load_scene("07"), r"has no scene '07'; it has \[\]"),
         (lambda w, s: w.load_trajectory(s), "scene 00 has no trajectory yet"),
         (lambda w, s: w.load_solution("cup"), "there is no object cup in .*its objects are: none"),
+        (
+            lambda w, s: [w.append_events("cup", []), w.load_solution("cup")],
+            "cup has no solution yet; run `rpl solve`",
+        ),
+        (lambda w, s: [save(w, s), *w.load_labels("00")], "scene 00 has no labels yet; run `rpl label`"),
         (lambda w, s: list(w.load_labels("00")), "there is no scene 00 in .*Scenes with labels: none"),
         (lambda w, s: surface_files.load_mesh(w.mesh_file("cup")), "there is no mesh"),
         (lambda w, s: surface_files.load_cloud(w.cloud_file("cup")), "there is no point cloud"),
