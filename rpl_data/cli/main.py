@@ -89,6 +89,10 @@ def build_recipe(
 def register(object: str, scene: str, workspace: Path = HERE) -> None:
     """Place a known object in one more scene, from three clicks there or more; its model stays as it is.
 
+    It says how far off the keypoints should be, in mm and px, and which further click would help most. Where
+    the object has a dense model, it is then aligned to the depth and colours of the scene; the clicks' own
+    pose stays where parts of the surface that were held out do not agree better afterwards.
+
     Example: rpl register cube 04 --workspace my-workspace
 
     Args:
@@ -97,12 +101,20 @@ def register(object: str, scene: str, workspace: Path = HERE) -> None:
             workspace.
         workspace: a folder made by `rpl build` or `rpl import`.
     """
+    from rpl_data.cli.screen import Screen
     from rpl_data.pipeline.build import recipe_of, run_step
-    from rpl_data.pipeline.stages.solve import register_step
+    from rpl_data.pipeline.register import register_step
     from rpl_data.workspace.workspace import Workspace
 
     place = Workspace(workspace)
-    entry = run_step(recipe_of(place), place, lambda context: register_step(context, object, scene))
+    with Screen() as screen:
+        entry = run_step(
+            recipe_of(place),
+            place,
+            lambda context, advance: register_step(context, object, scene, advance),
+            title=("register", object),
+            tell=screen.tell,
+        )
     print("\n".join(entry.outcome.messages))
 
 

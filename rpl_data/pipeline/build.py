@@ -14,7 +14,7 @@ from typing import Literal
 
 from rpl_data.files import locked, read_text, sweep, write_text
 from rpl_data.pipeline.context import Context
-from rpl_data.pipeline.ledger import Entry, Ledger, Outcome, Step
+from rpl_data.pipeline.ledger import Advance, Entry, Ledger, Outcome, Step
 from rpl_data.pipeline.pool import Pool
 from rpl_data.pipeline.recipe import Recipe
 from rpl_data.pipeline.recipe_file import load_recipe, recipe_to_yaml
@@ -202,11 +202,29 @@ def stale_steps(recipe: Recipe, workspace: Workspace) -> dict[str, list[tuple[st
     return found
 
 
-def run_step(recipe: Recipe, workspace: Workspace, make: Callable[[Context], Step]) -> Entry:
-    """Bring recordings and clicks up to date, then run one step regardless of the ledger."""
+def run_step(
+    recipe: Recipe,
+    workspace: Workspace,
+    make: Callable[[Context, Advance], Step],
+    *,
+    title: tuple[str, str],
+    tell: Tell = lambda progress: None,
+) -> Entry:
+    """Bring recordings and clicks up to date, then make one step and run it regardless of the ledger.
+
+    Args:
+        make: does the work that comes before the step, reporting its progress, and returns the step.
+        title: how progress names that work, as stage and item.
+    """
     with alone_in(workspace):
-        ledger = _build(recipe, workspace, "track", (), None, lambda progress: None)
-        return ledger.run(make(Context(recipe, workspace, Pool(1))), lambda done, total: None)
+        ledger = _build(recipe, workspace, "track", (), None, tell)
+
+        def advance(done: int, total: int) -> None:
+            tell(Progress(*title, "runs", done, total))
+
+        tell(Progress(*title, "runs"))
+        step = make(Context(recipe, workspace, Pool(1)), advance)
+        return ledger.run(step, advance)
 
 
 def context_of(workspace: Workspace) -> Context:

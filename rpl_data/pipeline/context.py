@@ -16,7 +16,7 @@ from rpl_data.json_arrays import Json
 from rpl_data.pipeline.ledger import Advance, Outcome, Step
 from rpl_data.pipeline.pool import Pool
 from rpl_data.pipeline.recipe import ObjectRecipe, Recipe, SceneSource
-from rpl_data.types import DataError, Frame, Scene, Solution, Trajectory
+from rpl_data.types import DataError, Frame, KeypointModel, Scene, Solution, Trajectory
 from rpl_data.workspace.workspace import Workspace
 
 Box3 = tuple[tuple[float, float, float], tuple[float, float, float]]
@@ -164,3 +164,8 @@ def known_points(annotation: Annotation) -> Float64[np.ndarray, "k 3"]:
             "pick more of them on its mesh, or load a model that has them"
         )
     return points
+
+
+def model_key(model: KeypointModel) -> str:
+    """Stands for the keypoints of a model, and the frame they are in, to a micrometre."""
+    return hashlib.sha256(np.round(1e6 * model.points_object).tobytes()).hexdigest()[:16]

@@ -100,9 +100,9 @@ def gains_sigmas(tests: Sequence[Test], start: Poses) -> Float64[np.ndarray, " s
             one, other = held_out[a], held_out[b]
             if one is None or other is None:
                 continue
-            before, seen_before = _disagreement(one, other, start[b] @ invert(start[a]), found)
+            before, seen_before = disagreement(one, other, start[b] @ invert(start[a]), found)
             poses = found.scene_from_object
-            after, seen_after = _disagreement(one, other, poses[b] @ invert(poses[a]), found)
+            after, seen_after = disagreement(one, other, poses[b] @ invert(poses[a]), found)
             either = seen_before | seen_after
             block = _blocks(one, start[a])[either]
             for scene in (a, b):
@@ -117,10 +117,14 @@ def gains_sigmas(tests: Sequence[Test], start: Poses) -> Float64[np.ndarray, " s
     return result
 
 
-def _disagreement(
+def disagreement(
     one: SceneSurface, other: SceneSurface, b_from_a: np.ndarray, found: Registration
 ) -> tuple[Float64[np.ndarray, " q"], Bool[np.ndarray, " q"]]:
-    """From 0 to 1 per asking point, and whether it found a counterpart; 1 where it did not."""
+    """How much a surface disagrees with another one at each of its asking points, in depth and print.
+
+    Returns:
+        From 0 to 1 per asking point, 1 where there is no counterpart; and whether there is one.
+    """
     matches = match(one, other, b_from_a, gate_m=GATE_M)
     normed = [matches.distance_m / found.surface_sigma_m]
     if len(found.print_sigmas):

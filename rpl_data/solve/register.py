@@ -14,7 +14,7 @@ from rpl_data.solve.click_rays import Noise, Rays, rays_of
 from rpl_data.solve.diagnosis import Placed, diagnose
 from rpl_data.solve.hypotheses import hypotheses_of_scene
 from rpl_data.solve.initial_guess import LINE_M
-from rpl_data.solve.near_ties import describe_near_ties, widened_for_near_ties
+from rpl_data.solve.near_ties import SAID_BELOW, describe_near_ties, widened_for_near_ties
 from rpl_data.solve.noise import (
     USUAL,
     adjust_with_noise,
@@ -42,6 +42,7 @@ class Registration(NamedTuple):
         residuals: one per click, in their order.
         covariance_in_scene: one 3x3 covariance per keypoint of its position, in m^2, scene frame.
         statements, next_clicks: see `Solution`.
+        alternatives: other poses that the clicks fit almost as well, the likeliest first.
     """
 
     scene_from_object: Float64[np.ndarray, "4 4"]
@@ -51,6 +52,7 @@ class Registration(NamedTuple):
     depth_sigma_ratio: float
     statements: tuple[Statement, ...] = ()
     next_clicks: tuple[NextClick, ...] = ()
+    alternatives: Float64[np.ndarray, "a 4 4"] = np.empty((0, 4, 4))
 
 
 def register(
@@ -119,6 +121,7 @@ def register_scene(
         depth_sigma_ratio=noise.depth_ratio,
         statements=diagnosis.statements,
         next_clicks=diagnosis.next_clicks,
+        alternatives=poses.scene_from_model[1:][excess[1:] < SAID_BELOW],
     )
 
 

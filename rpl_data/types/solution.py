@@ -62,6 +62,8 @@ class ClickResidual:
     reason: str = ""
 
 
+PlacedHow = Literal["clicks", "aligned", "automatic"]
+
 StatementKind = Literal[
     "swapped", "wrong name", "wrong place", "disagree", "whole scene", "everything", "unchecked",
     "weak scene",
@@ -107,6 +109,28 @@ class NextClick:
     keypoint: int
     gain_mm: float
     left_mm: float
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Where `rpl register` placed a known object in one more scene; the model was not changed by it.
+
+    Attributes:
+        scene_from_object: of the model whose keypoints are `points_object`.
+        points_object: one row per keypoint, metres, object frame; NaN where the model had none.
+        covariance_in_scene: one 3x3 covariance per keypoint of its position, in m^2, scene frame.
+        residuals: one per click in the scene; the placement holds as long as these are the scene's clicks.
+        how: by its clicks alone; aligned to the scene's surface and colours, from its clicks; or
+            automatically, with one click or none.
+        checked: what speaks for it, one line for a person.
+    """
+
+    scene_from_object: Float64[np.ndarray, "4 4"]
+    points_object: Float64[np.ndarray, "k 3"]
+    covariance_in_scene: Float64[np.ndarray, "k 3 3"]
+    residuals: tuple[ClickResidual, ...]
+    how: PlacedHow
+    checked: str
 
 
 @dataclass(frozen=True)

@@ -21,8 +21,8 @@ class Paths:
         scenes/<scene>/               scene.json  trajectory.txt  given.txt  corrected.txt  drift.json
                                       surface.ply  cache/  images/
                                       parts.json, when it was cut into scenes/<scene>.1/, <scene>.2/, ...
-        objects/<object>/             clicks.jsonl  solution.json  refined.json  mesh.ply  cloud.ply
-                                      given.ply  grasp.json
+        objects/<object>/             clicks.jsonl  solution.json  refined.json  placed.json  mesh.ply
+                                      cloud.ply  given.ply  grasp.json
         labels/<scene>.jsonl          one line per frame
         labels/<scene>.left_out.json  frames that the user excluded from exports
         export/<format>/              coco, coco_truth, ...
@@ -123,6 +123,10 @@ class Paths:
     def refined_file(self, object_name: str) -> Path:
         """The solution after its scenes were registered on one another."""
         return self._object(object_name) / "refined.json"
+
+    def placed_file(self, object_name: str) -> Path:
+        """The scenes in which `rpl register` placed the object."""
+        return self._object(object_name) / "placed.json"
 
     def mesh_file(self, object_name: str) -> Path:
         """The dense model as triangles, in the object frame, metres."""

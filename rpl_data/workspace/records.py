@@ -163,7 +163,7 @@ def solution_from_json(data: Json) -> Solution:
             name: taken(data["scene_from_object"], name, matrix_from_json)
             for name in taken(data, "scene_from_object", dict)
         },
-        residuals=taken(data, "residuals", each(_residual_from_json)),
+        residuals=taken(data, "residuals", each(residual_from_json)),
         warnings=taken(data, "warnings", each(text)),
         covariance_in_scene={
             name: rows_from_json(rows, 9).reshape(-1, 3, 3)
@@ -202,7 +202,8 @@ def _next_click_from_json(data: Json) -> NextClick:
     )
 
 
-def _residual_from_json(data: Json) -> ClickResidual:
+def residual_from_json(data: Json) -> ClickResidual:
+    """Convert the dictionary of a click's residual back."""
     click = taken(data, "click", _click_from_json)
     numbers = {name: taken(data, name, optional(number)) for name in ("error_m", "depth_m")}
     taken(data, "error_px", number)

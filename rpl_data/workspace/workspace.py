@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 from rpl_data.clicks.log import Annotation, Event, replay
@@ -27,10 +27,12 @@ from rpl_data.types import (
     FrameLabel,
     KeypointModel,
     Mesh,
+    Placement,
     Solution,
 )
 from rpl_data.workspace import click_files, records
 from rpl_data.workspace.label_arrays import LabelArrays, label_arrays
+from rpl_data.workspace.placement_records import placements_from_json, placements_to_json
 from rpl_data.workspace.scene_files import SceneFiles
 from rpl_data.workspace.summary import summary
 
@@ -107,6 +109,18 @@ class Workspace(SceneFiles):
         path = self.refined_file(object_name)
         with decoding(path, "make it again with `rpl refine --again true`"):
             return records.solution_from_json(read_json(path))
+
+    def save_placements(self, object_name: str, placements: Mapping[str, Placement]) -> None:
+        """Write placed.json: where `rpl register` placed the object, by scene."""
+        write_json(self.placed_file(object_name), placements_to_json(placements))
+
+    def load_placements(self, object_name: str) -> dict[str, Placement]:
+        """Where `rpl register` placed the object, by scene; empty where it placed it nowhere."""
+        path = self.placed_file(object_name)
+        if not path.exists():
+            return {}
+        with decoding(path, "delete it, and register the object in those scenes again"):
+            return placements_from_json(read_json(path))
 
     def save_grasp(self, object_name: str, object_from_grasp: Transform | None) -> None:
         """Write `grasp.json`; None deletes it."""

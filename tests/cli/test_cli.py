@@ -11,6 +11,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 from built_once import moved_copy, plain_recipe
 
@@ -183,19 +184,29 @@ def test_register_places_a_scene_and_keeps_the_model(
     clicks.write_text("".join(line for line in whole if ",02," not in line))
     at = ["--workspace", str(place.root)]
     assert main(["import", str(recipe), *at]) == 0
-    assert main(["solve", *at]) == 0
-    model = place.load_solution("carton").model
+    assert main(["segment", *at]) == 0
+    model = place.load_placed("carton").model
     assert main(["clicks", "import", str(later), *at]) == 0
+    capsys.readouterr()
     assert main(["register", "carton", "02", *at]) == 0
+    said = capsys.readouterr().out
+    assert re.search(r"keypoints should be [\d.]+ mm \([\d.]+ px\) off", said)
+    assert "was aligned to the surface and colours" in said or "stays where its clicks put it" in said
+    placed = place.load_placements("carton")["02"]
+    np.testing.assert_array_equal(placed.points_object, model.points_object)
     assert main(["label", *at, "--workers", "1"]) == 0
-    solution = place.load_solution("carton")
-    assert (solution.model.points_object == model.points_object).all()
-    assert set(solution.scene_from_object) == {"00", "01", "02"}
+    np.testing.assert_allclose(place.load_placed("carton").model.points_object, model.points_object)
+    np.testing.assert_allclose(
+        place.load_placed("carton").scene_from_object["02"], placed.scene_from_object, atol=1e-6
+    )
+    assert set(place.load_placed("carton").covariance_in_scene) == {"00", "01", "02"}
     assert place.labels_file("02").exists()
     assert main(["register", "carton", "99", *at]) == 1
     assert "has no scene '99'" in capsys.readouterr().err
     assert main(["status", *at]) == 0
     assert "solve     up to date" in capsys.readouterr().out, "a mistake leaves everything as it was"
+    assert main(["solve", *at, "--again", "true"]) == 0, "solved again, the registered scene follows"
+    assert set(place.load_solution("carton").scene_from_object) == {"00", "01", "02"}
 
 
 # Mistakes -----------------------------------------------------------------------------------------

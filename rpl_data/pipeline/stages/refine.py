@@ -9,6 +9,7 @@ from rpl_data.meshes import load_mesh
 from rpl_data.pipeline.context import Box3, Context, crop_of, step
 from rpl_data.pipeline.ledger import Advance, Outcome, Step
 from rpl_data.pipeline.lifted_clicks import observe
+from rpl_data.pipeline.placements import standing, with_placements, without_scenes
 from rpl_data.pipeline.recipe import ObjectRecipe
 from rpl_data.refine.evidence import Verdict
 from rpl_data.types import PointCloud, Solution
@@ -41,7 +42,11 @@ def _refine_step(context: Context, item: ObjectRecipe) -> Step:
         from rpl_data.refine.refine import refine_scenes
         from rpl_data.solve.joint import joint_clicks
 
-        solution, annotation = workspace.load_solution(item.name), workspace.load_annotation(item.name)
+        placed, whole = standing(workspace, item.name), workspace.load_solution(item.name)
+        solution, annotation = without_scenes(whole, placed), workspace.load_annotation(item.name)
+        if not solution.scene_from_object:
+            workspace.save_refined(whole)
+            return Outcome()
         hold = annotation.known_points is not None
         clicks = joint_clicks(solution, observe(workspace, item.name), hold_points=hold)
         regions = scene_regions(workspace, solution, voxel_m, crop)
@@ -50,7 +55,7 @@ def _refine_step(context: Context, item: ObjectRecipe) -> Step:
         )
         if found.registered:
             solution = clicks.solved(found.scene_from_object, found.points_object, found.normal)
-        workspace.save_refined(solution)
+        workspace.save_refined(with_placements(solution, placed))
         verdicts = dict(zip(clicks.scenes, found.verdicts, strict=True))
         return Outcome(
             messages=tuple(f"{item.name}: {line}" for line in kept_by_clicks(verdicts)),

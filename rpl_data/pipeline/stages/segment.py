@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rpl_data.meshes import load_mesh, oriented_points, save_cloud, save_mesh
-from rpl_data.pipeline.context import Context, crop_of, known_points, step
+from rpl_data.pipeline.context import Context, crop_of, known_points, model_key, step
 from rpl_data.pipeline.ledger import Advance, Outcome, Step, stamps
 from rpl_data.pipeline.recipe import ObjectRecipe
 from rpl_data.types import Mesh, Solution
@@ -52,6 +52,7 @@ def _segment_step(context: Context, item: ObjectRecipe) -> Step:
         return Outcome(
             messages=tuple(f"{item.name}: {line}" for line in lines),
             details={
+                "model": model_key(solution.model),
                 "triangles": len(dense.mesh.triangles),
                 "points": len(dense.cloud.points),
                 "unseen_triangles": int((~dense.seen).sum()),
@@ -121,5 +122,6 @@ def _keep_given(workspace: Workspace, object_name: str, mesh: Mesh) -> Outcome:
     save_mesh(workspace.mesh_file(object_name), mesh)
     save_cloud(workspace.cloud_file(object_name), cloud)
     message = f"{object_name}: its dense model is the given mesh"
-    details = {"triangles": len(mesh.triangles), "points": len(cloud.points)}
+    model = workspace.load_placed(object_name).model
+    details = {"model": model_key(model), "triangles": len(mesh.triangles), "points": len(cloud.points)}
     return Outcome(messages=(message,), details=details)

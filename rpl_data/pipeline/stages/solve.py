@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict
 
 import numpy as np
 
@@ -12,15 +12,15 @@ from rpl_data.drift.drift import drift_from_json
 from rpl_data.files import read_json
 from rpl_data.geometry import transform
 from rpl_data.pipeline.context import Context, known_points, step
-from rpl_data.pipeline.ledger import Advance, Outcome, Step
+from rpl_data.pipeline.ledger import Advance, Outcome, Step, stamps
 from rpl_data.pipeline.lifted_clicks import observe
+from rpl_data.pipeline.placements import standing, with_placements
 from rpl_data.pipeline.recipe import ObjectRecipe
-from rpl_data.solve.register import Registration, register_scene
+from rpl_data.solve.register import register_scene
 from rpl_data.solve.residuals import click_spreads_m
 from rpl_data.solve.solve import solve
 from rpl_data.types import (
     Click,
-    DataError,
     KeypointModel,
     Observation,
     Solution,
@@ -35,19 +35,22 @@ STRAYED_SHARE = 0.35
 
 def solve_steps(context: Context) -> list[Step]:
     """Clicks -> sparse model and scene transforms, an object."""
-    return [_solve_step(context, item) for item in context.objects]
+    return [solve_step(context, item) for item in context.objects]
 
 
-def _solve_step(context: Context, item: ObjectRecipe) -> Step:
+def solve_step(context: Context, item: ObjectRecipe) -> Step:
+    """Clicks -> sparse model and scene transforms of one object; scenes that were registered follow it."""
     workspace, options = context.workspace, asdict(context.recipe.solve)
 
     def run(advance: Advance) -> Outcome:
-        observations = observe(workspace, item.name)
+        placed = standing(workspace, item.name)
+        observations = [o for o in observe(workspace, item.name) if o.click.scene not in placed]
         annotation = workspace.load_annotation(item.name)
-        solution = solve_annotation(context, annotation, observations)
+        solution = with_placements(solve_annotation(context, annotation, observations), placed)
         workspace.save_solution(solution)
         outliers = sum(residual.outlier for residual in solution.residuals)
-        unused = clicks_without_pose(annotation.clicks, observations)
+        own = [click for click in annotation.clicks if click.scene not in placed]
+        unused = clicks_without_pose(own, observations)
         said = [statement.text for statement in solution.statements]
         lines = [f"{item.name}: {line}" for line in (*said, *unused, *solution.warnings)]
         details = {
@@ -65,7 +68,7 @@ def _solve_step(context: Context, item: ObjectRecipe) -> Step:
         options=options
         | {"keypoints": list(item.keypoint_names), "skeleton": [list(e) for e in item.skeleton]}
         | {"parts": {video: list(map(list, spans)) for video, spans in workspace.parts().spans.items()}},
-        sources=context.clicks_source(item.name),
+        sources=context.clicks_source(item.name) | stamps(workspace.placed_file(item.name)),
         after=context.poses_of(),
         outputs=[workspace.solution_file(item.name)],
     )
@@ -181,61 +184,3 @@ def place_known(
             sorted((c for one in found.values() for c in one.next_clicks), key=lambda c: -c.gain_mm)
         ),
     )
-
-
-def register_step(context: Context, object_name: str, scene: str) -> Step:
-    """Place a known object in one more scene from its clicks there; the model stays as it is."""
-    item = next((item for item in context.objects if item.name == object_name), None)
-    if item is None:
-        raise DataError(f"the recipe has no object {object_name!r}; it has {', '.join(context.object_names)}")
-
-    # Done before the step runs: a mistake must not leave the solve of the object out of date.
-    workspace = context.workspace
-    workspace.load_scene(scene)
-    solution = workspace.load_solution(object_name)
-    found = register_scene(
-        solution.model,
-        observe(workspace, object_name, scene=scene),
-        covariance=solution.covariance,
-        click_sigma_px=solution.click_sigma_px,
-        depth_sigma_ratio=solution.depth_sigma_ratio,
-        trajectory_sigma_m=trajectory_sigmas_m(workspace, [scene]).get(scene, 0.0),
-    )
-
-    def run(advance: Advance) -> Outcome:
-        workspace.save_solution(_with_scene(solution, scene, found))
-        return Outcome(messages=tuple(_placed(solution.model, scene, found)))
-
-    # It takes the place of the solve in the ledger, so that a build goes on from it and does not solve again.
-    return replace(_solve_step(context, item), run=run)
-
-
-def _with_scene(solution: Solution, scene: str, found: Registration) -> Solution:
-    """The solution with the object placed in one more scene, or placed there anew."""
-    others = tuple(residual for residual in solution.residuals if residual.click.scene != scene)
-    elsewhere = (s for s in solution.statements if all(click.scene != scene for click in s.clicks))
-    return replace(
-        solution,
-        scene_from_object={**solution.scene_from_object, scene: found.scene_from_object},
-        residuals=(*others, *found.residuals),
-        covariance_in_scene={**solution.covariance_in_scene, scene: found.covariance_in_scene},
-        statements=(*found.statements, *elsewhere),
-        next_clicks=found.next_clicks,
-    )
-
-
-def _placed(model: KeypointModel, scene: str, found: Registration) -> Iterator[str]:
-    """How well a new scene's clicks place the object, what they contradict, and what to click next."""
-    mean_px = float(np.mean([residual.error_px for residual in found.residuals]))
-    expected_mm = 1e3 * float(np.sqrt(np.nanmean(np.trace(found.covariance_in_scene, axis1=1, axis2=2))))
-    yield (
-        f"{model.name} stands in scene {scene}; its {len(found.residuals)} clicks fit to {mean_px:.1f} px, "
-        f"and its keypoints should be {expected_mm:.1f} mm off"
-    )
-    yield from (f"{model.name}: {statement.text}" for statement in found.statements)
-    if found.next_clicks:
-        best = found.next_clicks[0]
-        yield (
-            f"the click that would help most: keypoint {model.keypoints[best.keypoint]} in frame "
-            f"{best.frame}, which should leave {best.left_mm:.1f} mm"
-        )

@@ -1,0 +1,246 @@
+"""A known object -> its place in one more scene; its model stays as it is (`rpl register`)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rpl_data.images import read_color
+from rpl_data.meshes import load_cloud
+from rpl_data.pipeline.context import Context, crop_of, model_key, posed_frames
+from rpl_data.pipeline.ledger import Advance, Ledger, Outcome, Step
+from rpl_data.pipeline.lifted_clicks import observe
+from rpl_data.pipeline.placements import with_placements
+from rpl_data.pipeline.recipe import ObjectRecipe
+from rpl_data.pipeline.stages.solve import solve_step, trajectory_sigmas_m
+from rpl_data.pipeline.stages.surface import reporting, sphere_of
+from rpl_data.solve.expected import covariance_by_pose, expected_mm, expected_px
+from rpl_data.solve.joint import joint_clicks
+from rpl_data.solve.register import Registration, register_scene
+from rpl_data.types import DataError, NextClick, Observation, Placement, PointCloud, Solution, Statement
+
+FUSED_FRAMES = 60
+"""Frames of a new scene that are fused to align an object, spread over it."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """A placement, and what is to be said of it.
+
+    Attributes:
+        lines: for the user.
+        statements, next_clicks: of the clicks in the scene; see `Solution`.
+    """
+
+    placement: Placement
+    lines: tuple[str, ...]
+    statements: tuple[Statement, ...] = ()
+    next_clicks: tuple[NextClick, ...] = ()
+
+
+def register_step(context: Context, object_name: str, scene: str, advance: Advance) -> Step:
+    """Place a known object in one more scene from its clicks there, and align it to the scene's surface.
+
+    The placement is on the disk when this returns. The step that it returns adds it to the solution, in the
+    place of the solve: a build then goes on from it and does not solve again.
+
+    Args:
+        advance: receives the progress.
+
+    Raises:
+        DataError: the object is not known, or its clicks do not place it.
+    """
+    item = object_named(context, object_name)
+    context.workspace.load_scene(scene)  # says which scenes there are
+    found = _by_clicks(context, item, scene, advance)
+    return adding_step(context, item, scene, found)
+
+
+def object_named(context: Context, name: str) -> ObjectRecipe:
+    """The object of the recipe; DataError when there is none of this name."""
+    for item in context.objects:
+        if item.name == name:
+            return item
+    raise DataError(f"the recipe has no object {name!r}; it has {', '.join(context.object_names)}")
+
+
+def adding_step(context: Context, item: ObjectRecipe, scene: str, found: Found) -> Step:
+    """Keep a placement, and make the step that adds it to what was solved."""
+    workspace = context.workspace
+    placements = {**workspace.load_placements(item.name), scene: found.placement}
+    workspace.save_placements(item.name, placements)
+
+    def run(advance: Advance) -> Outcome:
+        refined = workspace.load_placed(item.name) if workspace.refined_file(item.name).exists() else None
+        workspace.save_solution(_with(workspace.load_solution(item.name), scene, found))
+        if refined is not None:  # which saving the solution removed
+            workspace.save_refined(_with(refined, scene, found))
+        return Outcome(messages=found.lines)
+
+    return replace(solve_step(context, item), run=run)
+
+
+def _with(solution: Solution, scene: str, found: Found) -> Solution:
+    """A solution with the placed scene added."""
+    others = (s for s in solution.statements if all(click.scene != scene for click in s.clicks))
+    return replace(
+        with_placements(solution, {scene: found.placement}),
+        statements=(*found.statements, *others),
+        next_clicks=found.next_clicks,
+    )
+
+
+def _by_clicks(context: Context, item: ObjectRecipe, scene: str, advance: Advance) -> Found:
+    """Where the clicks put the object; aligned, where it has a dense model and the evidence supports it."""
+    workspace = context.workspace
+    solution, observations = workspace.load_placed(item.name), observe(workspace, item.name, scene=scene)
+    strayed_m = trajectory_sigmas_m(workspace, [scene]).get(scene, 0.0)
+    clicked = register_scene(
+        solution.model,
+        observations,
+        covariance=solution.covariance,
+        click_sigma_px=solution.click_sigma_px,
+        depth_sigma_ratio=solution.depth_sigma_ratio,
+        trajectory_sigma_m=strayed_m,
+    )
+    placement = Placement(
+        clicked.scene_from_object,
+        solution.model.points_object,
+        clicked.covariance_in_scene,
+        clicked.residuals,
+        "clicks",
+        "its clicks",
+    )
+    lines = [f"{item.name} {line}" for line in _said(context, solution, scene, clicked, placement)]
+    if (model := dense_model(context, item, solution)) is None:
+        lines.append(
+            f"{item.name} stays where its clicks put it: aligning it needs its dense model; run `rpl build`, "
+            "then register it again"
+        )
+    else:
+        placement, line = _aligned(
+            context, item, scene, model, clicked, placement, observations, strayed_m, advance
+        )
+        lines.append(f"{item.name} {line}")
+    return Found(placement, tuple(lines), clicked.statements, clicked.next_clicks)
+
+
+def _said(
+    context: Context, solution: Solution, scene: str, found: Registration, placement: Placement
+) -> Iterator[str]:
+    """How well the clicks place the object, what they contradict, and what to click next."""
+    mean_px = float(np.mean([residual.error_px for residual in found.residuals]))
+    yield (
+        f"stands in scene {scene}; its {len(found.residuals)} clicks fit to {mean_px:.1f} px, and its "
+        f"keypoints should be {expected_error(context, scene, placement)} off"
+    )
+    yield from (statement.text for statement in found.statements)
+    if found.next_clicks:
+        best = found.next_clicks[0]
+        yield (
+            f"would gain most by a click on keypoint {solution.model.keypoints[best.keypoint]} in frame "
+            f"{best.frame} of scene {scene}: {best.gain_mm:.1f} mm, which leaves {best.left_mm:.1f} mm"
+        )
+
+
+def expected_error(context: Context, scene: str, placement: Placement) -> str:
+    """The expected error of the keypoints over a scene, in mm and px."""
+    recorded = context.workspace.load_scene(scene)
+    pose = placement.scene_from_object
+    points = placement.points_object @ pose[:3, :3].T + pose[:3, 3]
+    trajectory = context.workspace.load_trajectory(recorded)
+    covariance = placement.covariance_in_scene
+    error_px = expected_px(covariance, points, recorded.intrinsics, trajectory.scene_from_camera)
+    return f"{expected_mm(covariance):.1f} mm ({error_px:.1f} px)"
+
+
+def dense_model(context: Context, item: ObjectRecipe, solution: Solution) -> PointCloud | None:
+    """The object's surface, in the frame of the solution; None where none was made of that solution."""
+    made = Ledger(context.workspace.stages_file).entries.get(f"segment/{item.name}")
+    if made is None or made.outcome.details.get("model") != model_key(solution.model):
+        return None
+    path = context.workspace.cloud_file(item.name)
+    return load_cloud(path) if path.exists() else None
+
+
+def _aligned(
+    context: Context,
+    item: ObjectRecipe,
+    scene: str,
+    model: PointCloud,
+    clicked: Registration,
+    placement: Placement,
+    observations: Sequence[Observation],
+    strayed_m: float,
+    advance: Advance,
+) -> tuple[Placement, str]:
+    """The placement after alignment, and what held-out evidence said of it."""
+    from rpl_data.refine.align import align_scene
+
+    solution = context.workspace.load_placed(item.name)
+    alone = replace(
+        solution,
+        scene_from_object={scene: clicked.scene_from_object},
+        covariance_in_scene={},
+        residuals=clicked.residuals,
+        statements=clicked.statements,
+    )
+    region = _region(context, item, alone, scene, advance)
+    clicks = joint_clicks(alone, observations, hold_points=True)
+    found = align_scene(
+        model, region, [clicked.scene_from_object, *clicked.alternatives], clicks.terms, clicks.costs
+    )
+    if not found.verdict.accepted:
+        return placement, f"stays where its clicks put it: {found.verdict.reason}"
+    posed = clicks.solved(found.scene_from_object[None], np.empty((0, 3)), found.normal)
+    by_pose, points = np.linalg.inv(found.normal), solution.model.points_object
+    covariance = covariance_by_pose(by_pose, found.scene_from_object, points, solution.covariance)
+    checked = (
+        "its clicks, and parts of its surface and print that the alignment did not use: they agree better by "
+        f"{found.verdict.gain_sigmas:.1f} standard errors than where the clicks put it"
+    )
+    aligned = Placement(
+        found.scene_from_object,
+        points,
+        covariance + strayed_m**2 * np.eye(3),
+        posed.residuals,
+        "aligned",
+        checked,
+    )
+    return aligned, (
+        f"was aligned to the surface and colours of scene {scene}, checked by {checked}; its keypoints "
+        f"should now be {expected_error(context, scene, aligned)} off"
+    )
+
+
+def _region(
+    context: Context, item: ObjectRecipe, alone: Solution, scene: str, advance: Advance
+) -> PointCloud | None:
+    """The surface of the object as the scene shows it, scene frame; None where it shows none."""
+    from rpl_data.reconstruct.surface import fuse_surface
+    from rpl_data.segment.segment import grown_regions
+
+    workspace, voxel_m = context.workspace, context.recipe.reconstruct.voxel_m
+    recorded = workspace.load_scene(scene)
+    trajectory = workspace.load_trajectory(recorded)
+    frames = [frame for frame in posed_frames(recorded, trajectory) if frame.depth is not None]
+    chosen = frames[:: max(1, len(frames) // FUSED_FRAMES)]
+    sphere = sphere_of(alone, scene)
+    mesh = fuse_surface(
+        recorded,
+        trajectory,
+        reporting(chosen, advance, 0, len(chosen)),
+        workspace.depth_reader(recorded),
+        centre_scene=sphere.centre_m,
+        radius_m=sphere.radius_m,
+        voxel_m=voxel_m,
+        colors=read_color,
+    )
+    grown = grown_regions({scene: mesh}, alone, voxel_m=voxel_m, crop_m=crop_of(workspace, item)).get(scene)
+    if grown is None:
+        return None
+    pose = alone.scene_from_object[scene]
+    points = grown.points @ pose[:3, :3].T + pose[:3, 3]
+    return PointCloud(points, grown.normals @ pose[:3, :3].T, grown.colors)

@@ -1,0 +1,64 @@
+"""The error to be expected of a scene's labels, in millimetres and in pixels."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float64
+
+from rpl_data.geometry import NEAREST_M, invert, transform
+from rpl_data.solve.bundle_adjustment import cross_matrices
+from rpl_data.types import Intrinsics
+
+
+def expected_mm(covariance_in_scene: Float64[np.ndarray, "k 3 3"]) -> float:
+    """Root mean square error of the keypoints in space; NaN rows, of unknown keypoints, do not count."""
+    return 1e3 * float(np.sqrt(np.nanmean(np.trace(covariance_in_scene, axis1=1, axis2=2))))
+
+
+def expected_px(
+    covariance_in_scene: Float64[np.ndarray, "k 3 3"],
+    points_scene: Float64[np.ndarray, "k 3"],
+    intrinsics: Intrinsics,
+    scene_from_camera: Float64[np.ndarray, "f 4 4"],
+) -> float:
+    """Root mean square error of the projected keypoints over all frames of a scene.
+
+    Each covariance is propagated to first order through the pinhole projection; keypoints behind a camera do
+    not count.
+    """
+    known = np.isfinite(points_scene).all(axis=1)
+    squares = []
+    for camera_from_scene in invert(scene_from_camera):
+        x, y, z = transform(camera_from_scene, points_scene[known]).T
+        ahead = z > NEAREST_M
+        slope = np.zeros((int(ahead.sum()), 2, 3))
+        slope[:, 0, 0] = intrinsics.fx / z[ahead]
+        slope[:, 1, 1] = intrinsics.fy / z[ahead]
+        slope[:, 0, 2] = -intrinsics.fx * x[ahead] / z[ahead] ** 2
+        slope[:, 1, 2] = -intrinsics.fy * y[ahead] / z[ahead] ** 2
+        by_point = slope @ camera_from_scene[:3, :3]
+        squares.append(np.einsum("kij,kjl,kil->k", by_point, covariance_in_scene[known][ahead], by_point))
+    return float(np.sqrt(np.concatenate(squares).mean()))
+
+
+def covariance_by_pose(
+    pose_covariance: Float64[np.ndarray, "6 6"],
+    scene_from_object: Float64[np.ndarray, "4 4"],
+    points_object: Float64[np.ndarray, "k 3"],
+    covariance: Float64[np.ndarray, "k 3 3"],
+) -> Float64[np.ndarray, "k 3 3"]:
+    """Covariance of keypoints in a scene, from that of the pose and that of the model's shape.
+
+    Args:
+        pose_covariance: of rotation and translation, applied on the left of the pose.
+        covariance: of the keypoints in the object frame.
+    """
+    in_scene, turn = transform(scene_from_object, points_object), scene_from_object[:3, :3]
+    by_pose = np.concatenate(
+        [-np.stack([cross_matrices(point) for point in in_scene]), np.tile(np.eye(3), (len(in_scene), 1, 1))],
+        axis=2,
+    )
+    total: Float64[np.ndarray, "k 3 3"] = (
+        by_pose @ pose_covariance @ np.swapaxes(by_pose, 1, 2) + turn @ covariance @ turn.T
+    )
+    return total
