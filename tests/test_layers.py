@@ -19,7 +19,7 @@ LAYERS = [
     {"images", "meshes", "raycast", "overlay", "drift"},
     {"formats", "clicks", "pose", "reconstruct", "workspace"},
     {"capture", "solve", "refine", "segment", "label", "export", "torch"},
-    {"recordings"},
+    {"recordings", "place"},
     {"twin", "evaluate", "report", "annotate", "doctor"},
     {"pipeline"},
     {"cli"},

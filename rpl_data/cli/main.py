@@ -28,11 +28,14 @@ from rpl_data.cli.stages import (  # noqa: E402
     surface,
     track,
 )
-from rpl_data.types import DataError  # noqa: E402
+from rpl_data.types import DataError, UnsureError  # noqa: E402
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command; 0 when all is well, 1 with one line on stderr when the user can mend it."""
+    """Run a command; 0 when all is well, 1 with one line on stderr when the user can mend it.
+
+    3, with one line, when `rpl register --auto` is not sure.
+    """
     try:
         from rpl_data.command_line import run
 
@@ -40,7 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stdout.flush()  # here, where a disk that is full can be said
     except DataError as error:
         print(f"rpl: {error}", file=sys.stderr)
-        return 1
+        return 3 if isinstance(error, UnsureError) else 1
     except KeyboardInterrupt:
         print("rpl: interrupted; run the same command again and it goes on from here", file=sys.stderr)
         return 130
@@ -86,12 +89,16 @@ def build_recipe(
     )
 
 
-def register(object: str, scene: str, workspace: Path = HERE) -> None:
+def register(object: str, scene: str, workspace: Path = HERE, auto: bool = False) -> None:
     """Place a known object in one more scene, from three clicks there or more; its model stays as it is.
 
     It says how far off the keypoints should be, in mm and px, and which further click would help most. Where
     the object has a dense model, it is then aligned to the depth and colours of the scene; the clicks' own
     pose stays where parts of the surface that were held out do not agree better afterwards.
+
+    With `--auto true` no click is needed: shape proposes poses on what stands on the table, colours and free
+    space verify them. Where that is not sure, nothing is written, the exit status is 3, and the message names
+    the one click that would tell; with it, the same command goes on.
 
     Example: rpl register cube 04 --workspace my-workspace
 
@@ -100,18 +107,21 @@ def register(object: str, scene: str, workspace: Path = HERE) -> None:
         scene: name of the scene, which must be in the recordings of the recipe; its clicks must be in the
             workspace.
         workspace: a folder made by `rpl build` or `rpl import`.
+        auto: find the object without clicks; it needs a coloured dense model, as `rpl build` makes it.
     """
     from rpl_data.cli.screen import Screen
+    from rpl_data.pipeline.automatic import find_step
     from rpl_data.pipeline.build import recipe_of, run_step
     from rpl_data.pipeline.register import register_step
     from rpl_data.workspace.workspace import Workspace
 
     place = Workspace(workspace)
+    work = find_step if auto else register_step
     with Screen() as screen:
         entry = run_step(
             recipe_of(place),
             place,
-            lambda context, advance: register_step(context, object, scene, advance),
+            lambda context, advance: work(context, object, scene, advance),
             title=("register", object),
             tell=screen.tell,
         )
@@ -127,6 +137,7 @@ def status(workspace: Path = HERE) -> None:
         workspace: a folder made by `rpl build` or `rpl import`.
     """
     from rpl_data.pipeline.build import STAGES, recipe_of, stale_steps
+    from rpl_data.pipeline.placements import placement_lines
     from rpl_data.workspace.workspace import Workspace
 
     place = Workspace(workspace)
@@ -140,6 +151,8 @@ def status(workspace: Path = HERE) -> None:
         else:
             stale = [item or stage for item, holds in steps if not holds]
             print(f"{stage:8s}  {'to run: ' + ', '.join(stale) if stale else 'up to date'}")
+    for line in placement_lines(place):
+        print(line)
 
 
 HELP = "Labelled pose, keypoint and mask datasets from RGB-D videos and a few clicks. Start with `rpl build`."

@@ -27,6 +27,27 @@ def standing(workspace: Workspace, object_name: str) -> dict[str, Placement]:
     }
 
 
+PLACED = {
+    "clicks": "placed by",
+    "aligned": "aligned to its surface and colours, checked by",
+    "automatic": "placed automatically, checked by",
+}
+
+
+def placement_lines(workspace: Workspace, *, scenes: Collection[str] | None = None) -> list[str]:
+    """One line per scene in which `rpl register` placed an object: how, and what speaks for it.
+
+    Args:
+        scenes: only these; all when None.
+    """
+    return [
+        f"{name} in scene {scene}: {PLACED[one.how]} {one.checked}"
+        for name in workspace.object_names()
+        for scene, one in sorted(standing(workspace, name).items())
+        if scenes is None or scene in scenes
+    ]
+
+
 def without_scenes(solution: Solution, scenes: Collection[str]) -> Solution:
     """The solution of the other scenes."""
     return replace(

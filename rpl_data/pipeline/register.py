@@ -25,6 +25,10 @@ FUSED_FRAMES = 60
 """Frames of a new scene that are fused to align an object, spread over it."""
 
 
+WORTH_MM = 0.1
+"""A further click that should gain less is not mentioned."""
+
+
 @dataclass(frozen=True)
 class Found:
     """A placement, and what is to be said of it.
@@ -137,7 +141,7 @@ def _said(
         f"keypoints should be {expected_error(context, scene, placement)} off"
     )
     yield from (statement.text for statement in found.statements)
-    if found.next_clicks:
+    if found.next_clicks and found.next_clicks[0].gain_mm >= WORTH_MM:
         best = found.next_clicks[0]
         yield (
             f"would gain most by a click on keypoint {solution.model.keypoints[best.keypoint]} in frame "
@@ -193,13 +197,16 @@ def _aligned(
         model, region, [clicked.scene_from_object, *clicked.alternatives], clicks.terms, clicks.costs
     )
     if not found.verdict.accepted:
-        return placement, f"stays where its clicks put it: {found.verdict.reason}"
+        return placement, (
+            f"stays where its clicks put it: {found.verdict.reason}; with `--auto true`, all poses that "
+            "agree with its clicks are tried"
+        )
     posed = clicks.solved(found.scene_from_object[None], np.empty((0, 3)), found.normal)
     by_pose, points = np.linalg.inv(found.normal), solution.model.points_object
     covariance = covariance_by_pose(by_pose, found.scene_from_object, points, solution.covariance)
     checked = (
-        "its clicks, and parts of its surface and print that the alignment did not use: they agree better by "
-        f"{found.verdict.gain_sigmas:.1f} standard errors than where the clicks put it"
+        "its clicks, and parts of its surface and colours that the alignment did not use: they agree better "
+        f"by {found.verdict.gain_sigmas:.1f} standard errors than where the clicks put it"
     )
     aligned = Placement(
         found.scene_from_object,

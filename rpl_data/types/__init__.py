@@ -8,7 +8,7 @@ A missing value is absent, ``None``, or NaN in an array of numbers; never -1 or 
 """
 
 from rpl_data.types.clicks import Click, Observation
-from rpl_data.types.errors import DataError
+from rpl_data.types.errors import DataError, UnsureError
 from rpl_data.types.images import Box, ColorImage, DepthImage, DepthUnits, GreyImage, Rle, SquareBox
 from rpl_data.types.labels import FrameLabel, InstanceLabel, QualityRow
 from rpl_data.types.recording import (
@@ -67,4 +67,5 @@ __all__ = [
     "Statement",
     "StatementKind",
     "Trajectory",
+    "UnsureError",
 ]

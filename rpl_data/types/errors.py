@@ -1,4 +1,4 @@
-"""The one error that the user can mend."""
+"""The one error that the user can mend, and its kind that one click mends."""
 
 from __future__ import annotations
 
@@ -7,4 +7,11 @@ class DataError(ValueError):
     """An error that the user can mend.
 
     The message says what is wrong, where, what was expected, what was found and what to do.
+    """
+
+
+class UnsureError(DataError):
+    """What was asked for was not found surely enough to be written down.
+
+    The message names the click that would tell.
     """

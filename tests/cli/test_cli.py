@@ -186,6 +186,12 @@ def test_register_places_a_scene_and_keeps_the_model(
     assert main(["import", str(recipe), *at]) == 0
     assert main(["segment", *at]) == 0
     model = place.load_placed("carton").model
+    assert main(["register", "carton", "02", "--auto", "true", *at]) == 0, "no click there yet"
+    found = place.load_placements("carton")["02"]
+    capsys.readouterr()
+    assert main(["status", *at]) == 0
+    said = capsys.readouterr().out
+    assert "carton in scene 02: placed automatically, checked by colours and free space" in said
     assert main(["clicks", "import", str(later), *at]) == 0
     capsys.readouterr()
     assert main(["register", "carton", "02", *at]) == 0
@@ -193,6 +199,8 @@ def test_register_places_a_scene_and_keeps_the_model(
     assert re.search(r"keypoints should be [\d.]+ mm \([\d.]+ px\) off", said)
     assert "was aligned to the surface and colours" in said or "stays where its clicks put it" in said
     placed = place.load_placements("carton")["02"]
+    off = np.linalg.inv(placed.scene_from_object) @ found.scene_from_object
+    assert np.linalg.norm(off[:3, 3]) < 0.003, "found without clicks where the clicks put it"
     np.testing.assert_array_equal(placed.points_object, model.points_object)
     assert main(["label", *at, "--workers", "1"]) == 0
     np.testing.assert_allclose(place.load_placed("carton").model.points_object, model.points_object)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from rpl_data.pipeline.context import Context, step
 from rpl_data.pipeline.ledger import Advance, Ledger, Outcome, Step
+from rpl_data.pipeline.placements import placement_lines
 from rpl_data.pipeline.results import quality_rows, split_summary, timings, worth_knowing
 from rpl_data.workspace.workspace import Workspace
 
@@ -25,7 +26,13 @@ def report_steps(context: Context) -> list[Step]:
             timings=timings(ledger),
             split=split_summary(ledger),
             warnings=worth_knowing(ledger),
-            remarks={video: drift_remarks(workspace, ledger, video) for video in workspace.video_names()},
+            remarks={
+                video: [
+                    *drift_remarks(workspace, ledger, video),
+                    *placement_lines(workspace, scenes=workspace.parts().scenes_of(video)),
+                ]
+                for video in workspace.video_names()
+            },
         )
         return Outcome()
 

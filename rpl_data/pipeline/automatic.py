@@ -1,0 +1,125 @@
+"""A known object -> its place in one more scene, without clicks (`rpl register --auto`)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from rpl_data.images import read_color
+from rpl_data.pipeline.context import Context, posed_frames
+from rpl_data.pipeline.ledger import Advance, Step
+from rpl_data.pipeline.lifted_clicks import observe
+from rpl_data.pipeline.recipe import ObjectRecipe
+from rpl_data.pipeline.register import Found, adding_step, dense_model, expected_error, object_named
+from rpl_data.pipeline.stages.solve import trajectory_sigmas_m
+from rpl_data.place.decide import Decision, click_to_ask, decide, off_px
+from rpl_data.place.looked_at import LookedAt, looked_at
+from rpl_data.place.place import candidates_in
+from rpl_data.place.verify import Candidate
+from rpl_data.solve.expected import covariance_by_pose
+from rpl_data.types import ClickResidual, DataError, Observation, Placement, PointCloud, Solution, UnsureError
+
+
+def find_step(context: Context, object_name: str, scene: str, advance: Advance) -> Step:
+    """Find a known object in one more scene; where one click is there, it must agree.
+
+    The placement is on the disk when this returns; see `register_step`.
+
+    Raises:
+        UnsureError: it was not found, or not surely; the message names a click that would help.
+        DataError: the object is not known, or has no dense model yet.
+    """
+    item, workspace = object_named(context, object_name), context.workspace
+    workspace.load_scene(scene)  # says which scenes there are
+    solution = workspace.load_placed(object_name)
+    model = dense_model(context, item, solution)
+    if model is None or model.colors is None:
+        raise DataError(
+            f"object {object_name} has no coloured dense model of its present solution, by which it could be "
+            f"found; run `rpl build` on {workspace.root} first"
+        )
+    clicks = _clicks(context, item, scene)
+    there = _looked_at(context, scene, advance)
+    candidates = candidates_in(
+        model,
+        there.surface,
+        there.cameras,
+        there.views,
+        off_clicks_px=lambda pose: max((off_px(pose, solution.model, one) for one in clicks), default=0.0),
+        advance=advance,
+    )
+    decision = decide(candidates, clicked=bool(clicks))
+    if not decision.sure or decision.chosen is None:
+        raise UnsureError(_asking(context, item, scene, model, solution, decision, candidates))
+    found = _placed(context, item, scene, solution, clicks, decision.chosen, decision.words)
+    return adding_step(context, item, scene, found)
+
+
+def _clicks(context: Context, item: ObjectRecipe, scene: str) -> list[Observation]:
+    """The clicks on the object in the scene; mostly none."""
+    clicked = context.workspace.load_annotation(item.name).clicks
+    if not any(click.scene == scene for click in clicked):
+        return []
+    return observe(context.workspace, item.name, scene=scene)
+
+
+def _looked_at(context: Context, scene: str, advance: Advance) -> LookedAt:
+    workspace = context.workspace
+    recorded = workspace.load_scene(scene)
+    trajectory = workspace.load_trajectory(recorded)
+    frames = [frame for frame in posed_frames(recorded, trajectory) if frame.depth is not None]
+    if not frames:
+        raise DataError(f"scene {scene} has no frame with a pose and a depth image; click the object there")
+    return looked_at(
+        recorded, trajectory, frames, workspace.depth_reader(recorded), read_color, advance=advance
+    )
+
+
+def _asking(
+    context: Context,
+    item: ObjectRecipe,
+    scene: str,
+    model: PointCloud,
+    solution: Solution,
+    decision: Decision,
+    candidates: Sequence[Candidate],
+) -> str:
+    """Why the object is not placed, and what to do."""
+    recorded = context.workspace.load_scene(scene)
+    trajectory = context.workspace.load_trajectory(recorded)
+    ask = click_to_ask(candidates, solution.model, model, recorded.intrinsics, trajectory)
+    said = f"{item.name} was not placed in scene {scene}: {decision.words}"
+    if ask is None:
+        return f"{said}; if it is there, click three of its keypoints, and run `rpl register` without --auto"
+    return (
+        f"{said}; if it is there, click keypoint {solution.model.keypoints[ask.keypoint]} in frame "
+        f"{ask.frame}, and run this again"
+    )
+
+
+def _placed(
+    context: Context,
+    item: ObjectRecipe,
+    scene: str,
+    solution: Solution,
+    clicks: Sequence[Observation],
+    chosen: Candidate,
+    words: str,
+) -> Found:
+    """The placement of a candidate, with the covariance that its surface and the model's shape give it."""
+    pose, points = chosen.scene_from_object, solution.model.points_object
+    strayed_m = trajectory_sigmas_m(context.workspace, [scene]).get(scene, 0.0)
+    covariance = covariance_by_pose(np.linalg.inv(chosen.normal), pose, points, solution.covariance)
+    residuals = tuple(
+        ClickResidual(one.click, off_px(pose, solution.model, one), None, None, "none") for one in clicks
+    )
+    checked = f"colours and free space: {words}"
+    placement = Placement(
+        pose, points, covariance + strayed_m**2 * np.eye(3), residuals, "automatic", checked
+    )
+    line = (
+        f"{item.name} was placed automatically in scene {scene}, checked by {checked}; its keypoints should "
+        f"be {expected_error(context, scene, placement)} off"
+    )
+    return Found(placement, (line,))
