@@ -14,7 +14,7 @@ from rpl_data.refine.evidence import Verdict
 from rpl_data.types import PointCloud, Solution
 from rpl_data.workspace.workspace import Workspace
 
-VERSION = 1
+VERSION = 2
 """Increase it when the stage writes something else for the same input: its steps then run again."""
 
 
