@@ -164,7 +164,7 @@ def _visibility(
     inside = inside_image(camera.intrinsics, alone.keypoints_px)
     z_m = transform(alone.camera_from_object, alone.body.item.model.points_object)[inside, 2]
     body = alone.body
-    seen = body.around.faces(body.rays, alone.camera_from_object, keypoints=len(inside))[inside]
+    seen = body.around.faces(body.rays, alone.camera_from_object)[inside]
     seen &= keypoints_seen(alone.keypoints_px[inside], z_m, alone.window, others, measured, tolerances)
     visibility[inside] = np.where(seen, 2, 1)
     return visibility

@@ -318,19 +318,28 @@ def test_a_rigid_motion_of_the_scene_changes_nothing() -> None:
     assert iou(decoded(answers[0].mask), decoded(answers[1].mask)) > 0.999
 
 
+def ball(resolution: int) -> RayScene:
+    """A ball of radius 50 mm around the origin."""
+    made = o3d.geometry.TriangleMesh.create_sphere(0.05, resolution=resolution)
+    return RayScene([Mesh(np.asarray(made.vertices), np.asarray(made.triangles).astype(np.int64))])
+
+
 def test_points_behind_the_horizon_of_a_ball_are_hidden() -> None:
-    ball = o3d.geometry.TriangleMesh.create_sphere(0.05, resolution=40)
-    mesh = Mesh(np.asarray(ball.vertices), np.asarray(ball.triangles).astype(np.int64))
-    angles = np.deg2rad([0, 45, 70, 110, 135, 180])  # from the direction of the camera
-    points = 0.05 * np.column_stack([np.sin(angles), np.zeros(6), -np.cos(angles)])
-    rays, pose = RayScene([mesh]), from_rotvec(np.zeros(3), np.array([0.0, 0.0, 0.7]))
+    # The horizon is at 86 degrees from the direction of the camera, as cos 86 = 0.05 / 0.7.
+    angles = np.deg2rad([0, 45, 70, 80, 90, 110, 135, 180])
+    points = 0.05 * np.column_stack([np.sin(angles), np.zeros(8), -np.cos(angles)])
+    rays, pose = ball(resolution=100), from_rotvec(np.zeros(3), np.array([0.0, 0.0, 0.7]))
     around = KeypointSurface.around(rays, points)
-    assert around.faces(rays, pose, keypoints=6).tolist() == [True, True, True, False, False, False]
+    assert around.faces(rays, pose).tolist() == [True] * 4 + [False] * 4
+
+
+def test_keypoints_on_a_part_that_the_mesh_lacks_are_hidden_by_what_lies_in_front_of_them() -> None:
+    points = np.array([[0.0, -0.07, 0.0], [0.0, 0.0, 0.07], [0.0, 0.0, -0.07]])  # above, behind, before
+    rays, pose = ball(resolution=20), from_rotvec(np.zeros(3), np.array([0.0, 0.0, 0.7]))
+    assert KeypointSurface.around(rays, points).faces(rays, pose).tolist() == [True, False, True]
 
 
 def test_a_keypoint_without_a_position_is_not_seen() -> None:
     points = np.array([[np.nan] * 3, [0.0, 0.0, -0.05]])
-    ball = o3d.geometry.TriangleMesh.create_sphere(0.05)
-    mesh = Mesh(np.asarray(ball.vertices), np.asarray(ball.triangles).astype(np.int64))
-    rays, pose = RayScene([mesh]), from_rotvec(np.zeros(3), np.array([0.0, 0.0, 0.7]))
-    assert KeypointSurface.around(rays, points).faces(rays, pose, keypoints=2).tolist() == [False, True]
+    rays, pose = ball(resolution=20), from_rotvec(np.zeros(3), np.array([0.0, 0.0, 0.7]))
+    assert KeypointSurface.around(rays, points).faces(rays, pose).tolist() == [False, True]

@@ -18,7 +18,7 @@ from rpl_data.pipeline.ledger import Advance, Outcome, Step
 from rpl_data.types import FrameLabel
 from rpl_data.workspace.workspace import Workspace
 
-VERSION = 2
+VERSION = 3
 """Increase it when the stage writes something else for the same input: its steps then run again."""
 
 
