@@ -42,6 +42,7 @@ class Registration(NamedTuple):
         residuals: one per click, in their order.
         covariance_in_scene: one 3x3 covariance per keypoint of its position, in m^2, scene frame.
         statements, next_clicks: see `Solution`.
+        trajectory_sigma_m: how far the poses of the scene stray, which the covariance includes.
     """
 
     scene_from_object: Float64[np.ndarray, "4 4"]
@@ -51,6 +52,7 @@ class Registration(NamedTuple):
     depth_sigma_ratio: float
     statements: tuple[Statement, ...] = ()
     next_clicks: tuple[NextClick, ...] = ()
+    trajectory_sigma_m: float = 0.0
 
 
 def register(
@@ -119,6 +121,7 @@ def register_scene(
         depth_sigma_ratio=noise.depth_ratio,
         statements=diagnosis.statements,
         next_clicks=diagnosis.next_clicks,
+        trajectory_sigma_m=trajectory_sigma_m,
     )
 
 

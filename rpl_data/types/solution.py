@@ -124,6 +124,8 @@ class Solution:
         covariance_in_scene: one 3x3 covariance per keypoint of its position in each scene, in m^2, in that
             scene's frame: shape and pose together, so it is what a label can be off by. A scene is absent
             in solutions written before this was computed.
+        trajectory_sigma_m: how far the poses of each scene stray, standard deviation per axis, which
+            `covariance_in_scene` includes; absent = 0.
         click_sigma_px: standard deviation of a click per axis, estimated from the residuals; None when
             it was not.
         depth_sigma_ratio: by how much the errors of the depths exceed what was stated for them; None
@@ -138,6 +140,7 @@ class Solution:
     residuals: tuple[ClickResidual, ...] = ()
     warnings: tuple[str, ...] = ()
     covariance_in_scene: Mapping[str, Float64[np.ndarray, "k 3 3"]] = field(default_factory=dict)
+    trajectory_sigma_m: Mapping[str, float] = field(default_factory=dict)
     click_sigma_px: float | None = None
     depth_sigma_ratio: float | None = None
     statements: tuple[Statement, ...] = ()
