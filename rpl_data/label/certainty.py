@@ -76,6 +76,11 @@ def quality(sigmas_px: Float64[np.ndarray, " k"]) -> float:
     return 1 / (1 + expected_px / HALF_QUALITY_PX)
 
 
+def expected_error_px(label_quality: float) -> float:
+    """The expected error that a quality stands for; infinite for 0."""
+    return HALF_QUALITY_PX * (1 / label_quality - 1) if label_quality > 0 else float("inf")
+
+
 def _moved_px(
     camera: PixelTable,
     alone: ObjectAlone,

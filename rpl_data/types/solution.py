@@ -124,14 +124,14 @@ class Solution:
         covariance_in_scene: one 3x3 covariance per keypoint of its position in each scene, in m^2, in that
             scene's frame: shape and pose together, so it is what a label can be off by. A scene is absent
             in solutions written before this was computed.
-        trajectory_sigma_m: how far the poses of each scene stray, standard deviation per axis, which
-            `covariance_in_scene` includes; absent = 0.
         click_sigma_px: standard deviation of a click per axis, estimated from the residuals; None when
             it was not.
         depth_sigma_ratio: by how much the errors of the depths exceed what was stated for them; None
             when it was not estimated.
         statements: which clicks contradict the others or are checked by none, the worst first.
         next_clicks: further clicks in frames that have some, the most useful first.
+        trajectory_sigma_m: how far the poses of each scene stray, standard deviation per axis, which
+            `covariance_in_scene` includes; absent = 0.
     """
 
     model: KeypointModel
@@ -140,11 +140,11 @@ class Solution:
     residuals: tuple[ClickResidual, ...] = ()
     warnings: tuple[str, ...] = ()
     covariance_in_scene: Mapping[str, Float64[np.ndarray, "k 3 3"]] = field(default_factory=dict)
-    trajectory_sigma_m: Mapping[str, float] = field(default_factory=dict)
     click_sigma_px: float | None = None
     depth_sigma_ratio: float | None = None
     statements: tuple[Statement, ...] = ()
     next_clicks: tuple[NextClick, ...] = ()
+    trajectory_sigma_m: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def expected_mm(self) -> dict[str, float]:
