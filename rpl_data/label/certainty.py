@@ -1,9 +1,9 @@
 """How far off a label can be: from what its pose was made of, and from what its own frame shows.
 
 ``sigma_px`` of a keypoint joins two sources. The covariance of the keypoint's position in the scene says what
-clicks and surfaces leave open; it is the same for all frames. Where the camera's path strays, or the surfaces
-do not fit, single frames are worse than that, and only their own images show it: by how far the outline in
-depth and colour lies from the label's, and by how much depth disagrees within it.
+clicks and surfaces leave open; it is the same for all frames. Single frames are worse than that where the
+camera moves fast, its path strays, or the surfaces do not fit. They show it: by how fast the object passes,
+how far the outline in depth and colour lies from the label's, and how much depth disagrees within it.
 """
 
 from __future__ import annotations
@@ -15,12 +15,17 @@ from rpl_data.geometry import transform
 from rpl_data.label.alone import ObjectAlone
 from rpl_data.label.masks import MaskPatch
 from rpl_data.label.occlusion import FAR_M, DepthPatch, Tolerances, depth_agreement
-from rpl_data.label.outline import moved_by_edges_px, outline_of
+from rpl_data.label.outline import REACH_PX, moved_by_edges_px, outline_of
 from rpl_data.raycast import PixelTable
 from rpl_data.types import DepthImage, GreyImage
 
 EDGE_NOISE_PX = 0.7
 """A single frame's edges would move even a perfect label by about this much."""
+SEEN_BY_EDGES_PX = REACH_PX / 2
+"""Where a path strays farther than this, single frames do not show all of it."""
+TIMING_SIGMA_S = 0.004
+"""The rows of a colour image, the depth image and the pose of a frame belong to moments that differ by about
+this much (standard deviation)."""
 USUAL_DISAGREEMENT = 0.3
 """Share of the pixels whose depth may disagree by what edges and dark surfaces do to depth alone."""
 UNCOVERED = 0.886
@@ -39,10 +44,13 @@ def sigma_px(
     depth_m: DepthImage | None,
     grey: GreyImage | None,
     tolerances: Tolerances,
+    *,
+    speed_px_s: float = 0.0,
 ) -> Float64[np.ndarray, " k"]:
     """Standard deviation of each projected keypoint per axis (root mean square of u and v).
 
     Args:
+        speed_px_s: how fast the object passes through the image.
         visible: the object's pixels that nothing hides, in its window.
         depth_m, grey: the images of the frame; None where it has none, or they are not looked at.
 
@@ -50,12 +58,15 @@ def sigma_px(
         NaN for keypoints without a position.
     """
     item = alone.body.item
+    variance = _projected_variance(camera, alone, item.covariance)
+    strays = np.broadcast_to(item.strayed_m**2 * np.eye(3), item.covariance.shape)
+    strayed = _projected_variance(camera, alone, strays)
     by_edges_px = _moved_px(camera, alone, visible, depth_m, grey, tolerances)
-    # What the frame itself shows takes the place of how far the scene's poses stray on average.
-    strayed_m = 0.0 if by_edges_px is not None else item.strayed_m
-    variance = _projected_variance(camera, alone, item.covariance + strayed_m**2 * np.eye(3))
     if by_edges_px is not None:
+        # What the frame itself shows takes the place of how far the scene's poses stray on average.
+        strayed = strayed * (strayed / (strayed + SEEN_BY_EDGES_PX**2))
         variance += max(by_edges_px**2 - EDGE_NOISE_PX**2, 0.0)
+    variance += strayed + (speed_px_s * TIMING_SIGMA_S) ** 2
     variance += _misplaced_px(alone, visible, depth_m, tolerances) ** 2
     sigma: Float64[np.ndarray, " k"] = np.sqrt(variance)
     return sigma

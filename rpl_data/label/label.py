@@ -17,6 +17,7 @@ from rpl_data.geometry import Pixels, Transform, inside_image, invert, square_bo
 from rpl_data.label.alone import Body, ObjectAlone, SceneObject, object_alone
 from rpl_data.label.certainty import quality, sigma_px
 from rpl_data.label.masks import box_of, encode, overlap, reaches_border
+from rpl_data.label.motion import Motion
 from rpl_data.label.occlusion import (
     FAR_M,
     DepthPatch,
@@ -117,6 +118,7 @@ def _label_frames(
     tolerances: Tolerances,
 ) -> Iterator[FrameLabel]:
     camera = PixelTable.of(scene.intrinsics)
+    motion = Motion.of(scene, trajectory)
     bodies = [Body.of(item) for item in objects]
     for frame in frames:
         depth_m = None if frame.depth is None else read_depth(frame)
@@ -129,7 +131,16 @@ def _label_frames(
                 objects_alone.append(alone)
         grey = read_grey(frame) if read_grey is not None and objects_alone else None
         instances = tuple(
-            _instance(camera, alone, objects_alone, depth_m, grey, tolerances) for alone in objects_alone
+            _instance(
+                camera,
+                alone,
+                objects_alone,
+                depth_m,
+                grey,
+                tolerances,
+                speed_px_s=motion.speed_px_s(camera, frame.index, alone.body.item),
+            )
+            for alone in objects_alone
         )
         yield FrameLabel(scene.name, frame.index, frame.timestamp_s, instances)
 
@@ -144,12 +155,14 @@ def _instance(
     depth_m: DepthImage | None,
     grey: GreyImage | None,
     tolerances: Tolerances,
+    *,
+    speed_px_s: float,
 ) -> InstanceLabel:
     measured = np.zeros_like(alone.depth_m) if depth_m is None else depth_m[alone.window]
     others = _nearest_other(alone, objects_alone)
     visible = alone.mask & ~hidden_pixels(alone.depth_m, others, measured, tolerances)
     visibility = _visibility(camera, alone, others, measured, tolerances)
-    sigmas_px = sigma_px(camera, alone, visible, depth_m, grey, tolerances)
+    sigmas_px = sigma_px(camera, alone, visible, depth_m, grey, tolerances, speed_px_s=speed_px_s)
     box_full = box_of(alone.mask, alone.window)
     size = {"width": camera.intrinsics.width, "height": camera.intrinsics.height}
     return InstanceLabel(
