@@ -50,7 +50,7 @@ class QualityTally:
             return []
         objects = ", ".join(f"{name} {count} of {self.labels[name]}" for name, count in self.low.items())
         return [
-            f"{self.frames_left_out} of {counted(self.frames, 'frame')} left out of the export: labels in "
-            f"them have a quality below {least:g}, an expected error of more than "
+            f"{self.frames_left_out} of {counted(self.frames, 'frame')} are left out of the export: they "
+            f"hold labels of a quality below {least:g}, an expected error of more than "
             f"{expected_error_px(least):.0f} px ({objects}); `export: {{min_quality: 0}}` keeps them"
         ]

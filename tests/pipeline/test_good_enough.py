@@ -23,7 +23,7 @@ def test_frames_with_a_bad_label_are_left_out_and_counted() -> None:
     frames = [frame(0, box=0.8, can=0.2), frame(1, box=0.25), frame(2, can=0.1), frame(3)]
     assert [label.frame for label in frames if keep(label)] == [1, 3]
     (line,) = tally.messages(0.25)
-    assert line.startswith("2 of 4 frames left out of the export")
+    assert line.startswith("2 of 4 frames are left out of the export")
     assert "more than 15 px (can 2 of 2)" in line
 
 
