@@ -1,5 +1,7 @@
 """The clicks as a part of a larger adjustment."""
 
+from dataclasses import replace
+
 import numpy as np
 from clicked_scenes import CUBE, NAMES, cameras, click_scene, pose
 
@@ -30,3 +32,17 @@ def test_what_strays_within_a_scene_still_widens_its_covariance_after_a_larger_a
     wider = {name: found[0.003][name] - found[0.0][name] for name in ("00", "01")}
     np.testing.assert_allclose(wider["00"], 0, atol=1e-12)
     np.testing.assert_allclose(wider["01"], np.tile(9e-6 * np.eye(3), (8, 1, 1)), atol=1e-12)
+
+
+def test_other_answers_widen_a_scene_only_until_more_than_clicks_speaks_for_this_one():
+    observations = clicked(np.random.default_rng(2))
+    solution = solve("cube", NAMES, observations, trajectory_sigma_m={"01": 0.003})
+    wide = {name: found + 1e-4 * np.eye(3) for name, found in solution.covariance_in_scene.items()}
+    clicks = joint_clicks(replace(solution, covariance_in_scene=wide), observations)
+    answer = clicks.scene_from_object, clicks.points_object
+    normal, _ = clicks.terms(*answer)
+    open_, settled = (
+        clicks.solved(*answer, normal, settled=scenes).covariance_in_scene for scenes in ((), ("01",))
+    )
+    np.testing.assert_allclose(open_["00"], settled["00"], atol=1e-15)
+    np.testing.assert_allclose(open_["01"] - settled["01"], np.tile(1e-4 * np.eye(3), (8, 1, 1)), atol=1e-9)
