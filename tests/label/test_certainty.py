@@ -30,7 +30,7 @@ def ball(strayed_m: float = 0.0) -> SceneObject:
     made = o3d.geometry.TriangleMesh.create_sphere(0.04, resolution=40)
     mesh = Mesh(np.asarray(made.vertices), np.asarray(made.triangles).astype(np.int64))
     model = KeypointModel("ball", ("a", "b", "c", "d", "e"), KEYPOINTS)
-    return SceneObject(model, np.zeros((5, 3, 3)), mesh, np.eye(4), strayed_m)
+    return SceneObject(model, np.zeros((5, 3, 3)), mesh, np.eye(4), strayed_m=strayed_m)
 
 
 def labelled(offset_px: float = 0.0, *, strayed_m: float = 0.0) -> ObjectAlone:
