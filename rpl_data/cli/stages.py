@@ -125,6 +125,10 @@ def label(workspace: Path = HERE, again: bool = False, workers: int | None = Non
 def export(workspace: Path = HERE, labels: Literal["own", "truth"] = "own", again: bool = False) -> None:
     """Write the labels in the formats of the recipe, to export/ of the workspace.
 
+    A frame is left out, and counted, when a label in it has a lower quality than the recipe's
+    `export: {min_quality: 0.25}`. Quality is 1 / (1 + e / 5 px), where e is the label's expected error: 0.25
+    stands for 15 px, 0.5 for 5 px. `min_quality: 0` keeps all.
+
     Example: rpl export --workspace workspaces/demo
 
     Args:

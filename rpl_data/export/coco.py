@@ -11,7 +11,7 @@ import tempfile
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO
 
@@ -53,6 +53,7 @@ class ExportSummary:
         links: number of files that were hard-linked, symlinked, copied.
         views: distance of the views of val and test from those of training, per split.
         messages: lines for the user.
+        low_quality: number of labels per object that were left out for their quality.
     """
 
     images: Mapping[SplitName, int]
@@ -62,6 +63,7 @@ class ExportSummary:
     links: Mapping[str, int]
     views: Mapping[SplitName, ViewDistance]
     messages: tuple[str, ...]
+    low_quality: Mapping[str, int] = field(default_factory=dict)
 
 
 def export_coco(

@@ -33,6 +33,8 @@ class SceneObject:
             keypoint's position in the scene (shape and pose together); NaN where never clicked.
         mesh: the dense model, in the object frame.
         dots: its points; where they are given, the mask is made of them, as in the paper, not of the mesh.
+        strayed_m: how far the camera's poses stray within the scene, standard deviation per axis, besides
+            that covariance.
     """
 
     model: KeypointModel
@@ -40,6 +42,7 @@ class SceneObject:
     mesh: Mesh
     scene_from_object: Transform
     dots: PointCloud | None = None
+    strayed_m: float = 0.0
 
 
 @dataclass(frozen=True)

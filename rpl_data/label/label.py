@@ -8,19 +8,20 @@ independent of one another: ranges of them may be labelled in parallel.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Int64
 
 from rpl_data.geometry import Pixels, Transform, inside_image, invert, square_box, transform
 from rpl_data.label.alone import Body, ObjectAlone, SceneObject, object_alone
+from rpl_data.label.certainty import quality, sigma_px
 from rpl_data.label.masks import box_of, encode, overlap, reaches_border
+from rpl_data.label.motion import Motion
 from rpl_data.label.occlusion import (
     FAR_M,
     DepthPatch,
     Tolerances,
-    depth_agreement,
     hidden_pixels,
     keypoints_seen,
 )
@@ -31,8 +32,8 @@ from rpl_data.types import (
     DepthImage,
     Frame,
     FrameLabel,
+    GreyImage,
     InstanceLabel,
-    Intrinsics,
     ReadDepth,
     Scene,
     SquareBox,
@@ -68,6 +69,7 @@ def label_frames(
     frames: Iterable[Frame],
     read_depth: ReadDepth,
     *,
+    read_grey: Callable[[Frame], GreyImage] | None = None,
     camera_from_object: Mapping[tuple[int, str], Transform] | None = None,
     tolerances: Tolerances | None = None,
 ) -> Iterator[FrameLabel]:
@@ -79,6 +81,8 @@ def label_frames(
         frames: which frames to label.
         read_depth: reads the depth image of a frame; not called for frames without one. Missing depth hides
             nothing.
+        read_grey: reads the brightness of a frame, at full size; its edges then show, beside those of depth,
+            how far off the label is.
         camera_from_object: refined poses by (frame index, object name); they replace those of Eq. 3.
         tolerances: by how much surfaces must differ in depth for one to hide the other.
 
@@ -92,7 +96,14 @@ def label_frames(
             "wrong; align depth to colour when recording, or warp the depth images to it first"
         )
     return _label_frames(
-        scene, trajectory, objects, frames, read_depth, camera_from_object or {}, tolerances or Tolerances()
+        scene,
+        trajectory,
+        objects,
+        frames,
+        read_depth,
+        read_grey,
+        camera_from_object or {},
+        tolerances or Tolerances(),
     )
 
 
@@ -102,10 +113,12 @@ def _label_frames(
     objects: Sequence[SceneObject],
     frames: Iterable[Frame],
     read_depth: ReadDepth,
+    read_grey: Callable[[Frame], GreyImage] | None,
     refined: Mapping[tuple[int, str], Transform],
     tolerances: Tolerances,
 ) -> Iterator[FrameLabel]:
     camera = PixelTable.of(scene.intrinsics)
+    motion = Motion.of(scene, trajectory)
     bodies = [Body.of(item) for item in objects]
     for frame in frames:
         depth_m = None if frame.depth is None else read_depth(frame)
@@ -116,8 +129,18 @@ def _label_frames(
             alone = object_alone(camera, body, refined.get((frame.index, body.item.model.name), eq3))
             if alone is not None:
                 objects_alone.append(alone)
+        grey = read_grey(frame) if read_grey is not None and objects_alone else None
         instances = tuple(
-            _instance(camera, alone, objects_alone, depth_m, tolerances) for alone in objects_alone
+            _instance(
+                camera,
+                alone,
+                objects_alone,
+                depth_m,
+                grey,
+                tolerances,
+                speed_px_s=motion.speed_px_s(camera, frame.index, alone.body.item),
+            )
+            for alone in objects_alone
         )
         yield FrameLabel(scene.name, frame.index, frame.timestamp_s, instances)
 
@@ -130,13 +153,16 @@ def _instance(
     alone: ObjectAlone,
     objects_alone: Sequence[ObjectAlone],
     depth_m: DepthImage | None,
+    grey: GreyImage | None,
     tolerances: Tolerances,
+    *,
+    speed_px_s: float,
 ) -> InstanceLabel:
     measured = np.zeros_like(alone.depth_m) if depth_m is None else depth_m[alone.window]
     others = _nearest_other(alone, objects_alone)
     visible = alone.mask & ~hidden_pixels(alone.depth_m, others, measured, tolerances)
     visibility = _visibility(camera, alone, others, measured, tolerances)
-    sigma_px = _sigma_px(camera.intrinsics, alone.body.item, alone.camera_from_object)
+    sigmas_px = sigma_px(camera, alone, visible, depth_m, grey, tolerances, speed_px_s=speed_px_s)
     box_full = box_of(alone.mask, alone.window)
     size = {"width": camera.intrinsics.width, "height": camera.intrinsics.height}
     return InstanceLabel(
@@ -144,7 +170,7 @@ def _instance(
         camera_from_object=alone.camera_from_object,
         keypoints_px=alone.keypoints_px,
         visibility=visibility,
-        sigma_px=np.where(visibility > 0, sigma_px, np.nan),
+        sigma_px=np.where(visibility > 0, sigmas_px, np.nan),
         square_box=_square_box(alone.keypoints_px, box_full),
         box=box_of(visible, alone.window) if visible.any() else None,
         box_full=box_full,
@@ -152,7 +178,7 @@ def _instance(
         mask_full=encode(alone.mask, alone.window, **size),
         visib_fract=float(visible.sum() / alone.mask.sum()),
         truncated=reaches_border(box_full, **size),
-        quality=depth_agreement(alone.depth_m, visible, measured, tolerances),
+        quality=quality(sigmas_px),
     )
 
 
@@ -164,7 +190,7 @@ def _visibility(
     inside = inside_image(camera.intrinsics, alone.keypoints_px)
     z_m = transform(alone.camera_from_object, alone.body.item.model.points_object)[inside, 2]
     body = alone.body
-    seen = body.around.faces(body.rays, alone.camera_from_object, keypoints=len(inside))[inside]
+    seen = body.around.faces(body.rays, alone.camera_from_object)[inside]
     seen &= keypoints_seen(alone.keypoints_px[inside], z_m, alone.window, others, measured, tolerances)
     visibility[inside] = np.where(seen, 2, 1)
     return visibility
@@ -182,25 +208,6 @@ def _nearest_other(alone: ObjectAlone, objects_alone: Sequence[ObjectAlone]) -> 
 
 
 # Numbers of the label -----------------------------------------------------------------------------
-
-
-def _sigma_px(
-    intrinsics: Intrinsics, item: SceneObject, camera_from_object: Transform
-) -> Float64[np.ndarray, " k"]:
-    """Standard deviation of each projected keypoint per axis (root mean square of u and v).
-
-    The covariance is propagated to first order through the pinhole projection. Lens distortion is ignored; it
-    changes the result by a few per cent at most.
-    """
-    x, y, z = transform(camera_from_object, item.model.points_object).T
-    zero = np.zeros_like(x)
-    with np.errstate(divide="ignore", invalid="ignore"):  # keypoints in the camera's plane are not labelled
-        du = np.array([intrinsics.fx / z, zero, -intrinsics.fx * x / z**2])
-        dv = np.array([zero, intrinsics.fy / z, -intrinsics.fy * y / z**2])
-        derivative = np.array([du, dv]).transpose(2, 0, 1) @ camera_from_object[:3, :3]
-        variance = np.einsum("kij,kjl,kil->k", derivative, item.covariance, derivative)
-        sigma: Float64[np.ndarray, " k"] = np.sqrt(variance / 2)
-    return sigma
 
 
 def _square_box(keypoints_px: Pixels, box_full: Box) -> SquareBox:

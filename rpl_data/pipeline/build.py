@@ -128,7 +128,7 @@ def _build(
     workers: int | None,
     tell: Tell,
 ) -> Ledger:
-    export.refuse_unknown_exports(recipe.export)
+    export.refuse_unknown_exports(recipe.export.formats)
     with Pool(workers) as pool:
         sweep(workspace.root)
         save_recipe(recipe, workspace)

@@ -54,6 +54,7 @@ def without_scenes(solution: Solution, scenes: Collection[str]) -> Solution:
         solution,
         scene_from_object={s: p for s, p in solution.scene_from_object.items() if s not in scenes},
         covariance_in_scene={s: c for s, c in solution.covariance_in_scene.items() if s not in scenes},
+        trajectory_sigma_m={s: m for s, m in solution.trajectory_sigma_m.items() if s not in scenes},
         residuals=tuple(r for r in solution.residuals if r.click.scene not in scenes),
     )
 

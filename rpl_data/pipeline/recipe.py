@@ -162,6 +162,21 @@ class LabelRecipe:
 
 
 @dataclass(frozen=True)
+class ExportRecipe:
+    """What is exported. A plain list, `export: [coco, yolo]`, gives the formats alone.
+
+    Attributes:
+        formats: `coco`, and `yolo`, `bop` and `okt` (ObjectKeypointTrainer), made from it.
+        min_quality: a frame is left out when one of its labels has a lower quality; how many is said. A
+            label's quality is 1 / (1 + e / 5 px), where e is its expected error: 0.25 stands for 15 px, 0.5
+            for 5 px. 0 keeps all.
+    """
+
+    formats: tuple[str, ...] = ("coco",)
+    min_quality: float = 0.25
+
+
+@dataclass(frozen=True)
 class Recipe:
     """Everything `rpl build` needs to know.
 
@@ -172,7 +187,7 @@ class Recipe:
         twin: first make a synthetic recording with exact ground truth, in `recording/` of the workspace;
             scenes, objects, clicks and truth then default to those of this recording.
         reconstruct, solve, refine, segment, label, split: options of the stages.
-        export: formats to write: `coco`, and `yolo`, `bop` and `okt` (ObjectKeypointTrainer), made from it.
+        export: formats to write, and which labels are good enough.
         truth: the ground truth of these scenes, if it is known: a workspace folder, or a JSON file
             `{points_<object>: K x 3, camera_from_<object>: {scene: [4x4 per frame]}}`. The quality
             table is made when it is given (a twin has its own).
@@ -188,5 +203,5 @@ class Recipe:
     segment: SegmentRecipe = SegmentRecipe()
     label: LabelRecipe = LabelRecipe()
     split: SplitRule = SplitRule()
-    export: tuple[str, ...] = ("coco",)
+    export: ExportRecipe = ExportRecipe()
     truth: Path | None = None

@@ -75,6 +75,8 @@ def parse_recipe(data: object, *, source: str) -> Recipe:
     if not isinstance(data, dict):
         raise DataError(f"{source}: a recipe is a list of `key: value` lines; see datasets/recording.yaml")
     data = fill_in(data, source=source)
+    if isinstance(data.get("export"), list):
+        data = {**data, "export": {"formats": data["export"]}}
     _refuse_unknown_keys(Recipe, data, source, "")
     recipe = _instantiate(data, source)
     _check(recipe, source)
@@ -171,6 +173,8 @@ def _check(recipe: Recipe, source: str) -> None:
         raise DataError(
             f"{source}: reconstruct.max_drift_mm must be positive, got {recipe.reconstruct.max_drift_mm}"
         )
+    if not 0 <= recipe.export.min_quality < 1:
+        raise DataError(f"{source}: export.min_quality must be in [0, 1), got {recipe.export.min_quality}")
     if not 0 <= recipe.split.val_fraction < 1:
         raise DataError(f"{source}: split.val_fraction must be in [0, 1), got {recipe.split.val_fraction}")
 

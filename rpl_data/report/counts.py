@@ -33,6 +33,7 @@ class Tally:
     truncated: int = 0
     visib_fract: float = 0.0
     quality: float = 0.0
+    low_quality: int = 0
 
 
 @dataclass(frozen=True)
@@ -44,18 +45,22 @@ class SceneReport:
     tallies: Mapping[str, Tally]
 
 
-def summarise_scene(workspace: Workspace, name: str) -> SceneReport:
-    """Count the labels of a scene; all counts are empty when it is not labelled yet."""
+def summarise_scene(workspace: Workspace, name: str, *, min_quality: float = 0.0) -> SceneReport:
+    """Count the labels of a scene; all counts are empty when it is not labelled yet.
+
+    Args:
+        min_quality: labels of a lower quality are counted as such.
+    """
     labels = workspace.load_labels(name) if workspace.labels_file(name).exists() else iter(())
     frames: list[FrameSummary] = []
     tallies: dict[str, Tally] = {}
     for label in labels:
         frames.append(FrameSummary(label.frame, min((i.quality for i in label.instances), default=None)))
-        _add(tallies, label)
+        _add(tallies, label, min_quality)
     return SceneReport(workspace.load_recording(name), tuple(frames), tallies)
 
 
-def _add(tallies: dict[str, Tally], label: FrameLabel) -> None:
+def _add(tallies: dict[str, Tally], label: FrameLabel, min_quality: float) -> None:
     for instance in label.instances:
         tally = tallies.setdefault(instance.object, Tally())
         tally.instances += 1
@@ -65,3 +70,4 @@ def _add(tallies: dict[str, Tally], label: FrameLabel) -> None:
         tally.truncated += instance.truncated
         tally.visib_fract += instance.visib_fract
         tally.quality += instance.quality
+        tally.low_quality += instance.box is not None and instance.quality < min_quality

@@ -102,6 +102,7 @@ def labels_section(scenes: Sequence[SceneReport]) -> str:
         "cut off",
         "visible",
         "quality",
+        "too low",
     )
     body: list[list[str | Cell]] = []
     for scene in scenes:
@@ -110,9 +111,15 @@ def labels_section(scenes: Sequence[SceneReport]) -> str:
             means = (
                 f"{100 * tally.visib_fract / tally.instances:.0f} %",
                 number(tally.quality / tally.instances),
+                number(tally.low_quality, 0),
             )
             body.append([scene.recording.scene.name, name, *(number(count, 0) for count in counts), *means])
-    return section("labels", "Labels", table(header, body, left=2)) if body else ""
+    note = (
+        "Quality is 1 / (1 + e / 5 px), where e is the expected error of a label: 0.5 stands for 5 px, 0.25 "
+        "for 15 px. Frames with a label whose quality is too low (`export: {min_quality: ...}` in the "
+        "recipe) are left out of the export."
+    )
+    return section("labels", "Labels", table(header, body, left=2), note=note) if body else ""
 
 
 def timings_section(timings: Mapping[str, Mapping[str, float | int]]) -> str:

@@ -28,6 +28,7 @@ def write_report(
     split: str | None = None,
     warnings: Sequence[str] = (),
     remarks: Mapping[str, Sequence[str]] | None = None,
+    min_quality: float = 0.0,
 ) -> Path:
     """Write the page and return its path.
 
@@ -38,8 +39,9 @@ def write_report(
         split: the summary of the split, plain text.
         warnings: lines of the build, shown with those of the solutions and the recordings.
         remarks: further lines about a recording, by its name.
+        min_quality: frames with a label of a lower quality are not exported.
     """
-    scenes = [summarise_scene(workspace, name) for name in workspace.video_names()]
+    scenes = [summarise_scene(workspace, name, min_quality=min_quality) for name in workspace.video_names()]
     solutions = [
         workspace.load_placed(name)
         for name in workspace.object_names()

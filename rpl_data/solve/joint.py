@@ -6,7 +6,7 @@ needs of the clicks, and what becomes of them at its answer, is here.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,6 +19,7 @@ from rpl_data.solve.noise import (
     USUAL,
     estimate_noise,
     inverse_normal,
+    joint_covariance,
     points_in_scene_covariance,
     shape_covariance,
 )
@@ -80,7 +81,12 @@ class JointClicks:
         return costs
 
     def solved(
-        self, scene_from_object: Poses, points_object: Points, normal: Float64[np.ndarray, "u u"]
+        self,
+        scene_from_object: Poses,
+        points_object: Points,
+        normal: Float64[np.ndarray, "u u"],
+        *,
+        settled: Collection[str] = (),
     ) -> Solution:
         """The solution at the answer of the larger adjustment.
 
@@ -88,6 +94,8 @@ class JointClicks:
 
         Args:
             normal: the normal matrix of all terms, from which the covariances follow.
+            settled: scenes in which more than the clicks speaks for the answer, so that other answers
+                which fit the clicks almost as well no longer widen their covariance.
         """
         state, held = self._state(scene_from_object, points_object), self.known_points is not None
         fitted = click_residuals(
@@ -100,6 +108,7 @@ class JointClicks:
             placed = dict(zip(self.scenes, state.scene_from_model, strict=True))
             return replace(self.solution, scene_from_object=placed, residuals=residuals)
         joint = inverse_normal(normal, scenes=len(self.scenes), hold_points=False)
+        besides = self._variances_besides_clicks(settled)
         in_first = transform(state.scene_from_model[0], state.points_model)
         first_from_object = rigid(np.eye(3), in_first[known].mean(axis=0))
         model_from_object = invert(state.scene_from_model[0]) @ first_from_object
@@ -115,9 +124,30 @@ class JointClicks:
             },
             residuals=residuals,
             covariance_in_scene={
-                name: points_in_scene_covariance(joint, state, s, known) for s, name in enumerate(self.scenes)
+                name: points_in_scene_covariance(joint, state, s, known) + besides.get(name, 0.0)
+                for s, name in enumerate(self.scenes)
             },
         )
+
+    def _variances_besides_clicks(
+        self, settled: Collection[str]
+    ) -> Mapping[str, Float64[np.ndarray, "k 3 3"]]:
+        """What the stated covariance of the keypoints in each scene holds that is no noise of the clicks.
+
+        Poses that stray within a scene, of which no other term tells, and where a scene is not settled,
+        other answers that fit the clicks almost as well.
+        """
+        start = self._state(self.scene_from_object, self.points_object)
+        joint = joint_covariance(self.rays, start, noise=self.noise)
+        stated, known = self.solution.covariance_in_scene, self.solution.model.known
+        strayed_m = self.solution.trajectory_sigma_m
+        return {
+            name: strayed_m.get(name, 0.0) ** 2 * np.eye(3)
+            if name in settled
+            else stated[name] - points_in_scene_covariance(joint, start, s, known)
+            for s, name in enumerate(self.scenes)
+            if name in stated
+        }
 
     def _state(self, scene_from_object: Poses, points_object: Points) -> State:
         return State(scene_from_object, points_object if self.known_points is None else self.known_points)

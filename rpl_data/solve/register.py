@@ -43,6 +43,7 @@ class Registration(NamedTuple):
         covariance_in_scene: one 3x3 covariance per keypoint of its position, in m^2, scene frame.
         statements, next_clicks: see `Solution`.
         alternatives: other poses that the clicks fit almost as well, the likeliest first.
+        trajectory_sigma_m: how far the poses of the scene stray, which the covariance includes.
     """
 
     scene_from_object: Float64[np.ndarray, "4 4"]
@@ -53,6 +54,7 @@ class Registration(NamedTuple):
     statements: tuple[Statement, ...] = ()
     next_clicks: tuple[NextClick, ...] = ()
     alternatives: Float64[np.ndarray, "a 4 4"] = np.empty((0, 4, 4))
+    trajectory_sigma_m: float = 0.0
 
 
 def register(
@@ -122,6 +124,7 @@ def register_scene(
         statements=diagnosis.statements,
         next_clicks=diagnosis.next_clicks,
         alternatives=poses.scene_from_model[1:][excess[1:] < SAID_BELOW],
+        trajectory_sigma_m=trajectory_sigma_m,
     )
 
 

@@ -253,6 +253,7 @@ def _solution(
             name: covariance + trajectory_sigma_m.get(name, 0.0) ** 2 * np.eye(3)
             for name, covariance in in_scene.items()
         },
+        trajectory_sigma_m={name: trajectory_sigma_m.get(name, 0.0) for name in answer.scenes},
         click_sigma_px=answer.noise.click_px,
         depth_sigma_ratio=answer.noise.depth_ratio,
         statements=diagnosis.statements,

@@ -25,7 +25,7 @@ class InstanceLabel:
         mask_full: all pixels that the object would cover if nothing hid it.
         visib_fract: visible share of the full mask's pixels.
         truncated: whether the object extends beyond the image.
-        quality: 0 (bad) to 1 (depth agrees with the model wherever it was measured).
+        quality: from 1 (certain) to 0: 1 / (1 + e / 5 px), where e is the label's expected error.
     """
 
     object: str

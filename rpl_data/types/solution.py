@@ -154,6 +154,8 @@ class Solution:
             when it was not estimated.
         statements: which clicks contradict the others or are checked by none, the worst first.
         next_clicks: further clicks in frames that have some, the most useful first.
+        trajectory_sigma_m: how far the poses of each scene stray, standard deviation per axis, which
+            `covariance_in_scene` includes; absent = 0.
     """
 
     model: KeypointModel
@@ -166,6 +168,7 @@ class Solution:
     depth_sigma_ratio: float | None = None
     statements: tuple[Statement, ...] = ()
     next_clicks: tuple[NextClick, ...] = ()
+    trajectory_sigma_m: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def expected_mm(self) -> dict[str, float]:

@@ -28,7 +28,7 @@ class LabelArrays:
         visibility: of each keypoint: 0 never clicked, 1 hidden, 2 seen.
         boxes_px: x0, y0, x1, y1 of the visible mask with COCO's edges; NaN where nothing is visible.
         visib_fract: visible share of the object's pixels, 0 to 1.
-        quality: 0 (bad) to 1 (depth agrees with the model everywhere it was measured).
+        quality: from 1 (certain) to 0: 1 / (1 + e / 5 px), where e is the label's expected error.
     """
 
     object: str

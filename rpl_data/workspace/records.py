@@ -132,6 +132,7 @@ def solution_to_json(solution: Solution) -> Json:
         "covariance_in_scene": {
             name: rows_to_json(found.reshape(-1, 9)) for name, found in solution.covariance_in_scene.items()
         },
+        "trajectory_sigma_m": dict(solution.trajectory_sigma_m),
         "click_sigma_px": solution.click_sigma_px,
         "depth_sigma_ratio": solution.depth_sigma_ratio,
         "next_clicks": [asdict(click) for click in solution.next_clicks],
@@ -168,6 +169,9 @@ def solution_from_json(data: Json) -> Solution:
         covariance_in_scene={
             name: rows_from_json(rows, 9).reshape(-1, 3, 3)
             for name, rows in data.get("covariance_in_scene", {}).items()
+        },
+        trajectory_sigma_m={
+            name: number(sigma_m) for name, sigma_m in data.get("trajectory_sigma_m", {}).items()
         },
         click_sigma_px=optional(number)(data.get("click_sigma_px")),
         depth_sigma_ratio=optional(number)(data.get("depth_sigma_ratio")),

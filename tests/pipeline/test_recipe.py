@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from rpl_data.pipeline.recipe import Recipe
+from rpl_data.pipeline.recipe import ExportRecipe, Recipe
 from rpl_data.pipeline.recipe_faults import misfit
 from rpl_data.pipeline.recipe_file import load_recipe, parse_recipe, recipe_to_yaml
 from rpl_data.types import DataError
@@ -92,6 +92,8 @@ def test_recording_recipe_names_every_field(tmp_path: Path) -> None:
         ("twin: {}\nlabel: {rate: .inf}", "label.rate must be a finite number"),
         ("twin: {}\nlabel: {rate: null}", "label.rate has no value"),
         ("twin: {}\nexport: null", "export has no value"),
+        ("twin: {}\nexport: {format: [coco]}", "unknown key 'export.format'; did you mean 'formats'"),
+        ("twin: {}\nexport: {min_quality: 1}", r"export.min_quality must be in \[0, 1\)"),
         ("twin: {}\nreconstruct: {voxel_m: 0}", "voxel_m must be 0.0002 to 0.1"),
         ("scenes: [{path: a}]\nobjects: [{name: c, keypoints: 1000000000}]", "at most 200 keypoints"),
         ("scenes: [{path: a}]\nobjects: [{name: c, keypoints: [a, b, a]}]", "two keypoints are called 'a'"),
@@ -108,6 +110,20 @@ def test_refused(text: str, message: str, tmp_path: Path) -> None:
         load_recipe(written(tmp_path, f"name: x\n{text}\n"))
     assert "\n" not in str(error.value)
     assert str(tmp_path) in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("", ExportRecipe(("coco",), 0.25)),
+        ("export: [coco, yolo]", ExportRecipe(("coco", "yolo"), 0.25)),
+        ("export: {formats: [coco, bop], min_quality: 0.5}", ExportRecipe(("coco", "bop"), 0.5)),
+    ],
+)
+def test_exports_are_a_list_of_formats_or_say_more(text: str, expected: ExportRecipe, tmp_path: Path) -> None:
+    recipe = load_recipe(written(tmp_path, f"name: x\ntwin: {{}}\n{text}\n"))
+    assert recipe.export == expected
+    assert load_recipe(written(tmp_path, recipe_to_yaml(recipe))).export == expected
 
 
 def test_missing_file_is_named(tmp_path: Path) -> None:

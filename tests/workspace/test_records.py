@@ -71,6 +71,7 @@ def test_solution_round_trip() -> None:
         1.25,
         (Statement("wrong place", (click,), "scene 00, frame 3: keypoint a ...", 21.5),),
         (NextClick("01", 4, 1, 0.75, 3.25),),
+        {"01": 0.002},
     )
     back = records.solution_from_json(through_json(records.solution_to_json(solution)))
     np.testing.assert_array_equal(back.model.points_object, model.points_object)
@@ -79,6 +80,7 @@ def test_solution_round_trip() -> None:
     assert (back.residuals, back.warnings) == (residuals, solution.warnings)
     assert (back.click_sigma_px, back.depth_sigma_ratio) == (1.5, 1.25)
     assert (back.statements, back.next_clicks) == (solution.statements, solution.next_clicks)
+    assert back.trajectory_sigma_m == {"01": 0.002}
     np.testing.assert_array_equal(back.covariance_in_scene["01"], in_scene["01"])
     assert list(back.scene_from_object) == ["00", "01"]
     for name, matrix in transforms.items():

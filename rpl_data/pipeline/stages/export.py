@@ -4,24 +4,27 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 from rpl_data.export import ExportScene, ExportSummary, export_bop, export_coco, export_okt, export_yolo
 from rpl_data.export.dialect import DialectSummary
 from rpl_data.json_arrays import Json, finite_or_none
 from rpl_data.pipeline.context import Context, step, truth_workspace
+from rpl_data.pipeline.good_enough import Keep, QualityTally
 from rpl_data.pipeline.grasp import save_grasps
 from rpl_data.pipeline.ledger import Advance, Ledger, Outcome, Step
 from rpl_data.types import DataError, FrameLabel
+from rpl_data.wording import counted
 from rpl_data.workspace.workspace import Workspace
 
-VERSION = 1
+VERSION = 2
 """Increase it when the stage writes something else for the same input: its steps then run again."""
 
 
 def export_steps(context: Context) -> list[Step]:
     """Plan one step per export format; `coco` first, since the others are made from it."""
-    return [_export_step(context, name) for name in sorted(context.recipe.export, key=lambda n: n != "coco")]
+    formats = sorted(context.recipe.export.formats, key=lambda name: name != "coco")
+    return [_export_step(context, name) for name in formats]
 
 
 def refuse_unknown_exports(names: Sequence[str]) -> None:
@@ -46,7 +49,11 @@ def _export_step(context: Context, name: str) -> Step:
         "left_out": {scene: frames for scene, frames in left_out.items() if frames},
         "grasps": {item.object: asdict(item.grasp) for item in annotations if item.grasp is not None},
     }
-    options = {"split": asdict(context.recipe.split), "objects": context.object_names}
+    options = {
+        "split": asdict(context.recipe.split),
+        "objects": context.object_names,
+        "min_quality": context.recipe.export.min_quality,
+    }
     return step(
         "export",
         name,
@@ -74,8 +81,19 @@ def refuse_unseen(context: Context) -> None:
 
 
 def export_labels(context: Context) -> ExportSummary:
-    """Write `export/coco` from the labels of the workspace."""
-    return _export_coco(context, context.workspace, "coco", {})
+    """Write `export/coco` from the labels of the workspace that are good enough."""
+    least = context.recipe.export.min_quality
+    tally = QualityTally()
+    try:
+        summary = _export_coco(context, context.workspace, "coco", {}, tally.good_enough(least))
+    except DataError as error:
+        if not tally.frames or tally.frames_left_out < tally.frames:
+            raise
+        raise DataError(
+            f"all {counted(tally.frames, 'labelled frame')} would be left out, since a label in each has a "
+            f"quality below {least:g}: check the clicks and the trajectories, or lower `export.min_quality`"
+        ) from error
+    return replace(summary, low_quality=dict(tally.low), messages=(*summary.messages, *tally.messages(least)))
 
 
 def export_truth(context: Context) -> ExportSummary:
@@ -93,14 +111,17 @@ def export_truth(context: Context) -> ExportSummary:
     return _export_coco(context, truth, "coco_truth", {"as_in": coco})
 
 
-def _export_coco(context: Context, labels: Workspace, name: str, options: Json) -> ExportSummary:
+def _export_coco(
+    context: Context, labels: Workspace, name: str, options: Json, keep: Keep = lambda label: True
+) -> ExportSummary:
     workspace = context.workspace
     scenes = []
     for scene_name in labels.labelled_scene_names():
         if not workspace.scene_file(scene_name).exists():
             continue
         scene = workspace.load_scene(scene_name)
-        lines = _kept(labels.load_labels(scene_name), workspace.load_left_out(scene_name))
+        kept = _without(labels.load_labels(scene_name), workspace.load_left_out(scene_name))
+        lines = filter(keep, kept)
         scenes.append(ExportScene(scene, workspace.load_trajectory(scene), lines))
     models = [labels.load_placed(item).model for item in context.object_names]
     meshes = {
@@ -118,7 +139,7 @@ def _export_coco(context: Context, labels: Workspace, name: str, options: Json) 
     )
 
 
-def _kept(labels: Iterator[FrameLabel], left_out: frozenset[int]) -> Iterator[FrameLabel]:
+def _without(labels: Iterator[FrameLabel], left_out: frozenset[int]) -> Iterator[FrameLabel]:
     """Drop the frames that the user excluded."""
     return (label for label in labels if label.frame not in left_out)
 

@@ -5,10 +5,14 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+
+import numpy as np
 
 from rpl_data.files import remove
 from rpl_data.geometry import Transform
+from rpl_data.images import read_grey
 from rpl_data.json_arrays import Json
 from rpl_data.label.alone import SceneObject
 from rpl_data.label.label import label_frames, sample_frames
@@ -18,7 +22,7 @@ from rpl_data.pipeline.ledger import Advance, Outcome, Step
 from rpl_data.types import FrameLabel
 from rpl_data.workspace.workspace import Workspace
 
-VERSION = 2
+VERSION = 3
 """Increase it when the stage writes something else for the same input: its steps then run again."""
 
 
@@ -90,7 +94,14 @@ def label_range(
     bodies = [scene_object(workspace, item, name, dots=dots) for item in objects]
     chosen = set(indices)
     frames = [frame for frame in scene.frames if frame.index in chosen]
-    return label_frames(replace(scene, name=video), trajectory, bodies, frames, workspace.depth_reader(scene))
+    return label_frames(
+        replace(scene, name=video),
+        trajectory,
+        bodies,
+        frames,
+        workspace.depth_reader(scene),
+        read_grey=partial(read_grey, reduce=1),
+    )
 
 
 def scene_object(workspace: Workspace, object_name: str, scene: str, *, dots: bool = False) -> SceneObject:
@@ -99,4 +110,6 @@ def scene_object(workspace: Workspace, object_name: str, scene: str, *, dots: bo
     scene_from_object: Transform = solution.scene_from_object[scene]
     mesh = load_mesh(workspace.mesh_file(object_name))
     cloud = load_cloud(workspace.cloud_file(object_name)) if dots else None
-    return SceneObject(solution.model, solution.covariance_at(scene), mesh, scene_from_object, cloud)
+    strayed_m = solution.trajectory_sigma_m.get(scene, 0.0)
+    covariance = solution.covariance_at(scene) - strayed_m**2 * np.eye(3)
+    return SceneObject(solution.model, covariance, mesh, scene_from_object, cloud, strayed_m)

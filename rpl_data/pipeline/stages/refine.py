@@ -15,7 +15,7 @@ from rpl_data.refine.evidence import Verdict
 from rpl_data.types import PointCloud, Solution
 from rpl_data.workspace.workspace import Workspace
 
-VERSION = 1
+VERSION = 2
 """Increase it when the stage writes something else for the same input: its steps then run again."""
 
 
@@ -53,10 +53,15 @@ def _refine_step(context: Context, item: ObjectRecipe) -> Step:
         found = refine_scenes(
             regions, clicks.scenes, clicks.scene_from_object, clicks.points_object, clicks.terms, clicks.costs
         )
-        if found.registered:
-            solution = clicks.solved(found.scene_from_object, found.points_object, found.normal)
-        workspace.save_refined(with_placements(solution, placed))
         verdicts = dict(zip(clicks.scenes, found.verdicts, strict=True))
+        if found.registered:
+            solution = clicks.solved(
+                found.scene_from_object,
+                found.points_object,
+                found.normal,
+                settled=[name for name, verdict in verdicts.items() if verdict.accepted],
+            )
+        workspace.save_refined(with_placements(solution, placed))
         return Outcome(
             messages=tuple(f"{item.name}: {line}" for line in kept_by_clicks(verdicts)),
             details={"scenes": {name: asdict(verdict) for name, verdict in verdicts.items()}},

@@ -8,7 +8,7 @@ from rpl_data.pipeline.placements import placement_lines
 from rpl_data.pipeline.results import quality_rows, split_summary, timings, worth_knowing
 from rpl_data.workspace.workspace import Workspace
 
-VERSION = 2
+VERSION = 3
 """Increase it when the stage writes something else for the same input: its steps then run again."""
 
 
@@ -26,6 +26,7 @@ def report_steps(context: Context) -> list[Step]:
             timings=timings(ledger),
             split=split_summary(ledger),
             warnings=worth_knowing(ledger),
+            min_quality=context.recipe.export.min_quality,
             remarks={
                 video: [
                     *drift_remarks(workspace, ledger, video),
@@ -36,7 +37,7 @@ def report_steps(context: Context) -> list[Step]:
         )
         return Outcome()
 
-    before = ["quality", *(f"export/{name}" for name in context.recipe.export)]
+    before = ["quality", *(f"export/{name}" for name in context.recipe.export.formats)]
     options = {"name": context.recipe.name}
     return [
         step("report", "", run, version=VERSION, options=options, after=before, outputs=[workspace.report])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 
 import numpy as np
@@ -114,7 +114,8 @@ def solve_annotation(
     names = annotation.keypoints or item.keypoint_names
     skeleton = _by_name(item, names)
     if annotation.known_points is not None:
-        return place_known(annotation, observations, skeleton)
+        strayed_m = trajectory_sigmas_m(context.workspace, {o.click.scene for o in observations})
+        return place_known(annotation, observations, skeleton, trajectory_sigma_m=strayed_m)
     return solve(
         item.name,
         names,
@@ -150,22 +151,33 @@ def _by_name(item: ObjectRecipe, names: Sequence[str]) -> list[tuple[int, int]]:
 
 
 def place_known(
-    annotation: Annotation, observations: Sequence[Observation], skeleton: Sequence[tuple[int, int]] = ()
+    annotation: Annotation,
+    observations: Sequence[Observation],
+    skeleton: Sequence[tuple[int, int]] = (),
+    *,
+    trajectory_sigma_m: Mapping[str, float] | None = None,
 ) -> Solution:
     """A known model placed in every clicked scene (paper III-F); its origin moves to its centroid.
 
     The covariance is that of the clicks about the model, the same for all keypoints: how good a given
     model is cannot be known.
 
+    Args:
+        trajectory_sigma_m: how far the poses of each scene stray, standard deviation per axis.
+
     Raises:
         DataError: a scene has too few clicks, or none that fit.
     """
-    points = known_points(annotation)
+    points, strayed_m = known_points(annotation), trajectory_sigma_m or {}
     model = KeypointModel(
         annotation.object, annotation.keypoints, points - np.nanmean(points, axis=0), tuple(skeleton)
     )
     found = {
-        scene: register_scene(model, [o for o in observations if o.click.scene == scene])
+        scene: register_scene(
+            model,
+            [o for o in observations if o.click.scene == scene],
+            trajectory_sigma_m=strayed_m.get(scene, 0.0),
+        )
         for scene in sorted({o.click.scene for o in observations})
     }
     residuals = {
@@ -179,6 +191,7 @@ def place_known(
         scene_from_object={scene: one.scene_from_object for scene, one in found.items()},
         residuals=tuple(residuals[o.click.keypoint, o.click.scene, o.click.frame] for o in observations),
         covariance_in_scene={scene: one.covariance_in_scene for scene, one in found.items()},
+        trajectory_sigma_m={scene: one.trajectory_sigma_m for scene, one in found.items()},
         statements=tuple(statement for one in found.values() for statement in one.statements),
         next_clicks=tuple(
             sorted((c for one in found.values() for c in one.next_clicks), key=lambda c: -c.gain_mm)

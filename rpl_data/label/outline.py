@@ -1,0 +1,231 @@
+"""How far a frame's own images would move a label: the outline of the object in depth and in colour.
+
+The label's mesh says where the outline is. Along its normals, depth says where the object's surface ends and
+the background begins, and colour where the strongest edge near by is. One Gauss-Newton step of the object's
+pose brings the two together (as tracking by edges does: Drummond and Cipolla, PAMI 2002). What it would move
+the keypoints by is how far the label disagrees with this one frame. Nothing is moved: a single frame is too
+uncertain for that, but it tells good labels from bad ones.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float64, Int64
+
+from rpl_data.geometry import Points
+from rpl_data.label.masks import MaskPatch, Window
+from rpl_data.label.occlusion import DepthPatch, Tolerances
+from rpl_data.raycast import PixelTable
+from rpl_data.types import DepthImage, GreyImage
+
+MOST_POINTS = 120
+"""Points of the outline that are looked at."""
+REACH_PX = 8
+"""Edges are sought this far from the outline, inwards and outwards."""
+DEPTH_SIGMA_PX, COLOR_SIGMA_PX = 2.0, 2.0
+"""Standard deviation of one edge's position; neighbouring edges err together."""
+DEPTH_BIAS_PX = 2.0
+"""Depth cameras widen or narrow all outlines alike; by this much (standard deviation)."""
+FAINTEST_EDGE = 6.0
+"""Smallest step of brightness (of 255) per pixel that is an edge."""
+NEAREST_PREFERRED_PX = 4.0
+"""Of several edges the strongest counts, those farther from the outline less: a Gaussian of this sigma."""
+FEWEST_SIDE_PX, MOST_WRONG_PX = 3, 3
+"""Along a normal: least number of pixels on the object and behind it, and most on the wrong side."""
+FEWEST_EDGES = 15
+KERNEL_SCALE_SIGMAS = 3.0
+"""Scale of Geman-McClure's robust loss, in standard deviations."""
+PRIOR = np.diag([np.deg2rad(1.0) ** -2] * 3 + [0.005**-2] * 3)
+"""Information of the label's pose before the edges are seen: 1 degree and 5 mm."""
+
+
+@dataclass(frozen=True)
+class Outline:
+    """Points of a label's outline in an image.
+
+    Attributes:
+        uv_px: the points, columns and rows of the image.
+        normal: unit normals in the image, outwards.
+        depth_m: depth of the object there.
+    """
+
+    uv_px: Float64[np.ndarray, "n 2"]
+    normal: Float64[np.ndarray, "n 2"]
+    depth_m: Float64[np.ndarray, " n"]
+
+
+@dataclass(frozen=True)
+class Edges:
+    """Edges found along the normals of an outline.
+
+    Attributes:
+        found: at which points there is one.
+        offset_px: how far outwards it lies; 0 where there is none.
+    """
+
+    found: Bool[np.ndarray, " n"]
+    offset_px: Float64[np.ndarray, " n"]
+
+
+def moved_by_edges_px(
+    camera: PixelTable,
+    outline: Outline,
+    keypoints_camera: Points,
+    depth_m: DepthImage | None,
+    grey: GreyImage | None,
+    tolerances: Tolerances,
+) -> float | None:
+    """How far the frame's own edges would move the keypoints, in pixels; None where too few edges are found.
+
+    Args:
+        keypoints_camera: the label's keypoints, camera frame; unknown ones left out.
+
+    Returns:
+        The root mean square over the keypoints.
+    """
+    found = []
+    if depth_m is not None:
+        edges = depth_edges(outline, depth_m, tolerances)
+        found.append(_Measured(edges, DEPTH_SIGMA_PX, DEPTH_BIAS_PX))
+    if grey is not None:
+        found.append(_Measured(color_edges(outline, grey), COLOR_SIGMA_PX, None))
+    found = [measured for measured in found if np.count_nonzero(measured.edges.found) >= FEWEST_EDGES]
+    if not found:
+        return None
+    centre = keypoints_camera.mean(axis=0)
+    points = _directions(camera, outline.uv_px) * outline.depth_m[:, None]
+    along = (outline.normal[:, :, None] * _image_motion(camera, points, centre)).sum(axis=1)
+    information, pull = PRIOR.copy(), np.zeros(6)
+    for measured in found:
+        of_edges = _normal_equations(along, measured)
+        information, pull = information + of_edges[0], pull + of_edges[1]
+    moved = _image_motion(camera, keypoints_camera, centre) @ np.linalg.solve(information, pull)
+    return float(np.sqrt((moved**2).sum(axis=1).mean()))
+
+
+def outline_of(mask: MaskPatch, usable: MaskPatch, depth_m: DepthPatch, window: Window) -> Outline:
+    """Points spread evenly over the outline of a mask, where the object itself is seen.
+
+    Args:
+        usable: pixels of the window whose outline is the object's own, not that of what hides it.
+        depth_m: depth of the object in the window.
+    """
+    contours, _ = cv2.findContours(mask.view(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+    points = np.concatenate([contour[:, 0] for contour in contours])
+    points = points[usable[points[:, 1], points[:, 0]]]
+    points = points[:: max(1, -(-len(points) // MOST_POINTS))]
+    column, row = points.T
+    smooth = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), 2)
+    inwards = [cv2.Scharr(smooth, cv2.CV_32F, *axis)[row, column] for axis in ((1, 0), (0, 1))]
+    normal = -np.column_stack(inwards).astype(np.float64)
+    length = np.linalg.norm(normal, axis=1)
+    kept = length > 0
+    corner = [window[1].start, window[0].start]
+    return Outline(
+        (points[kept] + corner).astype(np.float64),
+        normal[kept] / length[kept, None],
+        depth_m[row, column][kept].astype(np.float64),
+    )
+
+
+def depth_edges(outline: Outline, depth_m: DepthImage, tolerances: Tolerances) -> Edges:
+    """Where along each normal depth passes from the object to what lies behind it."""
+    samples, inside = _profiles(outline, depth_m.shape)
+    measured = depth_m[samples[..., 1], samples[..., 0]]
+    tolerance_m = tolerances.depth_at_m(outline.depth_m)[:, None]
+    beyond_m = measured - outline.depth_m[:, None]
+    behind = (measured > 0) & (beyond_m > tolerance_m)
+    here = (measured > 0) & (np.abs(beyond_m) <= tolerance_m)
+    # A cut before sample n has on its wrong side what lies behind within, and what is here without.
+    zero = np.zeros((len(measured), 1), dtype=np.int64)
+    wrong = np.hstack([zero, np.cumsum(behind, axis=1)]) + np.hstack(
+        [np.cumsum(here[:, ::-1], axis=1)[:, ::-1], zero]
+    )
+    cut = wrong.argmin(axis=1)
+    clear: Bool[np.ndarray, " n"] = (wrong.min(axis=1) <= MOST_WRONG_PX) & (
+        behind.sum(axis=1) >= FEWEST_SIDE_PX
+    )
+    found: Bool[np.ndarray, " n"] = inside & clear & (here.sum(axis=1) >= FEWEST_SIDE_PX)
+    # The outline's points are the last pixels of the object, half a pixel within its edge.
+    return Edges(found, np.where(found, cut - 1.0 - REACH_PX, 0.0))
+
+
+def color_edges(outline: Outline, grey: GreyImage) -> Edges:
+    """Where along each normal the strongest edge of brightness near the outline is, to part of a pixel."""
+    offsets = np.arange(-REACH_PX, REACH_PX + 1)
+    uv = outline.uv_px[:, None] + outline.normal[:, None] * offsets[:, None]
+    _, inside = _profiles(outline, grey.shape)
+    u, v = uv[..., 0].astype(np.float32), uv[..., 1].astype(np.float32)
+    brightness = np.asarray(cv2.remap(grey, u, v, cv2.INTER_LINEAR)).astype(np.float64)
+    step = np.abs(np.gradient(brightness, axis=1))
+    likely = step * np.exp(-(offsets**2) / (2 * NEAREST_PREFERRED_PX**2))
+    best = likely[:, 1:-1].argmax(axis=1) + 1
+    row = np.arange(len(best))
+    before, peak, after = (likely[row, best + n] for n in (-1, 0, 1))
+    part = (before - after) / np.minimum(2 * (before - 2 * peak + after), -1e-9)
+    found = inside & (step[row, best] > FAINTEST_EDGE) & (peak >= np.maximum(before, after))
+    return Edges(found, np.where(found, offsets[best] + part.clip(-0.5, 0.5) - 0.5, 0.0))
+
+
+def _profiles(
+    outline: Outline, shape: tuple[int, ...]
+) -> tuple[Int64[np.ndarray, "n m 2"], Bool[np.ndarray, " n"]]:
+    """Pixels along each normal, inner ones first, and whether all of them are in the image."""
+    offsets = np.arange(-REACH_PX, REACH_PX + 1)
+    uv = np.rint(outline.uv_px[:, None] + outline.normal[:, None] * offsets[:, None]).astype(np.int64)
+    limit = np.array([shape[1], shape[0]]) - 1
+    return uv.clip(0, limit), np.asarray(((uv >= 0) & (uv <= limit)).all(axis=(1, 2)))
+
+
+def _directions(camera: PixelTable, uv_px: Float64[np.ndarray, "n 2"]) -> Points:
+    column, row = uv_px.astype(np.int64).T
+    directions: Points = camera.directions[row, column].astype(np.float64)
+    return directions
+
+
+def _image_motion(
+    camera: PixelTable, points_camera: Points, centre: Float64[np.ndarray, "3"]
+) -> Float64[np.ndarray, "n 2 6"]:
+    """Derivative of projections by a turn about the centre and a shift; lens distortion is ignored."""
+    x, y, z = points_camera.T
+    zero = np.zeros_like(x)
+    fx, fy = camera.intrinsics.fx, camera.intrinsics.fy
+    by_point = np.array([[fx / z, zero, -fx * x / z**2], [zero, fy / z, -fy * y / z**2]]).transpose(2, 0, 1)
+    turned = np.cross((points_camera - centre)[:, None], by_point)
+    motion: Float64[np.ndarray, "n 2 6"] = np.concatenate([turned, by_point], axis=2)
+    return motion
+
+
+class _Measured(NamedTuple):
+    """Edges of one kind.
+
+    Attributes:
+        sigma_px: standard deviation of each offset.
+        bias_px: that of what all offsets have in common; None where they have nothing in common.
+    """
+
+    edges: Edges
+    sigma_px: float
+    bias_px: float | None
+
+
+def _normal_equations(
+    along: Float64[np.ndarray, "n 6"], measured: _Measured
+) -> tuple[Float64[np.ndarray, "6 6"], Float64[np.ndarray, "6"]]:
+    """Information and pull of the edges on the pose; what they have in common is eliminated."""
+    found = measured.edges.found
+    rows, offset = along[found] / measured.sigma_px, measured.edges.offset_px[found] / measured.sigma_px
+    middle = 0.0 if measured.bias_px is None else float(np.median(offset))
+    weight = 1 / (1 + ((offset - middle) / KERNEL_SCALE_SIGMAS) ** 2) ** 2
+    weighted = rows * weight[:, None]
+    information, pull = weighted.T @ rows, weighted.T @ offset
+    if measured.bias_px is not None:
+        common = weighted.sum(axis=0)
+        share = 1 / (weight.sum() + (measured.sigma_px / measured.bias_px) ** 2)
+        information = information - share * np.outer(common, common)
+        pull = pull - share * common * float(weight @ offset)
+    return information, pull

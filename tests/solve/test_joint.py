@@ -1,0 +1,48 @@
+"""The clicks as a part of a larger adjustment."""
+
+from dataclasses import replace
+
+import numpy as np
+from clicked_scenes import CUBE, NAMES, cameras, click_scene, pose
+
+from rpl_data.solve.joint import joint_clicks
+from rpl_data.solve.solve import solve
+
+
+def clicked(random):
+    observations = []
+    for name in ("00", "01", "02"):
+        observations += click_scene(
+            name, CUBE, pose(random), cameras(1), random, noise_px=2.0,
+            depths=lambda k, f, z: [z + random.normal(0, 0.0025)],
+        )  # fmt: skip
+    return observations
+
+
+def test_what_strays_within_a_scene_still_widens_its_covariance_after_a_larger_adjustment():
+    observations = clicked(np.random.default_rng(1))
+    found = {}
+    for strayed_m in (0.0, 0.003):
+        clicks = joint_clicks(
+            solve("cube", NAMES, observations, trajectory_sigma_m={"01": strayed_m}), observations
+        )
+        normal, _ = clicks.terms(clicks.scene_from_object, clicks.points_object)
+        solution = clicks.solved(clicks.scene_from_object, clicks.points_object, 4 * normal)
+        found[strayed_m] = solution.covariance_in_scene
+    wider = {name: found[0.003][name] - found[0.0][name] for name in ("00", "01")}
+    np.testing.assert_allclose(wider["00"], 0, atol=1e-12)
+    np.testing.assert_allclose(wider["01"], np.tile(9e-6 * np.eye(3), (8, 1, 1)), atol=1e-12)
+
+
+def test_other_answers_widen_a_scene_only_until_more_than_clicks_speaks_for_this_one():
+    observations = clicked(np.random.default_rng(2))
+    solution = solve("cube", NAMES, observations, trajectory_sigma_m={"01": 0.003})
+    wide = {name: found + 1e-4 * np.eye(3) for name, found in solution.covariance_in_scene.items()}
+    clicks = joint_clicks(replace(solution, covariance_in_scene=wide), observations)
+    answer = clicks.scene_from_object, clicks.points_object
+    normal, _ = clicks.terms(*answer)
+    open_, settled = (
+        clicks.solved(*answer, normal, settled=scenes).covariance_in_scene for scenes in ((), ("01",))
+    )
+    np.testing.assert_allclose(open_["00"], settled["00"], atol=1e-15)
+    np.testing.assert_allclose(open_["01"] - settled["01"], np.tile(1e-4 * np.eye(3), (8, 1, 1)), atol=1e-9)
