@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float64
 
 from rpl_data.solve.bundle_adjustment import State, points_in_cameras
 from rpl_data.solve.click_rays import Noise, Rays, misfit
-from rpl_data.solve.explanations import find_faults, first_trial
+from rpl_data.solve.explanations import SCENE_SHARE, find_faults, first_trial
 from rpl_data.solve.precision import next_clicks
 from rpl_data.solve.refit import HAND_SIGMA_PX
 from rpl_data.solve.trial import Explanation, Fault, Trial
@@ -67,14 +67,18 @@ def diagnose(
     """
     clicks = [o.click for o in observations]
     trial = first_trial(placed.rays, *placed.state, hold_points=hold_points)
-    faults, mended = find_faults(trial)
+    faults, mended = find_faults(trial, np.flatnonzero(_left_out(placed)))
     words = _Words(placed.scenes, keypoints, clicks, mended)
     statements = [
         Statement(_kind(fault), _clicks(fault, clicks), words.of(fault), round(fault.best.gain, 1))
         for fault in faults
     ]
     contradictions = [*_everything(trial, faults, clicks), *statements]
-    contradictions += left_out(clicks, placed, contradictions, keypoints)
+    explained = _explained_by_names(faults, mended, clicks)
+    contradictions += (
+        s for s in left_out(clicks, placed, contradictions, keypoints) if not explained.issuperset(s.clicks)
+    )
+    contradictions = list(_as_whole_scenes(contradictions, clicks))
     contradicted = {c.scene for s in contradictions if s.kind == "whole scene" for c in s.clicks}
     helpful = next_clicks(
         placed.rays,
@@ -96,11 +100,8 @@ def left_out(
 ) -> Iterator[Statement]:
     """Clicks that the answer does not follow although nothing shows that they are wrong."""
     known = {click for statement in said for click in statement.clicks}
-    error_px = np.linalg.norm(
-        misfit(placed.rays, points_in_cameras(placed.rays, placed.state)).error_px, axis=1
-    )
-    far_px = LEFT_OUT_SIGMAS * max(placed.noise.click_px, HAND_SIGMA_PX)
-    for n in np.flatnonzero((error_px > far_px) & placed.known[placed.rays.keypoint]).tolist():
+    error_px = _errors_px(placed)
+    for n in np.flatnonzero(_left_out(placed)).tolist():
         click, name = clicks[n], keypoints[clicks[n].keypoint]
         if click in known:
             continue
@@ -110,6 +111,56 @@ def left_out(
             f"mark {name} in one more scene or frame"
         )
         yield Statement("disagree", (click,), text)
+
+
+def _left_out(placed: Placed) -> Bool[np.ndarray, " m"]:
+    """Clicks that the answer does not follow."""
+    far_px = LEFT_OUT_SIGMAS * max(placed.noise.click_px, HAND_SIGMA_PX)
+    left: Bool[np.ndarray, " m"] = (_errors_px(placed) > far_px) & placed.known[placed.rays.keypoint]
+    return left
+
+
+def _errors_px(placed: Placed) -> Float64[np.ndarray, " m"]:
+    """Distance of every click from its keypoint in the answer."""
+    found = misfit(placed.rays, points_in_cameras(placed.rays, placed.state))
+    distances: Float64[np.ndarray, " m"] = np.linalg.norm(found.error_px, axis=1)
+    return distances
+
+
+def _explained_by_names(faults: Sequence[Fault], mended: Trial, clicks: Sequence[Click]) -> set[Click]:
+    """Clicks that fit once names are exchanged in their scene: the answer, which took them as named, left
+    them out for nothing."""
+    scenes = {f.best.scene for f in faults if f.best.meant and not f.rivals}
+    own = np.flatnonzero(np.isin(mended.rays.scene, list(scenes)))
+    near = mended.miss_px(own, mended.reading.keypoint) < LEFT_OUT_SIGMAS * mended.fit.sigma_px
+    return {clicks[n] for n in own[near].tolist()}
+
+
+def _as_whole_scenes(said: Sequence[Statement], clicks: Sequence[Click]) -> Iterator[Statement]:
+    """One statement in place of several that all are about one scene and a large share of its keypoints.
+
+    With few clicks a scene that was marked wrongly as a whole can always be turned so that most of them fit;
+    what then stands out are the rest of them, one after another.
+    """
+    shown = {scene: {c.keypoint for c in clicks if c.scene == scene} for scene in {c.scene for c in clicks}}
+    whole: set[str] = set()
+    for scene, keypoints in shown.items():
+        own = [s for s in said if s.kind != "everything" and {c.scene for c in s.clicks} == {scene}]
+        doubted = {c.keypoint for s in own for c in (s.clicks if s.blames else s.clicks[:1])}
+        if len(own) > 1 and len(doubted) >= SCENE_SHARE * len(keypoints):
+            whole.add(scene)
+            clicked = tuple(c for c in clicks if c.scene == scene)
+            evidence = round(sum(s.evidence for s in own), 1)
+            yield Statement("whole scene", clicked, whole_scene_text(scene, len(clicked)), evidence)
+    yield from (s for s in said if not whole or {c.scene for c in s.clicks} not in [{w} for w in whole])
+
+
+def whole_scene_text(scene: str, clicks: int) -> str:
+    """What is said of a scene whose clicks contradict those of all others."""
+    return (
+        f"scene {scene}: its {clicks} clicks contradict those of the other scenes as a whole; check that it "
+        "shows the same object and that left and right are not exchanged, then mark it again"
+    )
 
 
 def _weak(
@@ -225,11 +276,7 @@ class _Words:
         )
 
     def _whole_scene(self, best: Explanation) -> str:
-        return (
-            f"scene {self.scenes[best.scene]}: its {len(best.clicks)} clicks contradict those of the other "
-            "scenes as a whole; check that it shows the same object and that left and right are not "
-            "exchanged, then mark it again"
-        )
+        return whole_scene_text(self.scenes[best.scene], len(best.clicks))
 
     def _disagree(self, fault: Fault) -> str:
         """That one of several is wrong; what to click to find out which."""

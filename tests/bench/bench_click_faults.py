@@ -7,6 +7,7 @@ there, plants one fault and solves, in a fraction of a second. Scored by verdict
 right     The wrong clicks are blamed and no others.
 asks      They are said to disagree with others, and nothing could tell which is wrong: with another click left
           out in their place everything fits about as well (`RIVAL`), even fitted from the truth.
+partly    Of a mirrored scene only some clicks are blamed or doubted, and no click of another scene is blamed.
 evades    They are said to disagree although the clicks could tell which is wrong.
 unseen    Nothing is said, and nothing could be: even fitted from the truth, and knowing which click to leave
           out, the clicks fit no better than chance allows (`evidence` below the doctor's own bar).
@@ -107,9 +108,7 @@ class Redrawn:
         """Where all keypoints are in the frame of a click."""
         truth = self.truth[one.object]
         camera_from_scene = invert(self.trajectories[one.scene].at(one.frame))
-        points = transform(
-            camera_from_scene @ truth.scene_from_object[one.scene], truth.model.points_object
-        )
+        points = transform(camera_from_scene @ truth.scene_from_object[one.scene], truth.model.points_object)
         return project(self.scenes[one.scene].intrinsics, points)
 
     def error_mm(self, solution: Solution, scene: str) -> float:
@@ -202,7 +201,9 @@ FAULTS = {
 # Verdicts -----------------------------------------------------------------------------------------
 
 
-def verdict(of: Redrawn, fault: str, planted: Planted, observations: list[Observation], found: Solution) -> str:
+def verdict(
+    of: Redrawn, fault: str, planted: Planted, observations: list[Observation], found: Solution
+) -> str:
     said = [s for s in found.statements if s.kind not in HINTS]
     if fault == "collinear":
         named = any(s.kind == "weak scene" and s.clicks[0].scene == planted.scene for s in found.statements)
@@ -267,9 +268,7 @@ def main(roots: Sequence[Path], faults: Sequence[str], clicks: Sequence[int], ru
             print_row(fault, per, tallies[fault, per])
 
 
-def one_run(
-    of: Redrawn, name: str, fault: str, per: int, rng: np.random.Generator, tally: Tally
-) -> str:
+def one_run(of: Redrawn, name: str, fault: str, per: int, rng: np.random.Generator, tally: Tally) -> str:
     """Count one run; what was not right in words."""
     planted = FAULTS[fault](of, of.clicks(name, per, rng), rng)
     observations = [of.lifted(c) for c in planted.clicks]
@@ -288,8 +287,14 @@ def one_run(
     if said == "right":
         return ""
     where = sorted((c.scene, c.frame, c.keypoint) for c in planted.wrong)[:2]
-    extra = f", evidence {evidence(of, planted, observations, planted.wrong):.1f}" if fault.startswith("slip") else ""
-    return f"{said}{extra}; wrong {where}; said {[(s.kind, s.evidence, s.text[:90]) for s in found.statements]}"
+    extra = (
+        f", evidence {evidence(of, planted, observations, planted.wrong):.1f}"
+        if fault.startswith("slip")
+        else ""
+    )
+    return (
+        f"{said}{extra}; wrong {where}; said {[(s.kind, s.evidence, s.text[:90]) for s in found.statements]}"
+    )
 
 
 def print_row(fault: str, per: int, tally: Tally) -> None:
@@ -306,12 +311,16 @@ def print_row(fault: str, per: int, tally: Tally) -> None:
     )  # fmt: skip
     for name in sorted({name for name, _ in tally.verdicts}):
         own = {told: n for (other, told), n in tally.verdicts.items() if other == name}
-        ratio = f"  true/expected {np.sqrt(np.mean(tally.squared[name])):.2f}" if name in tally.squared else ""
+        ratio = (
+            f"  true/expected {np.sqrt(np.mean(tally.squared[name])):.2f}" if name in tally.squared else ""
+        )
         print(f"      {name:18s} right {own.get('right', 0)} of {sum(own.values())}{ratio}", flush=True)
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("workspaces", type=Path, nargs="+")
     parser.add_argument("--faults", default=",".join(FAULTS))
     parser.add_argument("--clicks", default="1,3")
