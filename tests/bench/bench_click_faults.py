@@ -1,12 +1,12 @@
-"""What is said of wrong clicks: faults planted in redrawn clicks of rendered workspaces, and the table of verdicts.
+"""What is said of wrong clicks: faults are planted in redrawn clicks of rendered workspaces, and counted.
 
-Run: python tests/bench/bench_click_faults.py WORKSPACE... [--runs 100] [--clicks 1,3] [--faults slip15,mirrored]
+Run: python tests/bench/bench_click_faults.py WORKSPACE... [--runs 100] [--clicks 1,3] [--faults slip15]
 The workspaces are built from twins. Nothing is rendered: each run draws new clicks on the images that are
 there, plants one fault and solves, in a fraction of a second. Scored by verdict and by object:
 
 right     The wrong clicks are blamed and no others.
-asks      They are said to disagree with others, and nothing could tell which is wrong: with another click left
-          out in their place everything fits about as well (`RIVAL`), even fitted from the truth.
+asks      They are said to disagree with others, and nothing could tell which is wrong: with another click
+          left out in their place everything fits about as well (`RIVAL`), even fitted from the truth.
 partly    Of a mirrored scene only some clicks are blamed or doubted, and no click of another scene is blamed.
 evades    They are said to disagree although the clicks could tell which is wrong.
 unseen    Nothing is said, and nothing could be: even fitted from the truth, and knowing which click to leave
