@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
@@ -10,10 +11,12 @@ from jaxtyping import Bool, Float64
 
 from rpl_data.solve.bundle_adjustment import State, points_in_cameras
 from rpl_data.solve.click_rays import Noise, Rays, misfit
-from rpl_data.solve.explanations import find_faults, first_trial
+from rpl_data.solve.explanations import SCENE_SHARE, find_faults, first_trial
+from rpl_data.solve.fault_words import FaultWords, whole_scene_text
 from rpl_data.solve.precision import next_clicks
 from rpl_data.solve.refit import HAND_SIGMA_PX
-from rpl_data.solve.trial import Explanation, Fault, Trial
+from rpl_data.solve.trial import Fault, Trial
+from rpl_data.solve.wrong_names import FEW_IN_SCENE
 from rpl_data.types import Click, NextClick, Observation, Statement, StatementKind
 
 WEAK_MM = 10.0
@@ -67,14 +70,18 @@ def diagnose(
     """
     clicks = [o.click for o in observations]
     trial = first_trial(placed.rays, *placed.state, hold_points=hold_points)
-    faults, mended = find_faults(trial)
-    words = _Words(placed.scenes, keypoints, clicks, mended)
+    faults, mended = find_faults(trial, np.flatnonzero(_left_out(placed)))
+    words = FaultWords(placed.scenes, keypoints, clicks, mended)
     statements = [
         Statement(_kind(fault), _clicks(fault, clicks), words.of(fault), round(fault.best.gain, 1))
         for fault in faults
     ]
     contradictions = [*_everything(trial, faults, clicks), *statements]
-    contradictions += left_out(clicks, placed, contradictions, keypoints)
+    explained = _explained(faults, mended, clicks)
+    contradictions += (
+        s for s in left_out(clicks, placed, contradictions, keypoints) if not explained.issuperset(s.clicks)
+    )
+    contradictions = list(_as_whole_scenes(contradictions, clicks))
     contradicted = {c.scene for s in contradictions if s.kind == "whole scene" for c in s.clicks}
     helpful = next_clicks(
         placed.rays,
@@ -96,11 +103,8 @@ def left_out(
 ) -> Iterator[Statement]:
     """Clicks that the answer does not follow although nothing shows that they are wrong."""
     known = {click for statement in said for click in statement.clicks}
-    error_px = np.linalg.norm(
-        misfit(placed.rays, points_in_cameras(placed.rays, placed.state)).error_px, axis=1
-    )
-    far_px = LEFT_OUT_SIGMAS * max(placed.noise.click_px, HAND_SIGMA_PX)
-    for n in np.flatnonzero((error_px > far_px) & placed.known[placed.rays.keypoint]).tolist():
+    error_px = _errors_px(placed)
+    for n in np.flatnonzero(_left_out(placed)).tolist():
         click, name = clicks[n], keypoints[clicks[n].keypoint]
         if click in known:
             continue
@@ -110,6 +114,53 @@ def left_out(
             f"mark {name} in one more scene or frame"
         )
         yield Statement("disagree", (click,), text)
+
+
+def _left_out(placed: Placed) -> Bool[np.ndarray, " m"]:
+    """Clicks that the answer does not follow."""
+    far_px = LEFT_OUT_SIGMAS * max(placed.noise.click_px, HAND_SIGMA_PX)
+    left: Bool[np.ndarray, " m"] = (_errors_px(placed) > far_px) & placed.known[placed.rays.keypoint]
+    return left
+
+
+def _errors_px(placed: Placed) -> Float64[np.ndarray, " m"]:
+    """Distance of every click from its keypoint in the answer."""
+    found = misfit(placed.rays, points_in_cameras(placed.rays, placed.state))
+    distances: Float64[np.ndarray, " m"] = np.linalg.norm(found.error_px, axis=1)
+    return distances
+
+
+def _explained(faults: Sequence[Fault], mended: Trial, clicks: Sequence[Click]) -> set[Click]:
+    """Clicks that fit once a mistake in their scene is mended, while the answer left them out for it.
+
+    Where few clicks remain of a scene they can always be made to fit, which explains nothing.
+    """
+    found = {f.best.scene for f in faults if not f.rivals}
+    named = {f.best.scene for f in faults if f.best.meant}
+    remain = Counter(scene for scene, _ in mended.placements())
+    scenes = {s for s in found if s in named or remain[s] >= FEW_IN_SCENE}
+    own = np.flatnonzero(np.isin(mended.rays.scene, list(scenes)))
+    near = mended.miss_px(own, mended.reading.keypoint) < LEFT_OUT_SIGMAS * mended.fit.sigma_px
+    return {clicks[n] for n in own[near].tolist()}
+
+
+def _as_whole_scenes(said: Sequence[Statement], clicks: Sequence[Click]) -> Iterator[Statement]:
+    """One statement in place of several that all are about one scene and a large share of its keypoints.
+
+    With few clicks a scene that was marked wrongly as a whole can always be turned so that most of them fit;
+    what then stands out are the rest of them, one after another.
+    """
+    shown = {scene: {c.keypoint for c in clicks if c.scene == scene} for scene in {c.scene for c in clicks}}
+    whole: set[str] = set()
+    for scene, keypoints in shown.items():
+        own = [s for s in said if s.kind != "everything" and {c.scene for c in s.clicks} == {scene}]
+        doubted = {c.keypoint for s in own for c in (s.clicks if s.blames else s.clicks[:1])}
+        if len(own) > 1 and len(doubted) >= SCENE_SHARE * len(keypoints):
+            whole.add(scene)
+            clicked = tuple(c for c in clicks if c.scene == scene)
+            evidence = round(sum(s.evidence for s in own), 1)
+            yield Statement("whole scene", clicked, whole_scene_text(scene, len(clicked)), evidence)
+    yield from (s for s in said if not whole or {c.scene for c in s.clicks} not in [{w} for w in whole])
 
 
 def _weak(
@@ -183,83 +234,3 @@ def _unchecked(clicks: Sequence[Click], keypoints: Sequence[str]) -> Iterator[St
                 "from another side"
             )
             yield Statement("unchecked", tuple(own), text)
-
-
-class _Words:
-    """Faults as sentences, with the names and distances that they need."""
-
-    def __init__(
-        self, scenes: Sequence[str], keypoints: Sequence[str], clicks: Sequence[Click], mended: Trial
-    ) -> None:
-        self.scenes, self.keypoints, self.clicks, self.mended = scenes, keypoints, clicks, mended
-
-    def of(self, fault: Fault) -> str:
-        """One sentence: what, where, what to do."""
-        if fault.rivals:
-            return self._disagree(fault)
-        kind = fault.best.kind
-        if kind == "swapped":
-            return self._swapped(fault.best)
-        if kind == "wrong name":
-            return self._wrong_name(fault.best)
-        return self._whole_scene(fault.best) if kind == "whole scene" else self._wrong_place(fault.best)
-
-    def _swapped(self, best: Explanation) -> str:
-        a, b = (self.keypoints[k] for k in best.keypoints)
-        return (
-            f"scene {self.scenes[best.scene]}: keypoints {a} and {b} are swapped; "
-            "each was clicked where the other one is: exchange them"
-        )
-
-    def _wrong_name(self, best: Explanation) -> str:
-        own, meant = self.keypoints[best.keypoints[0]], self.keypoints[best.meant[0]]
-        return (
-            f"{self._where(best)}: keypoint {own} was clicked where keypoint {meant} is; move it to its place"
-        )
-
-    def _wrong_place(self, best: Explanation) -> str:
-        name = self.keypoints[best.keypoints[0]]
-        return (
-            f"{self._where(best)}: keypoint {name} was clicked {self._distance_px(best):.0f} px away from "
-            "where all other clicks put it; move it to its place"
-        )
-
-    def _whole_scene(self, best: Explanation) -> str:
-        return (
-            f"scene {self.scenes[best.scene]}: its {len(best.clicks)} clicks contradict those of the other "
-            "scenes as a whole; check that it shows the same object and that left and right are not "
-            "exchanged, then mark it again"
-        )
-
-    def _disagree(self, fault: Fault) -> str:
-        """That one of several is wrong; what to click to find out which."""
-        everyone = (fault.best, *fault.rivals)
-        names = sorted({k for e in everyone for k in e.keypoints})
-        scenes = sorted({e.scene for e in everyone})
-        if len(names) == 1:
-            where = " and ".join(f"scene {self.scenes[s]}" for s in scenes)
-            return (
-                f"keypoint {self.keypoints[names[0]]}: its clicks in {where} disagree by "
-                f"{self._distance_px(fault.best):.0f} px, and nothing tells which is wrong; mark it in a "
-                "third scene, or in one more frame of each"
-            )
-        listed = "; ".join(f"scene {self.scenes[s]}: {self._names(everyone, s)}" for s in scenes)
-        return (
-            f"one of these keypoints was clicked in the wrong place, by about "
-            f"{self._distance_px(fault.best):.0f} px, and nothing tells which ({listed}); look at them, and "
-            f"mark one more keypoint of scene {self.scenes[fault.best.scene]}"
-        )
-
-    def _names(self, everyone: Sequence[Explanation], scene: int) -> str:
-        """Keypoints of one scene."""
-        numbers = {k for e in everyone if e.scene == scene for k in e.keypoints}
-        return ", ".join(self.keypoints[k] for k in sorted(numbers))
-
-    def _where(self, best: Explanation) -> str:
-        frames = sorted({self.clicks[n].frame for n in best.clicks})
-        word = "frame" if len(frames) == 1 else "frames"
-        return f"scene {self.scenes[best.scene]}, {word} {', '.join(map(str, frames))}"
-
-    def _distance_px(self, best: Explanation) -> float:
-        """How far the clicks lie from their keypoints once all mistakes are undone."""
-        return float(np.median(self.mended.miss_px(np.array(best.clicks))))

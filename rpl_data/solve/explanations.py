@@ -17,6 +17,8 @@ from jaxtyping import Float64
 from rpl_data.geometry import invert, transform
 from rpl_data.solve.click_rays import Rays
 from rpl_data.solve.refit import (
+    HAND_SIGMA_PX,
+    Reading,
     costs_without,
     read_as_named,
     refit,
@@ -43,6 +45,8 @@ FAR_SIGMAS = 5.0
 FEW_PLACEMENTS = 3
 """With at most so many other placements of a keypoint, each of them is tried as the wrong one."""
 
+NO_CLICKS: Clicks = np.zeros(0, dtype=np.int64)
+
 
 def first_trial(
     rays: Rays,
@@ -51,14 +55,27 @@ def first_trial(
     *,
     hold_points: bool = False,
 ) -> Trial:
-    """Every click taken at its word, in units of the noise that the clicks themselves show."""
+    """Every click taken at its word, in units of the noise that the clicks themselves show.
+
+    A noise below the usual one is not believed: a dozen clicks show it by chance, and good ones stand out.
+    """
     reading = read_as_named(rays)
     trial = Trial(
         rays, reading, refit(rays, reading, scene_from_model, points_model, hold_points=hold_points)
     )
     settled = _settled(trial)
-    sigma_px = shown_sigma_px(settled.fit)
+    sigma_px = max(shown_sigma_px(_without_the_worst(settled).fit), HAND_SIGMA_PX)
     return replace(settled, fit=settled.fit._replace(sigma_px=sigma_px)).read(reading)
+
+
+def _without_the_worst(trial: Trial) -> Trial:
+    """Without the most suspicious clicks, which would hide themselves in the noise that they bring.
+
+    So every gain is an externally studentised residual (Cook and Weisberg, section 2.2).
+    """
+    worst = _suspects(trial, trial.placements())[:1]
+    out = np.isin(np.arange(len(trial.rays.scene)), worst)
+    return trial.read(Reading(trial.reading.keypoint, ~out, ~out)) if worst else trial
 
 
 def contradiction(clicks: int) -> float:
@@ -70,8 +87,12 @@ def contradiction(clicks: int) -> float:
     return 2 * float(np.log(clicks / FALSE_ALARM))
 
 
-def find_faults(trial: Trial) -> tuple[list[Fault], Trial]:
+def find_faults(trial: Trial, left_out: Clicks = NO_CLICKS) -> tuple[list[Fault], Trial]:
     """Explain contradictions one after another, the strongest first.
+
+    Args:
+        left_out: clicks that the answer does not follow. They are looked at closely however well they fit
+            here, where a wrong click may have turned its whole scene.
 
     Returns:
         The faults, and the fit of the reading in which all of them are undone.
@@ -79,11 +100,12 @@ def find_faults(trial: Trial) -> tuple[list[Fault], Trial]:
     faults: list[Fault] = []
     first = trial
     while len(faults) < MOST_FAULTS:
-        found = _best_explanations(trial)
-        explained = bool(found) and found[0][0].gain >= contradiction(len(trial.rays.scene))
+        found = _best_explanations(trial, left_out)
+        enough = contradiction(len(trial.rays.scene))
+        explained = next(((e, mended) for e, mended in found if e.gain >= enough), None)
         if explained:
-            best, trial = found[0]
-            rivals = (e for e, _ in found[1:] if e.gain > best.gain - RIVAL)
+            best, trial = explained
+            rivals = (e for e, _ in found if e.gain > best.gain - RIVAL)
             faults.append(Fault(best, tuple(e for e in rivals if not set(e.clicks) & set(best.clicks))))
         scene = _contradicting_scene(faults, first, trial)
         if scene is not None:
@@ -140,10 +162,12 @@ def _whole_scene(faults: Sequence[Fault], scene: int, first: Trial) -> tuple[lis
     return [*scenes, Fault(replace(whole, gain=gain))], without
 
 
-def _best_explanations(trial: Trial) -> list[tuple[Explanation, Trial]]:
+def _best_explanations(trial: Trial, left_out: Clicks) -> list[tuple[Explanation, Trial]]:
     """Explanations that were tried, best first; empty when nothing is suspicious."""
     placed = trial.placements()
     suspects = _suspects(trial, placed)
+    known = np.concatenate([NO_CLICKS, *suspects])
+    suspects += [np.array([n]) for n in left_out if trial.reading.ray_used[n] and n not in known]
     tried = [_misplaced(trial, clicks) for clicks in suspects]
     if not tried or max(e.gain for e, _ in tried) < contradiction(len(trial.rays.scene)):
         return []

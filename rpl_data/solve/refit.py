@@ -147,9 +147,10 @@ def shown_sigma_px(fit: Fit) -> float:
     rows = fit.rows[:, :2]
     blocks = covariance[fit.columns[:, :, None], fit.columns[:, None, :]]
     free = np.clip(1 - np.einsum("mri,mij,mrj->m", rows, blocks, rows) / 2, 0.05, 1)
-    squared = (fit.residuals[:, :2] ** 2).sum(axis=1) / free
+    used = rows.any(axis=(1, 2))
+    squared = (fit.residuals[used, :2] ** 2).sum(axis=1) / free[used]
     shown = float(np.median(squared)) / 1.386 * fit.sigma_px**2
-    weight = float(free.sum())
+    weight = float(free[used].sum())
     return float(np.sqrt((HAND_CLICKS * HAND_SIGMA_PX**2 + weight * shown) / (HAND_CLICKS + weight)))
 
 
