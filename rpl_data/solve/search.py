@@ -9,7 +9,7 @@ clicks cannot rule out.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -29,9 +29,6 @@ from rpl_data.solve.bundle_adjustment import (
 from rpl_data.solve.click_rays import Noise, Rays
 from rpl_data.solve.initial_guess import Hypotheses
 from rpl_data.solve.scene_poses import DISTINCT_M, likely_poses
-
-Comparator = Callable[[State], float]
-"""Extra cost of an answer, in squared standard deviations: how badly surfaces agree, say."""
 
 ROUNDS = 5
 """How often keypoints may jump to another of their candidates before the answer stands."""
@@ -71,24 +68,21 @@ def search(
     rays: Rays,
     candidates: Sequence[Hypotheses],
     starts: Sequence[State],
-    *,
-    compare: Comparator | None = None,
 ) -> Found:
     """The answer of lowest cost that can be reached from the starts.
 
     Args:
         candidates: for each scene, by keypoint, where in the scene it may be.
         starts: right to a few centimetres, if the clicks are.
-        compare: extra cost of an answer; none when None.
     """
     settled = [settle(rays, candidates, adjust(rays, start, tolerance=ROUGHLY)) for start in starts]
-    costs = [_cost(rays, state, compare) for state in settled]
+    costs = [cost_of(rays, state) for state in settled]
     state, cost = settled[int(np.argmin(costs))], min(costs)
     alternatives: dict[int, list[Alternative]] = {}
     waiting = list(range(len(state.scene_from_model))) * SWEEPS
     unchanged = 0
     for scene in waiting:
-        found = _other_poses(rays, candidates, state, cost, scene, compare)
+        found = _other_poses(rays, candidates, state, cost, scene)
         alternatives[scene] = found
         unchanged += 1
         if found and found[0].excess < -1e-6:
@@ -121,17 +115,12 @@ def candidates_in_model(candidates: Sequence[Hypotheses], state: State) -> list[
     return [np.array(positions).reshape(-1, 3) for positions in found]
 
 
-def _cost(rays: Rays, state: State, compare: Comparator | None) -> float:
-    return cost_of(rays, state) + (compare(state) if compare else 0.0)
-
-
 def _other_poses(
     rays: Rays,
     candidates: Sequence[Hypotheses],
     state: State,
     cost: float,
     scene: int,
-    compare: Comparator | None,
 ) -> list[Alternative]:
     """Answers in which one scene stands elsewhere, cheapest first; better ones have a negative excess."""
     points, told = points_without(rays, candidates, state, scene)
@@ -151,11 +140,11 @@ def _other_poses(
         poses[scene] = pose
         start = State(poses, np.where(told[:, None], points, transform(invert(pose), in_scene)))
         there = descend(rays, start, noise=Noise(), tolerance=ROUGHLY)
-        if _cost(rays, there, compare) > cost + 2 * NEAR_TIE:
+        if cost_of(rays, there) > cost + 2 * NEAR_TIE:
             continue
         there = settle(rays, candidates, there, rounds=2)
         if _apart_m(there.scene_from_model[scene], there.points_model, now, state.points_model) > DISTINCT_M:
-            tried.append(Alternative(scene, there, _cost(rays, there, compare) - cost))
+            tried.append(Alternative(scene, there, cost_of(rays, there) - cost))
     return sorted(tried, key=lambda a: a.excess)
 
 

@@ -15,7 +15,7 @@ Eq. 2 asks for the keypoints Q and one rigid transform per scene that explain al
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -48,7 +48,6 @@ from rpl_data.types import KeypointModel, Observation, Solution
 __all__ = ["Method", "register", "register_scene", "solve", "solve_points"]
 
 Method = Literal["robust", "slsqp"]
-Compare = Callable[[Mapping[str, Float64[np.ndarray, "4 4"]]], float]
 STARTS = 2
 """How many scenes the joining begins with in turn, best connected first."""
 
@@ -60,7 +59,6 @@ def solve(
     *,
     method: Method = "robust",
     skeleton: Sequence[tuple[int, int]] = (),
-    compare: Compare | None = None,
     trajectory_sigma_m: Mapping[str, float] | None = None,
 ) -> Solution:
     """The sparse model and the scene transforms of one object.
@@ -70,8 +68,6 @@ def solve(
         observations: lifted clicks of all scenes.
         method: `robust`, or `slsqp`, the paper's own way: each click's depth is that of its pixel, and
             SciPy's SLSQP minimises Eq. 2 from the paper's start.
-        compare: given `scene_from_object` of every scene, an extra cost in squared standard deviations
-            by which answers are compared besides their clicks: how badly surfaces agree, say.
         trajectory_sigma_m: how far the poses of each scene stray, standard deviation per axis; it
             widens `covariance_in_scene`.
 
@@ -84,7 +80,7 @@ def solve(
         observations = [at_clicked_pixel(o) for o in observations]
         answer = _papers_answer(object_name, keypoints, observations, scenes)
     else:
-        answer = _robust_answer(object_name, keypoints, observations, scenes, compare)
+        answer = _robust_answer(object_name, keypoints, observations, scenes)
     return _solution(object_name, keypoints, skeleton, observations, answer, trajectory_sigma_m or {})
 
 
@@ -116,7 +112,6 @@ def _robust_answer(
     keypoints: Sequence[str],
     observations: Sequence[Observation],
     scenes: Sequence[str],
-    compare: Compare | None,
 ) -> _Answer:
     """Rays and candidate depths adjusted together, from several starts."""
     groups = [hypotheses_of_scene([o for o in observations if o.click.scene == s]) for s in scenes]
@@ -124,7 +119,7 @@ def _robust_answer(
     clicked = np.array([[k in group for k in range(len(keypoints))] for group in groups])
     rays, starts = rays_of(observations, scenes), _starts(groups, len(keypoints))
     refuse_loose(object_name, starts[0].points_model, clicked, scenes, keypoints)
-    found = search(rays, groups, starts, compare=_by_state(compare, scenes))
+    found = search(rays, groups, starts)
     state, noise = adjust_with_noise(rays, found.state)
     return _Answer(scenes, rays, state, noise, np.asarray(clicked.any(axis=0)), found.alternatives)
 
@@ -156,13 +151,6 @@ def _starts(groups: Sequence[Hypotheses], keypoints: int) -> list[State]:
         adjusted = adjust_points(start.fragments, _complete(start))
         found.append((start.fragments, State(adjusted.scene_from_model, adjusted.points_model)))
     return [state for _, state in found]
-
-
-def _by_state(compare: Compare | None, scenes: Sequence[str]) -> Callable[[State], float] | None:
-    """The comparison by scene names as one by states."""
-    if compare is None:
-        return None
-    return lambda state: compare(dict(zip(scenes, state.scene_from_model, strict=True)))
 
 
 def _complete(start: Start) -> Float64[np.ndarray, "s 4 4"]:

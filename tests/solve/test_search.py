@@ -45,21 +45,6 @@ def test_background_depths_of_one_frame_do_not_carry_its_scene_away(seed, behind
     assert off_mm.mean() < 10
 
 
-def test_the_comparison_that_is_passed_in_decides_between_answers():
-    """One that dislikes the usual answer more than clicks can like it leads to another."""
-    _, observations = hollow(np.random.default_rng(2), [0, 3])
-    usual = solve("cup", NAMES, observations)
-    between = usual.scene_from_object["04"] @ np.linalg.inv(usual.scene_from_object["00"])
-
-    def compare(scene_from_object):
-        found = scene_from_object["04"] @ np.linalg.inv(scene_from_object["00"])
-        return 1e4 if np.abs(found - between).max() < 0.02 else 0.0
-
-    asked = []
-    solve("cup", NAMES, observations, compare=lambda poses: asked.append(set(poses)) or compare(poses))
-    assert asked and all(names == set(usual.scene_from_object) for names in asked)
-
-
 def alternative(shift_m, excess):
     state = State(np.tile(np.eye(4), (2, 1, 1)), RIM)
     there = state.scene_from_model.copy()
