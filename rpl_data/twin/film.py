@@ -164,7 +164,7 @@ def film(spec: TwinSpec, number: int) -> Film:
     before = Counter(name for earlier in spec.casts[:number] for name in earlier.objects)
     turns = [before[one.model.name] for one in objects]
     rng = np.random.default_rng([spec.seed, number, 0])
-    scene = compose(objects, rng=rng, number=number, turns=turns, clutter=spec.clutter)
+    scene = compose(objects, rng=rng, number=number, turns=turns, clutter=spec.clutter, plain=spec.plain_room)
     times_s = spec.times_s(number)
     moments_s = [times_s, times_s - INSTANT_S, times_s + INSTANT_S, times_s - spec.lag_s]
     poses = hand_held(

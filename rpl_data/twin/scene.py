@@ -44,12 +44,14 @@ def compose(
     number: int,
     turns: Sequence[int],
     clutter: int,
+    plain: bool = False,
 ) -> TwinScene:
     """Put objects at rest on a table; the table changes with `number`, resting poses with `turns`.
 
     Args:
         turns: in how many earlier scenes each object stood.
         clutter: number of other things on the table.
+        plain: table, floor and walls without texture.
     """
     positions = _positions(rng, [_footprint_m(o.surface.vertices) for o in objects])
     poses = [_placed(rng, *each) for each in zip(objects, positions, turns, strict=True)]
@@ -57,7 +59,7 @@ def compose(
     taken = [(pose[:2, 3], _footprint_m(thing.vertices)) for pose, thing in zip(poses, things, strict=True)]
     for _ in range(clutter):
         things.extend(_clutter(rng, taken))
-    furniture = _furniture(rng, number)
+    furniture = _furniture(rng, number, plain=plain)
     light = _light(rng, furniture[0])
     centre = np.concatenate([thing.vertices for thing in things[: len(objects)]])
     target = (centre.min(axis=0) + centre.max(axis=0)) / 2
@@ -151,18 +153,19 @@ def _thing(rng: np.random.Generator, size_m: float) -> Surface:
 # Furniture ----------------------------------------------------------------------------------------
 
 
-def _furniture(rng: np.random.Generator, number: int) -> list[Surface]:
+def _furniture(rng: np.random.Generator, number: int, *, plain: bool) -> list[Surface]:
     """The table, the floor and four walls."""
     names = list(textures.SUPPORTS)
-    top = textures.SUPPORTS[names[number % len(names)]](rng)
+    top = textures.even(rng) if plain else textures.SUPPORTS[names[number % len(names)]](rng)
     below = (0.0, 0.0, -TABLE_SIZE_M[2] / 2)
     slab = surfaces.box(TABLE_SIZE_M, [surfaces.WHOLE] * 6, centre_m=below, cells=1, gloss=0.05)
     table = surfaces.joined(slab, top)
     h = ROOM_M / 2
     floor = surfaces.quad([(-h, h, FLOOR_M), (h, h, FLOOR_M), (-h, -h, FLOOR_M), (h, -h, FLOOR_M)], cells=1)
-    floor_texture = textures.tiles(rng) if rng.random() < 0.5 else textures.wood(rng)
+    covering = textures.tiles if rng.random() < 0.5 else textures.wood
+    floor_texture, paint = (textures.even, textures.even) if plain else (covering, textures.plaster)
     walls = [_wall(turn, h) for turn in range(4)]
-    return [table, surfaces.joined([floor], floor_texture), surfaces.joined(walls, textures.plaster(rng))]
+    return [table, surfaces.joined([floor], floor_texture(rng)), surfaces.joined(walls, paint(rng))]
 
 
 def _wall(turn: int, half_m: float) -> Surface:

@@ -66,6 +66,7 @@ class TwinSpec:
         mistakes: clicks that are missing, swapped or on the background; none when left out.
         seed: seed of everything random.
         clutter: number of other things on the table.
+        plain_room: table, floor and walls of one even colour each: nothing for a tracker to hold on to.
         sweep_deg: angle of the camera's orbit around the objects.
         distance_m, elevation_deg: bounds between which the camera moves.
         sensor: errors of the images; each effect has its own switch.
@@ -83,6 +84,7 @@ class TwinSpec:
     mistakes: Mistakes = Mistakes()
     seed: int = 0
     clutter: int = 5
+    plain_room: bool = False
     sweep_deg: float = 160.0
     distance_m: tuple[float, float] = (0.6, 0.8)
     elevation_deg: tuple[float, float] = (30.0, 55.0)

@@ -122,6 +122,12 @@ def plaster(rng: np.random.Generator, size: int = 512) -> ColorImage:
     return (base * tone[..., None]).clip(0, 255).astype(np.uint8)
 
 
+def even(rng: np.random.Generator, size: int = 64) -> ColorImage:
+    """Paint of one colour, without any texture."""
+    color = rng.uniform((110, 115, 115), (200, 195, 190)).astype(np.uint8)
+    return np.broadcast_to(color, (size, size, 3)).copy()
+
+
 def tiles(rng: np.random.Generator, size: int = 1024) -> ColorImage:
     """A tiled floor."""
     first, second = _two_colors(rng)

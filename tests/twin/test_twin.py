@@ -102,6 +102,18 @@ def test_objects_stand_on_the_table_apart_and_in_another_pose_each_scene() -> No
     assert all(a @ b < 0.99 for i, a in enumerate(ups) for b in ups[:i])
 
 
+def test_a_plain_room_has_no_texture_and_the_same_things_in_it() -> None:
+    usual, plain = (
+        compose([build("carton")], rng=np.random.default_rng(3), number=1, turns=[0], clutter=2, plain=plain)
+        for plain in (False, True)
+    )
+    np.testing.assert_array_equal(usual.table_from_object, plain.table_from_object)
+    spreads = [
+        [np.ptp(s.texture, axis=(0, 1)).max() for s in scene.surfaces[-3:]] for scene in (usual, plain)
+    ]
+    assert min(spreads[0]) > 10 and max(spreads[1]) == 0
+
+
 def test_trajectory_is_smooth_looks_at_the_target_and_keeps_its_distance() -> None:
     target, times = np.array([0.1, -0.05, 0.06]), np.arange(240) / 30
     poses = hand_held(

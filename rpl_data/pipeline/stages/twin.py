@@ -26,5 +26,7 @@ def twin_steps(context: Context) -> list[Step]:
 
     outputs = [workspace.recording / "camera.txt", workspace.recording / "clicks.csv"]
     options = json.loads(json.dumps(asdict(spec), default=str))  # paths of meshes
+    if not spec.plain_room:
+        del options["plain_room"]  # recordings made before there was a choice are up to date
     meshes = stamps(*(thing.mesh for thing in spec.things if thing.mesh is not None))
     return [step("twin", "", run, version=VERSION, options=options, sources=meshes, outputs=outputs)]
