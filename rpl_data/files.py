@@ -188,7 +188,7 @@ def sweep(root: Path) -> None:
     levels = ("*", "scenes/*/*", "scenes/*/cache/*/*", "objects/*/*", "labels/*", "export/*", "report/*")
     for path in (found for level in levels for found in root.glob(level) if found.name.startswith(".")):
         half_written = re.fullmatch(r"\..+\.(partial-)?[a-z0-9_]{8}(-old)?", path.name)
-        served = path.parent.parent.name == "objects" or path.parent in (root, root / "labels")
+        served = path.parent.parent.name == "objects" or path.parent == root or ".left_out." in path.name
         with suppress(OSError):
             if half_written and not (served and time.time() - path.stat().st_mtime < SERVED_S):
                 remove(path)

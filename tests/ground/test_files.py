@@ -79,7 +79,7 @@ def test_what_a_killed_build_left_half_written_is_swept_and_nothing_else(tmp_pat
     litter = [
         "export/.coco.partial-ab12_x9z/train.json", "export/.coco.partial-ab12_x9z-old/train.json",
         "scenes/00/.scene.json.abcdefgh", "scenes/00/cache/depth/.000001.zst.abcdefgh",
-        "report/.index.html.12345678",
+        "report/.index.html.12345678", "labels/.00.jsonl.ypdj1_qr",
     ]  # fmt: skip
     kept = [
         "scenes/00/scene.json",
@@ -87,6 +87,7 @@ def test_what_a_killed_build_left_half_written_is_swept_and_nothing_else(tmp_pat
         ".git/config",
         ".hidden",
         "objects/a/.given.ply.abcdefgh",
+        "labels/.00.left_out.json.abcdefgh",
     ]
     for name in litter + kept:
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
