@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import io
 import json
 import os
@@ -23,6 +24,12 @@ from built_once import made_once, moved_copy, plain_recipe  # noqa: E402
 from rpl_data.workspace.workspace import Workspace  # noqa: E402
 
 TINY = Path(__file__).parent / "tiny.yaml"
+gc.set_threshold(100_000, 20, 20)  # a collection walks all modules, and the tests import many
+
+
+def pytest_collection_finish() -> None:
+    """What was imported stays; the collector need not look at it again."""
+    gc.freeze()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item], config: pytest.Config) -> None:
