@@ -9,7 +9,6 @@ import signal
 import subprocess
 import sys
 import time
-import urllib.error
 import urllib.request
 from collections import Counter
 from collections.abc import Callable
@@ -82,33 +81,20 @@ def servers(base: Path, scratch: Path, kills: int, tell: Callable[[str], None]) 
         )
         assert server.stdout is not None
         url = server.stdout.readline().split()[1]
+        with urllib.request.urlopen(f"{url}api/objects/carton", timeout=30) as answer:
+            seen = json.load(answer)["revision"]
         until = time.monotonic() + chance.uniform(0.1, 1.5)
         click = 0
         while time.monotonic() < until:
             u_px = round(10 + (number * 7 + click) % 250 + 0.01 * click, 2)
-            mark = {
-                "op": "click",
-                "keypoint": click % 3,
-                "scene": "00",
-                "frame": 0,
-                "u_px": u_px,
-                "v_px": 20.0,
-            }
-            body = json.dumps(
-                {"seen": 10**6 if click == 0 else 0, "actions": [mark | {"id": f"{number}-{click}"}]}
-            )
+            mark = _click(click % 3, u_px) | {"id": f"{number}-{click}"}
             try:
-                urllib.request.urlopen(
-                    urllib.request.Request(
-                        f"{url}api/objects/carton", body.encode(), {"Content-Type": "application/json"}
-                    ), timeout=10
-                ).close()  # fmt: skip
+                seen = _posted(f"{url}api/objects/carton", {"seen": seen, "actions": [mark]})
                 acknowledged[click % 3] = u_px
                 counts["annotate: clicks acknowledged"] += 1
-            except urllib.error.HTTPError:
-                counts["annotate: clicks refused"] += 1
-            except OSError:
-                pass
+            except OSError as error:  # also a refusal: nobody else changes this workspace
+                counts["annotate: click refused, lost"] += 1
+                tell(f"click refused: {error}")
             click += 1
         server.kill()
         server.communicate()
@@ -120,6 +106,18 @@ def servers(base: Path, scratch: Path, kills: int, tell: Callable[[str], None]) 
             counts["annotate: clicks lost"] += len(lost)
             tell(f"lost clicks on keypoints {lost}: {acknowledged} against {found}")
     return counts
+
+
+def _click(keypoint: int, u_px: float) -> dict[str, object]:
+    return {"op": "click", "keypoint": keypoint, "scene": "00", "frame": 0, "u_px": u_px, "v_px": 20.0}
+
+
+def _posted(url: str, body: dict[str, object]) -> int:
+    """Post actions; the revision of the log that acknowledges them."""
+    request = urllib.request.Request(url, json.dumps(body).encode(), {"Content-Type": "application/json"})
+    with urllib.request.urlopen(request, timeout=10) as answer:
+        revision: int = json.load(answer)["revision"]
+    return revision
 
 
 __all__ = ["builds", "exports", "files_in", "litter", "servers"]
