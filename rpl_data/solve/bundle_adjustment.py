@@ -101,12 +101,12 @@ def descend(
             normal + np.diag(ridge), -jacobian[:, :free].T @ (system.root_weight * system.residual).ravel()
         )
         tried = moved(state, step)
-        there = linearise(rays, tried, noise=noise, scale=scale)
-        if there.cost < system.cost:
-            finished = system.cost - there.cost < tolerance * system.cost
-            state, system, damping = tried, there, max(damping / 5, 1e-9)
-            if finished:
+        cost = cost_of(rays, tried, noise, scale)
+        if cost < system.cost:
+            state = tried
+            if system.cost - cost < tolerance * system.cost:
                 break
+            system, damping = linearise(rays, state, noise=noise, scale=scale), max(damping / 5, 1e-9)
         else:
             damping *= 10
             if damping > 1e6:
@@ -129,14 +129,17 @@ def points_in_cameras(rays: Rays, state: State) -> Float64[np.ndarray, "m 3"]:
     camera_from_model = rays.camera_from_scene @ state.scene_from_model[rays.scene]
     points = state.points_model[rays.keypoint]
     in_camera: Float64[np.ndarray, "m 3"] = (
-        np.einsum("mij,mj->mi", camera_from_model[:, :3, :3], points) + camera_from_model[:, :3, 3]
-    )
+        camera_from_model[:, :3, :3] @ points[..., None] + camera_from_model[:, :3, 3:]
+    )[..., 0]
     return in_camera
 
 
-def cost_of(rays: Rays, state: State, noise: Noise | None = None) -> float:
+def cost_of(
+    rays: Rays, state: State, noise: Noise | None = None, scale: float = KERNEL_SCALE_SIGMAS
+) -> float:
     """Robust cost of a state."""
-    return float(click_costs(misfit(rays, points_in_cameras(rays, state)), noise or Noise()).sum())
+    found = misfit(rays, points_in_cameras(rays, state))
+    return float(click_costs(found, noise or Noise(), scale).sum())
 
 
 def linearise(rays: Rays, state: State, *, noise: Noise, scale: float = KERNEL_SCALE_SIGMAS) -> System:
@@ -150,17 +153,18 @@ def linearise(rays: Rays, state: State, *, noise: Noise, scale: float = KERNEL_S
     rows = camera_gradient(in_camera, found, rays.pixel_rad * noise.click_px, depth_sigma_m)
     by_scene_point = rows @ rays.camera_from_scene[:, :3, :3]
     poses = state.scene_from_model[rays.scene]
-    in_scene = np.einsum("mij,mj->mi", poses[:, :3, :3], state.points_model[rays.keypoint]) + poses[:, :3, 3]
+    points = state.points_model[rays.keypoint]
+    in_scene = (poses[:, :3, :3] @ points[..., None] + poses[:, :3, 3:])[..., 0]
     by_turn = -by_scene_point @ cross_matrices(in_scene)
     by_point = by_scene_point @ poses[:, :3, :3]
 
     scenes = len(state.scene_from_model)
     jacobian = np.zeros((len(rays.scene), 3, 6 * scenes + state.points_model.size))
-    m = np.arange(len(rays.scene))
-    for axis in range(3):
-        jacobian[m, :, 6 * rays.scene + axis] = by_turn[:, :, axis]
-        jacobian[m, :, 6 * rays.scene + 3 + axis] = by_scene_point[:, :, axis]
-        jacobian[m, :, 6 * scenes + 3 * rays.keypoint + axis] = by_point[:, :, axis]
+    click = np.arange(len(rays.scene))[:, None]
+    by_pose = np.concatenate([by_turn, by_scene_point], axis=2)
+    jacobian[click, :, 6 * rays.scene[:, None] + np.arange(6)] = by_pose.swapaxes(1, 2)
+    of_points = 6 * scenes + 3 * rays.keypoint[:, None] + np.arange(3)
+    jacobian[click, :, of_points] = by_point.swapaxes(1, 2)
     return System(
         jacobian, residual, root_weight[:, [0, 0, 1]], float(click_costs(found, noise, scale).sum())
     )
@@ -207,7 +211,7 @@ def reassign_keypoints(rays: Rays, state: State, candidates_model: list[Float64[
         own = rays.keypoint == k
         if own.any() and len(candidates):
             tried = np.vstack([state.points_model[k][None], candidates])
-            turned = np.einsum("mij,pj->pmi", camera_from_model[own, :3, :3], tried)
+            turned = (camera_from_model[own, :3, :3] @ tried.T).transpose(2, 0, 1)
             in_camera = turned + camera_from_model[own, :3, 3]
             found = misfit(rays.of(own), in_camera)
             lateral, depth = squared_errors(found, COARSE)

@@ -137,18 +137,20 @@ def misfit(rays: Rays, in_camera: Float64[np.ndarray, "*b m 3"]) -> Misfit:
     z = in_camera[..., 2]
     offset = in_camera[..., :2] / np.maximum(z, NEAREST_DEPTH_M)[..., None] - rays.xy
     reach = REACH_PX * rays.pixel_rad[:, None]
-    within = np.clip(offset, -reach, reach)
+    within = np.minimum(np.maximum(offset, -reach), reach)
     # The inverse depth of a plane is linear in xy.
-    tilt = (within[..., None, :] * rays.depth_slopes_m).sum(axis=-1) / rays.depths_m
-    depths = rays.depths_m / np.maximum(1 - tilt, 0.5)
+    slopes = rays.depth_slopes_m
+    rise = within[..., :1] * slopes[..., 0] + within[..., 1:] * slopes[..., 1]
+    depths = rays.depths_m / np.maximum(1 - rise / rays.depths_m, 0.5)
     error_m = z[..., None] - depths
     cost = robust((error_m / rays.depth_sigmas_m) ** 2)
-    cost = cost + FARTHER_SURFACE_PENALTY * (np.arange(cost.shape[-1]) > 0)
+    cost[..., 1:] += FARTHER_SURFACE_PENALTY
     taken = np.where(np.isfinite(cost), cost, np.inf).argmin(axis=-1)
     measured = np.isfinite(rays.depths_m[:, 0])
     click = np.arange(len(rays.xy))
-    chosen = np.take_along_axis(depths, taken[..., None], axis=-1)[..., 0]
-    slope = rays.depth_slopes_m[click, taken] * ((chosen / rays.depths_m[click, taken]) ** 2)[..., None]
+    flat = depths.reshape(-1, depths.shape[-1])
+    chosen = flat[np.arange(len(flat)), taken.ravel()].reshape(taken.shape)
+    slope = slopes[click, taken] * ((chosen / rays.depths_m[click, taken]) ** 2)[..., None]
     return Misfit(
         error_px=offset / rays.pixel_rad[:, None],
         depth_error_m=np.where(measured, z - chosen, 0.0),
@@ -168,7 +170,7 @@ def robust(
 
 def squared_errors(found: Misfit, noise: Noise) -> tuple[np.ndarray, np.ndarray]:
     """Squared errors of the click and of the depth, in standard deviations; each (..., M)."""
-    lateral = (found.error_px**2).sum(axis=-1) / noise.click_px**2
+    lateral = (found.error_px[..., 0] ** 2 + found.error_px[..., 1] ** 2) / noise.click_px**2
     return lateral, (found.depth_error_m / (noise.depth_ratio * found.depth_sigma_m)) ** 2
 
 

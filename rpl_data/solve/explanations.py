@@ -216,15 +216,15 @@ def _own_cost(trial: Trial, clicks: Clicks) -> float:
         scene=np.zeros(len(clicks), dtype=np.int64), keypoint=np.zeros(len(clicks), dtype=np.int64)
     )
     reading = read_as_named(rays)._replace(depth_used=np.zeros(len(clicks), dtype=bool))
-    point = lifted_in_scene(trial, int(clicks[0]))[None]
+    point = lifted_in_scene(trial, clicks[:1])
     return refit(rays, reading, np.eye(4)[None], point, sigma_px=trial.fit.sigma_px).cost
 
 
 def _starts_at(trial: Trial, trusted: Explanation) -> list[tuple[np.ndarray, np.ndarray]]:
     """Start with the keypoint where the trusted clicks put it, and with their scene placed by them."""
-    click, points = trusted.clicks[0], trial.fit.points_model.copy()
+    click, points = np.array(trusted.clicks[:1]), trial.fit.points_model.copy()
     model_from_scene = invert(trial.fit.scene_from_model[trusted.scene])
-    points[trusted.keypoints[0]] = transform(model_from_scene, lifted_in_scene(trial, click))
+    points[trusted.keypoints[0]] = transform(model_from_scene, lifted_in_scene(trial, click))[0]
     return [(trial.fit.scene_from_model, points)]
 
 

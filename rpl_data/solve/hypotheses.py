@@ -33,7 +33,7 @@ def hypotheses_of_scene(observations: Sequence[Observation]) -> Hypotheses:
     for keypoint, group in by_keypoint.items():
         positions = _positions(group)
         if len(positions):
-            scores = np.array([_support(position, group) for position in positions])
+            scores = _support(positions, group)
             hypotheses[keypoint] = _distinct(positions[np.argsort(-scores, kind="stable")])
     return hypotheses
 
@@ -67,20 +67,22 @@ def triangulate(group: Sequence[Observation]) -> Float64[np.ndarray, "3"] | None
     return point if ahead else None
 
 
-def _support(position: Float64[np.ndarray, "3"], group: Sequence[Observation]) -> float:
+def _support(
+    positions: Float64[np.ndarray, "n 3"], group: Sequence[Observation]
+) -> Float64[np.ndarray, " n"]:
     """Clicks whose ray passes by count 1, and 1 more when they measured that depth; far rays 0."""
-    score = 0.0
+    scores: Float64[np.ndarray, " n"] = np.zeros(len(positions))
     for o in group:
-        in_camera = transform(invert(o.scene_from_camera), position)
-        if in_camera[2] <= 0:
-            continue
-        miss_px = float(np.linalg.norm(in_camera[:2] / in_camera[2] - o.ray_camera[:2])) / o.pixel_rad
-        if miss_px < RAY_PX:
-            score += 1 - 0.5 * miss_px / RAY_PX
-            agrees = np.abs(o.depths_m - in_camera[2]) < AGREE_M
-            if agrees.any():
-                score += 1.5 if agrees[0] else 1  # a person clicks the nearest surface
-    return score
+        in_camera = transform(invert(o.scene_from_camera), positions)
+        z = in_camera[:, 2]
+        ahead = z > 0
+        xy = in_camera[:, :2] / np.where(ahead, z, 1.0)[:, None]
+        miss_px = np.linalg.norm(xy - o.ray_camera[:2], axis=1) / o.pixel_rad
+        agrees = np.abs(o.depths_m - z[:, None]) < AGREE_M
+        # A person clicks the nearest surface.
+        measured = np.where(agrees[:, :1].any(axis=1), 1.5, np.where(agrees.any(axis=1), 1.0, 0.0))
+        scores += np.where(ahead & (miss_px < RAY_PX), 1 - 0.5 * miss_px / RAY_PX + measured, 0.0)
+    return scores
 
 
 def _distinct(positions: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "m 3"]:

@@ -163,9 +163,10 @@ def _best_pair_distances(
     scene: Float64[np.ndarray, "n g 3"],
 ) -> Float64[np.ndarray, "b n"]:
     """For each candidate and keypoint, how far apart its nearest two hypotheses come to lie."""
-    moved = np.einsum("bij,nhj->bnhi", candidates[:, :3, :3], model) + candidates[:, None, None, :3, 3]
-    gaps = np.linalg.norm(moved[:, :, :, None] - scene[None, :, None], axis=-1)
-    nearest: Float64[np.ndarray, "b n"] = gaps.min(axis=(2, 3))
+    moved = model @ candidates[:, None, :3, :3].swapaxes(2, 3) + candidates[:, None, None, :3, 3]
+    apart = moved[:, :, :, None] - scene[None, :, None]
+    squared = apart[..., 0] ** 2 + apart[..., 1] ** 2 + apart[..., 2] ** 2
+    nearest: Float64[np.ndarray, "b n"] = np.sqrt(squared.min(axis=(2, 3)))
     return nearest
 
 

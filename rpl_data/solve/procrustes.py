@@ -102,15 +102,15 @@ def kabsch_stack(
     """Kabsch's `scene_from_model` for a stack of weighted point sets, rotations proper."""
     w = weights / np.maximum(weights.sum(axis=1, keepdims=True), 1e-300)
     points_model = np.broadcast_to(points_model, points_scene.shape)
-    centre_model = np.einsum("bk,bki->bi", w, points_model)
-    centre_scene = np.einsum("bk,bki->bi", w, points_scene)
-    covariance = np.einsum(
-        "bk,bki,bkj->bij", w, points_scene - centre_scene[:, None], points_model - centre_model[:, None]
-    )
+    centre_model = w[:, None] @ points_model
+    centre_scene = w[:, None] @ points_scene
+    weighted = w[..., None] * (points_scene - centre_scene)
+    covariance = weighted.swapaxes(1, 2) @ (points_model - centre_model)
     u, _, vt = np.linalg.svd(covariance)
     sign = np.ones((len(w), 3))
     sign[:, 2] = np.sign(np.linalg.det(u @ vt))
+    turn = (u * sign[:, None]) @ vt
     transforms = np.tile(np.eye(4), (len(w), 1, 1))
-    transforms[:, :3, :3] = (u * sign[:, None]) @ vt
-    transforms[:, :3, 3] = centre_scene - np.einsum("bij,bj->bi", transforms[:, :3, :3], centre_model)
+    transforms[:, :3, :3] = turn
+    transforms[:, :3, 3] = (centre_scene.swapaxes(1, 2) - turn @ centre_model.swapaxes(1, 2))[..., 0]
     return transforms

@@ -114,19 +114,20 @@ def refit(
             continue
         finished = fit.cost - tried.cost < 1e-3
         fit, damping = tried, max(damping / 5, 1e-9)
-        normal, gradient = normal_matrix(fit)
         if finished:
             break
+        normal, gradient = normal_matrix(fit)
     return fit
 
 
 def normal_matrix(fit: Fit) -> tuple[Float64[np.ndarray, "u u"], Float64[np.ndarray, " u"]]:
     """Normal matrix and gradient; the frame of the model is free, so the matrix has rank u - 6 at most."""
-    normal, gradient = np.zeros((fit.unknowns, fit.unknowns)), np.zeros(fit.unknowns)
-    blocks = np.einsum("mri,mrj->mij", fit.rows, fit.rows)
-    np.add.at(normal, (fit.columns[:, :, None], fit.columns[:, None, :]), blocks)
-    np.add.at(gradient, fit.columns, np.einsum("mri,mr->mi", fit.rows, fit.residuals))
-    return normal, gradient
+    unknowns, turned = fit.unknowns, fit.rows.swapaxes(1, 2)
+    cells = unknowns * fit.columns[:, :, None] + fit.columns[:, None, :]
+    normal = np.bincount(cells.ravel(), (turned @ fit.rows).ravel(), unknowns**2)
+    by_click = turned @ fit.residuals[..., None]
+    gradient = np.bincount(fit.columns.ravel(), by_click.ravel(), unknowns)
+    return normal.reshape(unknowns, unknowns), gradient
 
 
 def unknowns_covariance(fit: Fit) -> Float64[np.ndarray, "u u"]:
@@ -163,14 +164,17 @@ def costs_without(fit: Fit, groups: Sequence[Int64[np.ndarray, " _"]]) -> Float6
     """
     covariance = unknowns_covariance(fit)
     found = np.empty(len(groups))
-    for n, group in enumerate(groups):
-        rows = np.zeros((3 * len(group), fit.unknowns))
-        for i, click in enumerate(group):
-            rows[3 * i : 3 * i + 3, fit.columns[click]] = fit.rows[click]
-        held, axes = np.linalg.eigh(rows @ covariance @ rows.T)
-        along = axes.T @ fit.residuals[group].ravel()
-        pulled = (along**2 * (1 / np.maximum(1 - held, 0.02) - 1)).sum()
-        found[n] = fit.click_cost[group].sum() + pulled
+    sizes = np.array([len(group) for group in groups])
+    for size in np.unique(sizes):  # groups of one size at once
+        chosen = np.flatnonzero(sizes == size)
+        clicks = np.stack([groups[n] for n in chosen])
+        rows, columns = fit.rows[clicks], fit.columns[clicks]
+        between = covariance[columns[:, :, None, :, None], columns[:, None, :, None, :]]
+        shared = rows[:, :, None] @ between @ rows[:, None].swapaxes(3, 4)
+        held, axes = np.linalg.eigh(shared.swapaxes(2, 3).reshape(len(chosen), 3 * size, 3 * size))
+        along = axes.swapaxes(1, 2) @ fit.residuals[clicks].reshape(len(chosen), -1, 1)
+        pulled = (along[..., 0] ** 2 * (1 / np.maximum(1 - held, 0.02) - 1)).sum(axis=1)
+        found[chosen] = fit.click_cost[clicks].sum(axis=1) + pulled
     return found
 
 
@@ -197,7 +201,8 @@ def _evaluate(
 
     gradient = root_weight * camera_gradient(in_camera, found, rays.pixel_rad * sigma_px, depth_sigma_m)
     poses = scene_from_model[rays.scene]
-    in_scene = np.einsum("mij,mj->mi", poses[:, :3, :3], points_model[reading.keypoint]) + poses[:, :3, 3]
+    points = points_model[reading.keypoint]
+    in_scene = (poses[:, :3, :3] @ points[..., None] + poses[:, :3, 3:])[..., 0]
     by_scene_point = gradient @ rays.camera_from_scene[:, :3, :3]
     by_turn = -by_scene_point @ cross_matrices(in_scene)
     by_point = by_scene_point @ poses[:, :3, :3] * (not hold_points)

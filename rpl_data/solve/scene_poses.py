@@ -90,24 +90,24 @@ def refine_poses(
 ) -> Float64[np.ndarray, "b 4 4"]:
     """Levenberg-Marquardt on many poses of one scene at once, the points held."""
     damping = np.full(len(poses), 1e-3)
-    cost = _costs(rays, points_model, poses, noise, scale)
+    cost, normal, right = _normal_equations(rays, points_model, poses, noise, scale)
     for _ in range(steps):
-        normal, right = _normal_equations(rays, points_model, poses, noise, scale)
-        diagonal = np.einsum("bii->bi", normal)
+        diagonal = np.diagonal(normal, axis1=1, axis2=2)
         ridge = damping[:, None] * diagonal + 1e-9 * diagonal.sum(axis=1, keepdims=True)
         step = np.linalg.solve(normal + ridge[:, :, None] * np.eye(6), -right[..., None])[..., 0]
         tried = np.tile(np.eye(4), (len(poses), 1, 1))
         tried[:, :3, :3] = Rotation.from_rotvec(step[:, :3]).as_matrix()
         tried[:, :3, 3] = step[:, 3:]
         tried = tried @ poses
-        there = _costs(rays, points_model, tried, noise, scale)
+        there, normal_there, right_there = _normal_equations(rays, points_model, tried, noise, scale)
         better = there < cost
         poses = np.where(better[:, None, None], tried, poses)
-        settled = (np.abs(cost - there) < 1e-5 * cost).all()
-        cost = np.where(better, there, cost)
-        damping = np.where(better, damping / 5, damping * 10)
-        if settled:
+        if (np.abs(cost - there) < 1e-5 * cost).all():
             break
+        cost = np.where(better, there, cost)
+        normal = np.where(better[:, None, None], normal_there, normal)
+        right = np.where(better[:, None], right_there, right)
+        damping = np.where(better, damping / 5, damping * 10)
     return poses
 
 
@@ -115,8 +115,8 @@ def _in_cameras(rays: Rays, points_model: np.ndarray, poses: np.ndarray) -> Floa
     camera_from_model = rays.camera_from_scene @ poses[:, None]
     points = points_model[rays.keypoint]
     in_camera: Float64[np.ndarray, "b m 3"] = (
-        np.einsum("bmij,mj->bmi", camera_from_model[..., :3, :3], points) + camera_from_model[..., :3, 3]
-    )
+        camera_from_model[..., :3, :3] @ points[..., None] + camera_from_model[..., :3, 3:]
+    )[..., 0]
     return in_camera
 
 
@@ -130,8 +130,8 @@ def _costs(
 
 def _normal_equations(
     rays: Rays, points_model: np.ndarray, poses: np.ndarray, noise: Noise, scale: float
-) -> tuple[Float64[np.ndarray, "b 6 6"], Float64[np.ndarray, "b 6"]]:
-    """Weighted normal matrix and right side of each pose's six unknowns."""
+) -> tuple[Float64[np.ndarray, " b"], Float64[np.ndarray, "b 6 6"], Float64[np.ndarray, "b 6"]]:
+    """Robust cost of each pose; weighted normal matrix and right side of its six unknowns."""
     in_camera = _in_cameras(rays, points_model, poses)
     found = misfit(rays, in_camera)
     depth_unit = noise.depth_ratio * found.depth_sigma_m
@@ -147,7 +147,8 @@ def _normal_equations(
     flat = jacobian.reshape(len(poses), -1, 6)
     weighted = flat * weight.reshape(len(poses), -1, 1)
     normal: Float64[np.ndarray, "b 6 6"] = np.swapaxes(weighted, 1, 2) @ flat
-    return normal, (np.swapaxes(weighted, 1, 2) @ residual.reshape(len(poses), -1, 1))[..., 0]
+    right = (np.swapaxes(weighted, 1, 2) @ residual.reshape(len(poses), -1, 1))[..., 0]
+    return click_costs(found, noise, scale).sum(axis=1), normal, right
 
 
 def _best(

@@ -79,7 +79,7 @@ class Trial:
         named = rays.keypoint if keypoint is None else keypoint
         to_camera = rays.camera_from_scene[clicks] @ poses[rays.scene[clicks]]
         points = self.fit.points_model[named[clicks]]
-        in_camera = np.einsum("mij,mj->mi", to_camera[:, :3, :3], points) + to_camera[:, :3, 3]
+        in_camera = (to_camera[:, :3, :3] @ points[..., None] + to_camera[:, :3, 3:])[..., 0]
         xy = in_camera[:, :2] / np.maximum(in_camera[:, 2:], NEAREST_DEPTH_M)
         missed: Float64[np.ndarray, " _"] = (
             np.linalg.norm(xy - rays.xy[clicks], axis=1) / rays.pixel_rad[clicks]

@@ -11,7 +11,7 @@ from rpl_data.solve.procrustes import kabsch_stack
 from rpl_data.solve.refit import (
     Reading,
 )
-from rpl_data.solve.trial import Trial
+from rpl_data.solve.trial import Clicks, Trial
 
 
 def scene_anew(trial: Trial, reading: Reading, scene: int) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -23,7 +23,7 @@ def scene_anew(trial: Trial, reading: Reading, scene: int) -> list[tuple[np.ndar
     own = np.flatnonzero(reading.ray_used & (rays.scene == scene) & np.isfinite(rays.depths_m[:, 0]))
     if len(np.unique(reading.keypoint[own])) < 3:
         return []
-    lifted = np.array([lifted_in_scene(trial, int(click)) for click in own])[None]
+    lifted = lifted_in_scene(trial, own)[None]
     model = fit.points_model[reading.keypoint[own]][None]
     weights = np.ones((1, len(own)))
     for _ in range(4):
@@ -58,10 +58,14 @@ def scene_matched(trial: Trial, reading: Reading, scene: int) -> list[tuple[np.n
     return [(moved, fit.points_model)]
 
 
-def lifted_in_scene(trial: Trial, click: int) -> Float64[np.ndarray, "3"]:
-    """A click at the depth of the nearest surface, in its scene; at its keypoint's depth where none is."""
-    depth_m = trial.rays.depths_m[click, 0]
-    if not np.isfinite(depth_m):
-        depth_m = trial.fit.in_camera[click, 2]
-    in_camera = depth_m * np.append(trial.rays.xy[click], 1.0)
-    return transform(invert(trial.rays.camera_from_scene[click]), in_camera)
+def lifted_in_scene(trial: Trial, clicks: Clicks) -> Float64[np.ndarray, "n 3"]:
+    """Clicks at the depth of the nearest surface, in their scenes; at their keypoint's depth where none is."""
+    rays = trial.rays
+    measured_m = rays.depths_m[clicks, 0]
+    depth_m = np.where(np.isfinite(measured_m), measured_m, trial.fit.in_camera[clicks, 2])
+    in_camera = depth_m[:, None] * np.column_stack([rays.xy[clicks], np.ones(len(clicks))])
+    scene_from_camera = invert(rays.camera_from_scene[clicks])
+    lifted: Float64[np.ndarray, "n 3"] = (
+        scene_from_camera[:, :3, :3] @ in_camera[..., None] + scene_from_camera[:, :3, 3:]
+    )[..., 0]
+    return lifted
