@@ -17,6 +17,8 @@ Loss = Literal["robust", "l2"]
 
 ROBUST_SCALES_M = (0.05, 0.02, 0.012, 0.012)
 """Scales of Geman-McClure's loss, wide to narrow; 12 mm is where a click is called wrong."""
+MOST_ALTERNATIONS = 2000
+"""Gower's alternation ends there if it has not converged."""
 
 
 class Fragments(NamedTuple):
@@ -57,13 +59,60 @@ def adjust_points(
     return adjusted
 
 
+def best_of_starts(
+    fragments: Fragments, starts: Float64[np.ndarray, "n s 4 4"]
+) -> Float64[np.ndarray, "s 4 4"]:
+    """Transforms of the lowest cost of Eq. 2 that Gower's alternation reaches from any of the starts."""
+    transforms, previous = starts.copy(), np.full(len(starts), np.inf)
+    points = _means_of_each(fragments, transforms)
+    moving = np.arange(len(starts))  # starts whose alternation has not converged
+    for _ in range(MOST_ALTERNATIONS):
+        transforms[moving] = _kabsch_of_each(fragments, points[moving])
+        points[moving] = _means_of_each(fragments, transforms[moving])
+        cost = _costs_of_each(fragments, transforms[moving], points[moving])
+        falls = previous[moving] - cost > 1e-9 * cost + 1e-18
+        previous[moving] = cost
+        moving = moving[falls]
+        if not len(moving):
+            break
+    best: Float64[np.ndarray, "s 4 4"] = transforms[previous.argmin()]
+    return best
+
+
+def _kabsch_of_each(fragments: Fragments, points: Float64[np.ndarray, "n k 3"]) -> np.ndarray:
+    """Transforms of all scenes for each set of model points, (n, s, 4, 4)."""
+    n, scenes = len(points), len(fragments.clicked)
+    return kabsch_stack(
+        np.repeat(points, scenes, axis=0),
+        np.tile(fragments.points_scene, (n, 1, 1)),
+        np.tile(fragments.clicked, (n, 1)),
+    ).reshape(n, scenes, 4, 4)
+
+
+def _means_of_each(fragments: Fragments, transforms: Float64[np.ndarray, "n s 4 4"]) -> np.ndarray:
+    """Keypoints for each set of transforms, (n, k, 3)."""
+    turns, shifts = transforms[..., :3, :3], transforms[..., None, :3, 3]
+    in_model = (fragments.points_scene - shifts) @ turns
+    total = np.maximum(fragments.clicked.sum(axis=0), 1e-300)
+    means: np.ndarray = (fragments.clicked[..., None] * in_model).sum(axis=1) / total[:, None]
+    return means
+
+
+def _costs_of_each(fragments: Fragments, transforms: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Eq. 2 for each set of transforms and points, (n,)."""
+    predicted = points[:, None] @ transforms[..., :3, :3].swapaxes(2, 3) + transforms[..., None, :3, 3]
+    squared = ((predicted - fragments.points_scene) ** 2).sum(axis=3)
+    costs: np.ndarray = (fragments.clicked * squared).sum(axis=(1, 2))
+    return costs
+
+
 def _alternate(
     fragments: Fragments, weights: Float64[np.ndarray, "s k"], scene_from_model: Float64[np.ndarray, "s 4 4"]
 ) -> Adjusted:
     """Gower's alternation to convergence."""
     previous = np.inf
     points = mean_points(fragments.points_scene, weights, scene_from_model)
-    for _ in range(2000):
+    for _ in range(MOST_ALTERNATIONS):
         scene_from_model = kabsch_stack(points, fragments.points_scene, weights)
         points = mean_points(fragments.points_scene, weights, scene_from_model)
         cost = (weights * _squared_errors(fragments, scene_from_model, points)).sum()

@@ -37,7 +37,7 @@ from rpl_data.solve.noise import (
     points_in_scene_covariance,
     shape_covariance,
 )
-from rpl_data.solve.procrustes import Adjusted, Fragments, Loss, adjust_points, eq2_cost
+from rpl_data.solve.procrustes import Adjusted, Fragments, Loss, adjust_points, best_of_starts
 from rpl_data.solve.refusals import refuse_bad, refuse_loose, refuse_untied
 from rpl_data.solve.register import register, register_scene
 from rpl_data.solve.residuals import click_fit, click_residuals, describe_keypoints
@@ -163,15 +163,10 @@ def _complete(start: Start) -> Float64[np.ndarray, "s 4 4"]:
         return np.stack([found for found in start.scene_from_model if found is not None])
     random = np.random.default_rng(0)
     tries = [
-        adjust_points(
-            start.fragments,
-            np.stack([_random_turn(random) if t is None else t for t in start.scene_from_model]),
-            loss="l2",
-        )
+        np.stack([_random_turn(random) if t is None else t for t in start.scene_from_model])
         for _ in range(30)
     ]
-    best = min(tries, key=lambda adjusted: eq2_cost(start.fragments, adjusted))
-    return best.scene_from_model
+    return best_of_starts(start.fragments, np.stack(tries))
 
 
 def _random_turn(random: np.random.Generator) -> Float64[np.ndarray, "4 4"]:

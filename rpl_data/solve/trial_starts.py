@@ -59,7 +59,7 @@ def scene_matched(trial: Trial, reading: Reading, scene: int) -> list[tuple[np.n
 
 
 def lifted_in_scene(trial: Trial, clicks: Clicks) -> Float64[np.ndarray, "n 3"]:
-    """Clicks at the depth of the nearest surface, in their scenes; at their keypoint's depth where none is."""
+    """Clicks at their nearest surface, in their scenes; at their keypoint's depth where there is none."""
     rays = trial.rays
     measured_m = rays.depths_m[clicks, 0]
     depth_m = np.where(np.isfinite(measured_m), measured_m, trial.fit.in_camera[clicks, 2])
