@@ -42,6 +42,8 @@ def next_step(annotation: Annotation, live: Live, scenes: Sequence[str]) -> Advi
     """The first of: settle a contradiction, mark what is missing, check, sharpen, make the labels."""
     if not annotation.keypoints:
         return Advice("name the object's keypoints: corners, screws, spouts", action="add")
+    if live.check is not None:
+        return Advice("checking the clicks against one another ...")
     return (
         _contradiction(annotation, live)
         or _open_scene(annotation, live, scenes)

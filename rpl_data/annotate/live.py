@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float64
 
 from rpl_data.annotate.stores.scenes import SceneStore
+from rpl_data.annotate.work import Check, Solve
 from rpl_data.clicks.lift import lift
 from rpl_data.clicks.log import Annotation
 from rpl_data.clicks.rigidity import describe_loose, generic_points, loose_scenes
@@ -17,7 +18,6 @@ from rpl_data.geometry import transform
 from rpl_data.types import Click, DataError, Observation, Solution
 from rpl_data.wording import counted
 
-Solve = Callable[[Annotation, Sequence[Observation]], Solution]
 FEWEST = 3
 """Keypoints to click per scene; fewer cannot tie it to others."""
 
@@ -31,12 +31,18 @@ class Live:
         loose: what each scene lacks, by scene; scenes without clicks are left out.
         problem: why scenes that should be tied have no solution; empty when all is well.
         seconds: time that solving took.
+        check: completes the solution by the check of its clicks; None when nothing is left to check.
     """
 
     solution: Solution | None
     loose: Mapping[str, str] = field(default_factory=dict)
     problem: str = ""
     seconds: float = 0.0
+    check: Check | None = None
+
+    def checked(self) -> Live:
+        """The result with what its clicks say about one another."""
+        return self if self.check is None else replace(self, solution=self.check(), check=None)
 
     def lifted(self, observations: Sequence[Observation]) -> list[tuple[Click, Float64[np.ndarray, "3"]]]:
         """Clicks of scenes in which the object has no pose yet, in the scene frame, at the nearest depth."""
@@ -84,8 +90,8 @@ def solve_live(annotation: Annotation, observations: Sequence[Observation], solv
     while tied:
         chosen = [o for o in observations if o.click.scene in tied]
         try:
-            solution = solve(annotation, chosen)
-            return Live(solution, loose, problem, time.perf_counter() - started)
+            solution, check = solve(annotation, chosen)
+            return Live(solution, loose, problem, time.perf_counter() - started, check)
         except DataError as error:
             problem = problem or str(error).removeprefix(f"object {annotation.object}: ")
             worst = min(
@@ -109,8 +115,8 @@ def _solve_known(
             placed += mine
         except DataError as error:
             loose[scene] = str(error).removeprefix(f"object {annotation.object}, scene {scene}: ")
-    solution = solve(annotation, placed) if placed else None
-    return Live(solution, loose, "", time.perf_counter() - started)
+    solution, check = solve(annotation, placed) if placed else (None, None)
+    return Live(solution, loose, "", time.perf_counter() - started, check)
 
 
 def tied_scenes(

@@ -89,6 +89,7 @@ def result_payload(result: Result, scenes: Sequence[str]) -> Json:
         "revision": revision.number,
         "problem": live.problem,
         "seconds": round(live.seconds, 4),
+        "checking": live.check is not None,
         "loose": dict(live.loose),
         "warnings": [] if solution is None else list(solution.warnings),
         "statements": [] if solution is None else [_statement(s) for s in solution.statements],
@@ -158,6 +159,8 @@ def _scenes(revision: Revision, live: Live) -> dict[str, Json]:
             if bad
             else "doubt"
             if doubt
+            else "checking"
+            if placed and live.check is not None
             else "tied"
             if placed
             else "few"

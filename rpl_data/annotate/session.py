@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64
@@ -90,8 +90,12 @@ class Session:
         self.news.tell("object", name, revision.number)
         return revision
 
-    def result(self, name: str) -> Result:
-        """The result of the current clicks; solved once per revision."""
+    def result(self, name: str, *, checked: bool = True) -> Result:
+        """The result of the current clicks; solved and checked once per revision.
+
+        Args:
+            checked: whether to wait for the check of the clicks against one another.
+        """
         log = self.log(name)
         with self._solving:
             revision = log.now()
@@ -102,6 +106,8 @@ class Session:
                 kept = self._results[name] = Result(
                     revision, live, tuple(live.lifted(observations)), *self._grasp(revision.annotation, live)
                 )
+            if checked and kept.live.check is not None:
+                kept = self._results[name] = replace(kept, live=kept.live.checked())
         return kept
 
     def _grasp(self, annotation: Annotation, live: Live) -> tuple[Transform | None, str]:

@@ -16,12 +16,18 @@ Tell = Callable[[str, int, int], None]
 """``tell(what, done, total)`` reports the progress of a job; it may raise to stop it."""
 
 
+Check = Callable[[], Solution]
+Solve = Callable[[Annotation, Sequence[Observation]], tuple[Solution, Check | None]]
+
+
 @dataclass(frozen=True)
 class Work:
     """Functions of the other stages.
 
     Attributes:
         solve: solves the sparse model and scene transforms from clicks; DataError when they do not tie.
+            Also gives a function that completes the solution by the check of its clicks; None when nothing
+            is left to check.
         register: `scene_from_object` of one scene from clicks on a known model, and their residuals.
         objects: returns the names of the workspace's objects, in order.
         add_object: (name, keypoint names) adds an object to the workspace.
@@ -30,7 +36,7 @@ class Work:
         fresh: whether each stage is up to date; stages that wait for others are absent.
     """
 
-    solve: Callable[[Annotation, Sequence[Observation]], Solution]
+    solve: Solve
     register: Callable[[KeypointModel, Sequence[Observation]], tuple[Transform, tuple[ClickResidual, ...]]]
     objects: Callable[[], list[str]]
     add_object: Callable[[str, Sequence[str]], None]

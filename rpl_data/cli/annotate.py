@@ -18,7 +18,7 @@ from rpl_data.pipeline.build import Progress, build, context_of, recipe_of, save
 from rpl_data.pipeline.context import Context
 from rpl_data.pipeline.grasp import object_from_grasp
 from rpl_data.pipeline.recipe import ObjectRecipe
-from rpl_data.pipeline.stages.solve import solve_annotation
+from rpl_data.pipeline.stages.solve import solve_annotation_unchecked
 from rpl_data.solve.solve import register
 from rpl_data.types import DataError
 from rpl_data.workspace.workspace import Workspace
@@ -39,7 +39,7 @@ def work_of(workspace: Workspace) -> Work:
     """The stages, for the page of a workspace."""
     _context(workspace)  # says what is wrong before the page opens
     return Work(
-        solve=lambda annotation, observations: solve_annotation(
+        solve=lambda annotation, observations: solve_annotation_unchecked(
             _context(workspace), annotation, observations
         ),
         register=register,

@@ -167,7 +167,7 @@ def costs_without(fit: Fit, groups: Sequence[Int64[np.ndarray, " _"]]) -> Float6
     sizes = np.array([len(group) for group in groups])
     for size in np.unique(sizes):  # groups of one size at once
         chosen = np.flatnonzero(sizes == size)
-        clicks = np.stack([groups[n] for n in chosen])
+        clicks = np.stack([groups[n] for n in chosen.tolist()])
         rows, columns = fit.rows[clicks], fit.columns[clicks]
         between = covariance[columns[:, :, None, :, None], columns[:, None, :, None, :]]
         shared = rows[:, :, None] @ between @ rows[:, None].swapaxes(3, 4)

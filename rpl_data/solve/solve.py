@@ -15,7 +15,9 @@ Eq. 2 asks for the keypoints Q and one rigid transform per scene that explain al
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -26,7 +28,7 @@ from rpl_data.clicks.rigidity import generic_points
 from rpl_data.geometry import invert, rigid, transform
 from rpl_data.solve.bundle_adjustment import State
 from rpl_data.solve.click_rays import Noise, Rays, rays_of
-from rpl_data.solve.diagnosis import Diagnosis, Placed, diagnose
+from rpl_data.solve.diagnosis import Placed, diagnose
 from rpl_data.solve.hypotheses import hypotheses_of_scene
 from rpl_data.solve.initial_guess import Hypotheses, Start, join_clean, join_scenes
 from rpl_data.solve.near_ties import describe_near_ties, widened_for_near_ties
@@ -45,9 +47,23 @@ from rpl_data.solve.search import Alternative, search
 from rpl_data.solve.slsqp import adjust_points_slsqp, at_clicked_pixel, measured_fragments
 from rpl_data.types import KeypointModel, Observation, Solution
 
-__all__ = ["Method", "register", "register_scene", "solve", "solve_points"]
+__all__ = ["Method", "Unchecked", "register", "register_scene", "solve", "solve_points", "solve_unchecked"]
 
 Method = Literal["robust", "slsqp"]
+
+
+class Unchecked(NamedTuple):
+    """A solution whose clicks may not have been checked against one another yet.
+
+    Attributes:
+        solution: without statements and next clicks while `check` is not None.
+        check: gives the solution with both; None when there is nothing left to check.
+    """
+
+    solution: Solution
+    check: Callable[[], Solution] | None
+
+
 STARTS = 2
 """How many scenes the joining begins with in turn, best connected first."""
 
@@ -74,6 +90,27 @@ def solve(
     Raises:
         DataError: the clicks do not tie the scenes together; the message names scenes and keypoints.
     """
+    solution, check = solve_unchecked(
+        object_name,
+        keypoints,
+        observations,
+        method=method,
+        skeleton=skeleton,
+        trajectory_sigma_m=trajectory_sigma_m,
+    )
+    return solution if check is None else check()
+
+
+def solve_unchecked(
+    object_name: str,
+    keypoints: Sequence[str],
+    observations: Sequence[Observation],
+    *,
+    method: Method = "robust",
+    skeleton: Sequence[tuple[int, int]] = (),
+    trajectory_sigma_m: Mapping[str, float] | None = None,
+) -> Unchecked:
+    """As `solve`, for a person who waits: the check of the clicks is left for later."""
     scenes = sorted({o.click.scene for o in observations})
     refuse_bad(object_name, observations)
     if method == "slsqp":
@@ -81,7 +118,11 @@ def solve(
         answer = _papers_answer(object_name, keypoints, observations, scenes)
     else:
         answer = _robust_answer(object_name, keypoints, observations, scenes)
-    return _solution(object_name, keypoints, skeleton, observations, answer, trajectory_sigma_m or {})
+    solution, placed = _solution(
+        object_name, keypoints, skeleton, observations, answer, trajectory_sigma_m or {}
+    )
+    check = partial(_checked, solution, observations, placed) if answer.diagnosed else None
+    return Unchecked(solution, check)
 
 
 def solve_points(fragments: Fragments, *, method: Method = "robust", loss: Loss = "robust") -> Adjusted:
@@ -203,7 +244,7 @@ def _solution(
     observations: Sequence[Observation],
     answer: _Answer,
     trajectory_sigma_m: Mapping[str, float],
-) -> Solution:
+) -> tuple[Solution, Placed]:
     """Moved to the object frame: the first scene's axes, at the centroid of the keypoints."""
     state, known = answer.state, answer.known
     in_first = transform(state.scene_from_model[0], state.points_model)
@@ -220,17 +261,14 @@ def _solution(
     }
     ties = describe_near_ties(answer.alternatives, state, answer.scenes, known)
     placed = Placed(answer.scenes, answer.rays, state, answer.noise, joint, in_scene, known, ties)
-    diagnosis = diagnose(observations, keypoints, placed) if answer.diagnosed else Diagnosis((), ())
-    return Solution(
+    solution = Solution(
         model=KeypointModel(object_name, tuple(keypoints), points, tuple(skeleton)),
         covariance=turn.T @ shape_covariance(joint, state, known) @ turn,
         scene_from_object={
             name: scene_from_model @ model_from_object
             for name, scene_from_model in zip(answer.scenes, state.scene_from_model, strict=True)
         },
-        residuals=click_residuals(
-            observations, click_fit(answer.rays, state, answer.noise), diagnosis.statements
-        ),
+        residuals=click_residuals(observations, click_fit(answer.rays, state, answer.noise)),
         warnings=describe_keypoints(keypoints, observations, known),
         covariance_in_scene={
             name: covariance + trajectory_sigma_m.get(name, 0.0) ** 2 * np.eye(3)
@@ -239,6 +277,17 @@ def _solution(
         trajectory_sigma_m={name: trajectory_sigma_m.get(name, 0.0) for name in answer.scenes},
         click_sigma_px=answer.noise.click_px,
         depth_sigma_ratio=answer.noise.depth_ratio,
+    )
+    return solution, placed
+
+
+def _checked(solution: Solution, observations: Sequence[Observation], placed: Placed) -> Solution:
+    """The solution, with what its clicks say about one another and which further clicks would help."""
+    diagnosis = diagnose(observations, solution.model.keypoints, placed)
+    fit = click_fit(placed.rays, placed.state, placed.noise)
+    return replace(
+        solution,
+        residuals=click_residuals(observations, fit, diagnosis.statements),
         statements=diagnosis.statements,
         next_clicks=diagnosis.next_clicks,
     )

@@ -152,6 +152,22 @@ def test_a_bad_click_is_named_and_is_the_next_step(client: TestClient) -> None:
     assert bad[0]["reason"] in result["next"]["text"] and result["next"]["frame"] == wrong["frame"]
 
 
+def test_the_solution_comes_before_the_check_of_its_clicks(client: TestClient) -> None:
+    click = next(c for c in client.get(OBJECT).json()["clicks"])
+    moved = {**click, "op": "move", "u_px": click["u_px"] + 60, "id": "a"}
+    client.post(OBJECT, json={"seen": client.get(OBJECT).json()["revision"], "actions": [moved]})
+    first = client.get(OBJECT + "/result?checked=false").json()
+    assert first["checking"]
+    assert first["statements"] == []
+    assert first["next"]["text"].startswith("checking")
+    assert first["next"]["action"] is None
+    assert {scene["state"] for scene in first["scenes"].values()} == {"checking"}
+    then = client.get(OBJECT + "/result").json()
+    assert not then["checking"]
+    assert then["statements"]
+    assert then["points_m"] == first["points_m"]
+
+
 def test_a_loose_scene_does_not_hold_the_others_back(client: TestClient) -> None:
     state = client.get(OBJECT).json()
     for mark in state["clicks"]:

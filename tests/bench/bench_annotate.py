@@ -145,7 +145,8 @@ def settled(page: Page) -> None:
     """Wait until there is a result of what was done last."""
     asked = """async () => {
         const { app } = await import("/static/state/store.js");
-        return Boolean(app.result) && !app.waiting && app.result.revision === app.state?.revision;
+        return Boolean(app.result) && !app.result.checking && !app.waiting
+            && app.result.revision === app.state?.revision;
     }"""
     while not page.evaluate(asked):
         page.wait_for_timeout(20)
@@ -187,7 +188,7 @@ def from_nothing_ms(workspace: Workspace) -> float:
     work, annotation = work_of(workspace), workspace.load_annotation("carton")
     started = time.perf_counter()
     observations = Lifter(SceneStore(workspace)).observations(annotation.clicks)
-    solve_live(annotation, observations, work.solve)
+    solve_live(annotation, observations, work.solve).checked()
     return 1e3 * (time.perf_counter() - started)
 
 

@@ -16,7 +16,7 @@ MOST_ACTIONS = 60
 STATE = """async () => {
     const { app, frame } = await import("/static/state/store.js");
     return { next: app.next, scene: app.scene, frame: frame(), keypoint: app.keypoint, waiting: app.waiting,
-        stale: app.result?.revision !== app.state?.revision };
+        stale: app.result?.revision !== app.state?.revision || app.result.checking };
 }"""
 
 Truth = dict[tuple[str, int], InstanceLabel]

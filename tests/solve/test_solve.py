@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 from clicked_scenes import CUBE, NAMES, cameras, click_scene, pose
+from scipy.spatial.transform import Rotation
 
 from rpl_data.geometry import fit_rigid, invert, rotation_angle_rad, transform
-from rpl_data.solve.procrustes import Fragments, eq2_cost
+from rpl_data.solve.procrustes import Fragments, adjust_points, best_of_starts, eq2_cost
 from rpl_data.solve.solve import register, solve, solve_points
 from rpl_data.types import Click, DataError, KeypointModel, Observation
 
@@ -296,3 +297,13 @@ def test_register_does_not_use_clicks_on_keypoints_the_model_lacks():
         "the model has no position of keypoint g", "the model has no position of keypoint h"
     }  # fmt: skip
     assert not any(r.outlier for r in residuals)
+
+
+def test_many_starts_at_once_end_where_the_best_of_each_alone_does():
+    _, w = fragments(4, 6, 3, wrong=0.05)
+    turns = Rotation.random(20, rng=np.random.default_rng(0)).as_matrix().reshape(5, 4, 3, 3)
+    starts = np.tile(np.eye(4), (5, 4, 1, 1))
+    starts[..., :3, :3] = turns
+    alone = [adjust_points(w, start, loss="l2") for start in starts]
+    best = min(alone, key=lambda adjusted: eq2_cost(w, adjusted))
+    np.testing.assert_allclose(best_of_starts(w, starts), best.scene_from_model, atol=1e-9)

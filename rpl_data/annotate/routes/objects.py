@@ -44,8 +44,8 @@ def add_objects(app: FastAPI, session: Session) -> None:
         return object_payload(session.act(name, done.actions, seen=done.seen))
 
     @app.get("/api/objects/{name}/result")
-    def result(name: str) -> Json:
-        return result_payload(session.result(name), session.scenes.names())
+    def result(name: str, checked: bool = True) -> Json:
+        return result_payload(session.result(name, checked=checked), session.scenes.names())
 
     @app.get("/api/objects/{name}/suggestions/{scene}")
     def suggestions(name: str, scene: str) -> list[Json]:

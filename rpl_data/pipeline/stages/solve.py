@@ -18,7 +18,7 @@ from rpl_data.pipeline.placements import standing, with_placements
 from rpl_data.pipeline.recipe import ObjectRecipe
 from rpl_data.solve.register import register_scene
 from rpl_data.solve.residuals import click_spreads_m
-from rpl_data.solve.solve import solve
+from rpl_data.solve.solve import Unchecked, solve_unchecked
 from rpl_data.types import (
     Click,
     KeypointModel,
@@ -110,13 +110,22 @@ def solve_annotation(
     Raises:
         DataError: the clicks do not tie the scenes, or do not place the known model.
     """
+    solution, check = solve_annotation_unchecked(context, annotation, observations)
+    return solution if check is None else check()
+
+
+def solve_annotation_unchecked(
+    context: Context, annotation: Annotation, observations: Sequence[Observation]
+) -> Unchecked:
+    """As `solve_annotation`, for a person who waits: the check of the clicks is left for later."""
     item = next(item for item in context.objects if item.name == annotation.object)
     names = annotation.keypoints or item.keypoint_names
     skeleton = _by_name(item, names)
     if annotation.known_points is not None:
         strayed_m = trajectory_sigmas_m(context.workspace, {o.click.scene for o in observations})
-        return place_known(annotation, observations, skeleton, trajectory_sigma_m=strayed_m)
-    return solve(
+        known = place_known(annotation, observations, skeleton, trajectory_sigma_m=strayed_m)
+        return Unchecked(known, None)
+    return solve_unchecked(
         item.name,
         names,
         observations,

@@ -36,6 +36,7 @@ const beginning = () => [
 
 // What is said of clicks; a line leads to the first of them.
 function statements(result) {
+  if (result.checking) return [element("p", { id: "checking", className: "note quiet", textContent: "Checking the clicks …" })];
   const said = result.statements.filter((statement) => !MISSING.includes(statement.kind));
   if (!said.length) return [];
   const wrong = said.some((statement) => statement.blames);

@@ -7,7 +7,8 @@ import { element, refill } from "./dom.js";
 
 const list = document.getElementById("scenes");
 const WORDS = {
-  tied: ["good", "placed"], bad: ["bad", "wrong click"], doubt: ["warn", "doubtful"], loose: ["warn", "not placed"], few: ["warn", "too few"],
+  checking: ["quiet", "checking …"], tied: ["good", "placed"], bad: ["bad", "wrong click"],
+  doubt: ["warn", "doubtful"], loose: ["warn", "not placed"], few: ["warn", "too few"],
 };
 
 export function setUp() {

@@ -137,13 +137,21 @@ async function solve() {
   try {
     do {
       asked = question();
-      const object = app.state.object, result = await get(`${objectPath(object)}/result`);
-      if (object === app.state.object) change({ result, next: result.next });
+      await askFor(app.state.object, asked);
     } while (asked !== question());
   } catch (error) {
     if (error.status) alertOnce(error.message); else change({ offline: true });
   } finally {
     solving = false;
+  }
+}
+
+// The solution first; then, when nothing was done since, what its clicks say about one another.
+async function askFor(object, asked) {
+  for (const query of ["?checked=false", ""]) {
+    const result = await get(`${objectPath(object)}/result${query}`);
+    if (object === app.state.object) change({ result, next: result.next });
+    if (!result.checking || asked !== question()) return;
   }
 }
 
