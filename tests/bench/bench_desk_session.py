@@ -41,7 +41,7 @@ SECONDS = {"click": 1.35 + 1.1 + 0.2, "double click": 1.35 + 1.1 + 0.4, "key": 1
 """Think, point, press; a command line is some 50 keys. Dragging a polygon counts as two clicks."""
 STATE = """async () => {
     const { app, frame } = await import("/static/state/store.js");
-    const settled = !app.waiting && app.result?.revision === app.state?.revision;
+    const settled = !app.waiting && !app.result?.checking && app.result?.revision === app.state?.revision;
     const { scene, keypoint, next, fresh } = app;
     return { settled, scene, frame: frame(), keypoint, next, fresh };
 }"""
