@@ -66,6 +66,16 @@ def transform(
     return moved
 
 
+def transform_all(
+    a_from_b: Float64[np.ndarray, "h 4 4"], points_b: Float64[np.ndarray, "n 3"]
+) -> Float64[np.ndarray, "h n 3"]:
+    """Move all points by every transform of a stack."""
+    moved: Float64[np.ndarray, "h n 3"] = (
+        np.einsum("hij,nj->hni", a_from_b[:, :3, :3], points_b) + a_from_b[:, None, :3, 3]
+    )
+    return moved
+
+
 def from_rotvec(rotvec_rad: Float64[np.ndarray, "3"], translation_m: Float64[np.ndarray, "3"]) -> Transform:
     """Transform from an axis-angle rotation and a translation."""
     return rigid(Rotation.from_rotvec(rotvec_rad).as_matrix(), translation_m)

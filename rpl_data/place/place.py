@@ -6,9 +6,8 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float64
 
-from rpl_data.geometry import Points, Transform, transform
+from rpl_data.geometry import Points, Transform, transform, transform_all
 from rpl_data.meshes import joined
 from rpl_data.place.shape import Field, poses_by_shape
 from rpl_data.place.things import things_on_support, windows
@@ -134,14 +133,6 @@ def apart_m(model: PointCloud, one: Transform, other: Transform) -> float:
     """How far two poses put the model's surface apart, root mean square."""
     points = _some(model, 100)
     return float(np.sqrt(((transform(one, points) - transform(other, points)) ** 2).sum(axis=1).mean()))
-
-
-def transform_all(poses: Float64[np.ndarray, "h 4 4"], points: Points) -> Float64[np.ndarray, "h n 3"]:
-    """Points moved by every pose."""
-    moved: Float64[np.ndarray, "h n 3"] = (
-        np.einsum("hij,nj->hni", poses[:, :3, :3], points) + poses[:, None, :3, 3]
-    )
-    return moved
 
 
 def _some(cloud: PointCloud, count: int) -> Points:

@@ -15,6 +15,7 @@ from jaxtyping import Float64, Int64
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+from rpl_data.geometry import invert, transform_all
 from rpl_data.meshes import thinned
 from rpl_data.segment.region_growing import Plane
 from rpl_data.types import PointCloud
@@ -87,7 +88,7 @@ def poses_by_shape(field: Field, thing: PointCloud, support: Plane, *, seed: int
     generator = np.random.default_rng(seed)
     chosen = generator.permutation(len(thing.points))[:ASKED]
     points, normals = thing.points[chosen], thing.normals[chosen]
-    object_from_scene = _inverse(_standing(field.cloud.points, thing.points, support))
+    object_from_scene = invert(_standing(field.cloud.points, thing.points, support))
     for step in range(FIRST_STEPS):
         object_from_scene = _drawn(field, object_from_scene, points, normals, 0.02 - 0.003 * step)
     cost = _disagreement(field, object_from_scene, points, normals, FAR_M * 2)
@@ -96,7 +97,7 @@ def poses_by_shape(field: Field, thing: PointCloud, support: Plane, *, seed: int
         object_from_scene = _drawn(field, object_from_scene, points, normals, 0.006)
     cost = _disagreement(field, object_from_scene, points, normals, FAR_M)
     order = np.argsort(cost)
-    return Proposals(_inverse(object_from_scene[order]), cost[order])
+    return Proposals(invert(object_from_scene[order]), cost[order])
 
 
 def orientations(count: int) -> Float64[np.ndarray, "h 3 3"]:
@@ -133,7 +134,7 @@ def _compared(
     normals: Float64[np.ndarray, "p 3"],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Points in the object frame, the model's normals there, distances, and whether the normals agree."""
-    there = np.einsum("hij,pj->hpi", poses[:, :3, :3], points) + poses[:, None, :3, 3]
+    there = transform_all(poses, points)
     nearest = field.at(there)
     slope = field.cloud.normals[nearest]
     offset = there - field.cloud.points[nearest]
@@ -181,10 +182,3 @@ def _disagreement(
     each = np.where(same_way, np.minimum(squared, 1), 1)
     mean: Float64[np.ndarray, " h"] = each.mean(axis=1)
     return mean
-
-
-def _inverse(poses: Poses) -> Poses:
-    inverse = np.tile(np.eye(4), (len(poses), 1, 1))
-    inverse[:, :3, :3] = np.swapaxes(poses[:, :3, :3], 1, 2)
-    inverse[:, :3, 3] = -np.einsum("hji,hj->hi", poses[:, :3, :3], poses[:, :3, 3])
-    return inverse

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int64
+from jaxtyping import Bool, Int64
 from scipy.spatial import cKDTree
 
 from rpl_data.geometry import Points
 from rpl_data.meshes import select
-from rpl_data.segment.region_growing import Plane, components
+from rpl_data.segment.region_growing import Plane, components, least_squares_plane, on_plane
 from rpl_data.types import PointCloud
 
 ON_PLANE_M = 0.006
@@ -77,22 +77,15 @@ def _largest_plane(surface: PointCloud, cameras: Points, generator: np.random.Ge
     best, most = None, 0
     for n in generator.integers(0, len(points), PLANES_TRIED):
         plane = Plane(normals[n], float(normals[n] @ points[n]))
-        on = _on(plane, surface)
-        if (count := int(on.sum())) > most and (plane.height_m(cameras) > 0).all():
-            best, most = on, count
+        count = int(_on(plane, surface).sum())
+        if count > most and (plane.height_m(cameras) > 0).all():
+            best, most = plane, count
     if best is None:
         return None
     for _ in range(3):
-        centre = points[best].mean(axis=0)
-        normal: Float64[np.ndarray, "3"] = np.linalg.svd(points[best] - centre, full_matrices=False)[2][2]
-        normal = normal * np.sign((cameras.mean(axis=0) - centre) @ normal)
-        plane = Plane(normal, float(normal @ centre))
-        best = _on(plane, surface)
-    return plane
+        best = least_squares_plane(best, points[_on(best, surface)])
+    return best
 
 
 def _on(plane: Plane, surface: PointCloud) -> Bool[np.ndarray, " n"]:
-    on: Bool[np.ndarray, " n"] = (np.abs(plane.height_m(surface.points)) < ON_PLANE_M) & (
-        surface.normals @ plane.normal > 0.9
-    )
-    return on
+    return on_plane(plane, surface, ON_PLANE_M, least_cosine=0.9)

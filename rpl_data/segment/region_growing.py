@@ -91,11 +91,11 @@ def planes_below(
         best = _best_plane(rest, keypoints, tolerance_m, keypoint_tolerance_m, hypotheses, generator)
         if best is None:
             break
-        on = _on_plane(best, rest, tolerance_m)
+        on = on_plane(best, rest, tolerance_m)
         if on.sum() < least:
             break
         if np.median(np.linalg.norm(rest.points[on] - centre, axis=1)) > reach_m:
-            planes.append(_least_squares_plane(best, rest.points[on]))
+            planes.append(least_squares_plane(best, rest.points[on]))
         rest = select(rest, ~on)
     return planes
 
@@ -120,20 +120,23 @@ def _best_plane(
     best, best_count = None, 0
     for normal, offset in zip((normals * sign[:, None])[possible], (offsets * sign)[possible], strict=True):
         plane = Plane(normal, float(offset))
-        count = int(_on_plane(plane, cloud, tolerance_m).sum())
+        count = int(on_plane(plane, cloud, tolerance_m).sum())
         if count > best_count:
             best, best_count = plane, count
     return best
 
 
-def _on_plane(plane: Plane, cloud: PointCloud, tolerance_m: float) -> Bool[np.ndarray, " n"]:
+def on_plane(
+    plane: Plane, cloud: PointCloud, tolerance_m: float, *, least_cosine: float = 0.8
+) -> Bool[np.ndarray, " n"]:
+    """Which points lie on the plane and face the same way."""
     on: Bool[np.ndarray, " n"] = (np.abs(plane.height_m(cloud.points)) < tolerance_m) & (
-        cloud.normals @ plane.normal > 0.8
+        cloud.normals @ plane.normal > least_cosine
     )
     return on
 
 
-def _least_squares_plane(plane: Plane, points: Points) -> Plane:
+def least_squares_plane(plane: Plane, points: Points) -> Plane:
     """Fit a plane to the points, with its normal on the same side as that of `plane`."""
     centre = points.mean(axis=0)
     normal = np.linalg.svd(points - centre, full_matrices=False)[2][2]

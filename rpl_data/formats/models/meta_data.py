@@ -81,6 +81,7 @@ def _load(path: Path) -> dict[str, np.ndarray]:
     try:
         with zipfile.ZipFile(path) as archive, decoding(path, WRITE_AGAIN):
             return {Path(name).stem: _array(archive, path, name) for name in archive.namelist()}
+    # zipfile raises the last two for a packing that it does not know and for a password.
     except (OSError, zipfile.BadZipFile, NotImplementedError, RuntimeError) as error:
         raise DataError(f"{path} is not an npz archive of numbers: {error}; {WRITE_AGAIN}") from error
 
