@@ -10,6 +10,7 @@ import numpy as np
 
 from rpl_data.annotate.live import FEWEST, Live
 from rpl_data.clicks.log import Annotation
+from rpl_data.types import Statement
 from rpl_data.wording import counted
 
 ENOUGH = FEWEST + 1
@@ -48,12 +49,20 @@ def next_step(annotation: Annotation, live: Live, scenes: Sequence[str]) -> Advi
         _contradiction(annotation, live)
         or _open_scene(annotation, live, scenes)
         or _unchecked(annotation, live)
+        or _weak_scene(annotation, live)
         or _most_helpful(annotation, live)
         or _unsure(annotation, live)
-        or Advice(
-            f"every scene is placed and {_checked(live)}: make the dense model and the labels", action="label"
-        )
+        or Advice(f"{_settled(live)}: make the dense model and the labels", action="label")
     )
+
+
+def _settled(live: Live) -> str:
+    """What can be said of the scenes and keypoints when nothing is left to do."""
+    if live.solution is not None and not live.solution.checked:
+        return "every scene is placed; nothing checks the clicks against one another with this way to solve"
+    weak = sorted({s.clicks[0].scene for s in _weak(live)})
+    unsure = f", but scene {', '.join(weak)} not surely," if weak else ""
+    return f"every scene is placed{unsure} and {_checked(live)}"
 
 
 def _checked(live: Live) -> str:
@@ -98,6 +107,21 @@ def _unchecked(annotation: Annotation, live: Live) -> Advice | None:
     return None
 
 
+def _weak(live: Live) -> list[Statement]:
+    return [s for s in (live.solution.statements if live.solution else ()) if s.kind == "weak scene"]
+
+
+def _weak_scene(annotation: Annotation, live: Live) -> Advice | None:
+    """A scene that its clicks place badly wants one more of the keypoints that are open there."""
+    for statement in _weak(live):
+        scene = statement.clicks[0].scene
+        marked = {click.keypoint for click in annotation.clicks if click.scene == scene}
+        for keypoint in range(len(annotation.keypoints)):
+            if keypoint not in marked and (keypoint, scene) not in annotation.skipped:
+                return Advice(statement.text, scene, None, keypoint)
+    return None
+
+
 def _another_scene(annotation: Annotation, live: Live, keypoint: int) -> str | None:
     """A placed scene in which the keypoint is neither marked nor skipped."""
     marked = {click.scene for click in annotation.clicks if click.keypoint == keypoint}
@@ -115,6 +139,8 @@ def _open_scene(annotation: Annotation, live: Live, scenes: Sequence[str]) -> Ad
     known = {k for k, p in enumerate(annotation.known_points or ()) if p is not None}
     for scene in scenes:
         here = [k for k, seen in seen_in.items() if scene in seen]
+        if not here and live.solution is not None and scene in live.solution.scene_from_object:
+            continue  # `rpl register --auto` placed it without clicks
         open_ = [k for k in seen_in if k not in here and (k, scene) not in annotation.skipped]
         if known:
             wanted = [k for k in open_ if k in known] if len(here) < ENOUGH else []

@@ -87,6 +87,8 @@ def moved_by_edges_px(
     Returns:
         The root mean square over the keypoints.
     """
+    if len(outline.uv_px) < FEWEST_EDGES:  # hidden, or nearly so
+        return None
     found = []
     if depth_m is not None:
         edges = depth_edges(outline, depth_m, tolerances)

@@ -7,11 +7,18 @@ from collections.abc import Sequence
 import numpy as np
 
 from rpl_data.images import read_color
-from rpl_data.pipeline.context import Context, posed_frames
+from rpl_data.pipeline.context import Context, path_key, posed_frames
 from rpl_data.pipeline.ledger import Advance, Step
 from rpl_data.pipeline.lifted_clicks import observe
 from rpl_data.pipeline.recipe import ObjectRecipe
-from rpl_data.pipeline.register import Found, adding_step, dense_model, expected_error, object_named
+from rpl_data.pipeline.register import (
+    Found,
+    adding_step,
+    dense_model,
+    expected_error,
+    object_named,
+    refuse_changed,
+)
 from rpl_data.pipeline.stages.solve import trajectory_sigmas_m
 from rpl_data.place.decide import Decision, click_to_ask, decide, off_px
 from rpl_data.place.looked_at import LookedAt, looked_at
@@ -31,7 +38,7 @@ def find_step(context: Context, object_name: str, scene: str, advance: Advance) 
         DataError: the object is not known, or has no dense model yet.
     """
     item, workspace = object_named(context, object_name), context.workspace
-    workspace.load_scene(scene)  # says which scenes there are
+    refuse_changed(context, item, scene)
     solution = workspace.load_placed(object_name)
     model = dense_model(context, item, solution)
     if model is None or model.colors is None:
@@ -39,7 +46,7 @@ def find_step(context: Context, object_name: str, scene: str, advance: Advance) 
             f"object {object_name} has no coloured dense model of its present solution, by which it could be "
             f"found; run `rpl build` on {workspace.root} first"
         )
-    clicks = _clicks(context, item, scene)
+    clicks = [o for o in _clicks(context, item, scene) if solution.model.known[o.click.keypoint]]
     there = _looked_at(context, scene, advance)
     candidates = candidates_in(
         model,
@@ -116,7 +123,14 @@ def _placed(
     )
     checked = f"colours and free space: {words}"
     placement = Placement(
-        pose, points, covariance + strayed_m**2 * np.eye(3), residuals, "automatic", checked
+        pose,
+        points,
+        covariance + strayed_m**2 * np.eye(3),
+        residuals,
+        "automatic",
+        checked,
+        path_key(context.workspace.load_trajectory(context.workspace.load_scene(scene))),
+        strayed_m,
     )
     line = (
         f"{item.name} was placed automatically in scene {scene}, checked by {checked}; its keypoints should "

@@ -210,14 +210,14 @@ def run_step(
     title: tuple[str, str],
     tell: Tell = lambda progress: None,
 ) -> Entry:
-    """Bring recordings and clicks up to date, then make one step and run it regardless of the ledger.
+    """Bring recordings, clicks and drift up to date, then make one step and run it regardless of the ledger.
 
     Args:
         make: does the work that comes before the step, reporting its progress, and returns the step.
         title: how progress names that work, as stage and item.
     """
     with alone_in(workspace):
-        ledger = _build(recipe, workspace, "track", (), None, tell)
+        ledger = _build(recipe, workspace, "cut", (), None, tell)
 
         def advance(done: int, total: int) -> None:
             tell(Progress(*title, "runs", done, total))

@@ -166,6 +166,12 @@ def known_points(annotation: Annotation) -> Float64[np.ndarray, "k 3"]:
     return points
 
 
+def path_key(trajectory: Trajectory) -> str:
+    """Stands for the camera poses of a scene, to a micrometre."""
+    content = trajectory.frames.tobytes() + np.round(1e6 * trajectory.scene_from_camera).tobytes()
+    return hashlib.sha256(content).hexdigest()[:16]
+
+
 def model_key(model: KeypointModel) -> str:
     """Stands for the keypoints of a model, and the frame they are in, to a micrometre."""
     return hashlib.sha256(np.round(1e6 * model.points_object).tobytes()).hexdigest()[:16]

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Float64
 
 from rpl_data.geometry import Transform, fit_rigid
-from rpl_data.types import KeypointModel, Placement, Solution
+from rpl_data.pipeline.context import path_key
+from rpl_data.types import Click, KeypointModel, Observation, Placement, Solution
 from rpl_data.workspace.workspace import Workspace
 
 SAME_MODEL_M = 0.01
@@ -16,15 +18,63 @@ SAME_MODEL_M = 0.01
 
 
 def standing(workspace: Workspace, object_name: str) -> dict[str, Placement]:
-    """The placements that hold: their scenes are there and have the clicks that they were placed with."""
-    scenes = set(workspace.scene_names())
-    clicks = workspace.load_annotation(object_name).clicks
+    """The placements that hold: with the camera poses and the clicks that they were made with."""
+    kept, scenes = workspace.load_placements(object_name), set(workspace.scene_names())
+    clicks = workspace.load_annotation(object_name).clicks if kept else ()
     return {
-        scene: one
-        for scene, one in workspace.load_placements(object_name).items()
-        if scene in scenes
-        and {r.click for r in one.residuals} == {click for click in clicks if click.scene == scene}
+        scene: one for scene, one in kept.items() if scene in scenes and _holds(workspace, scene, one, clicks)
     }
+
+
+def fallen(workspace: Workspace, object_name: str) -> list[str]:
+    """Scenes that were placed and are there, but not by their present clicks and camera poses."""
+    there = set(workspace.scene_names()) & workspace.load_placements(object_name).keys()
+    return sorted(there - standing(workspace, object_name).keys())
+
+
+FEWEST = 3
+"""Keypoints clicked in a scene that place it."""
+
+
+def solved_from(
+    workspace: Workspace, object_name: str, observations: Sequence[Observation]
+) -> list[Observation]:
+    """The clicks that the model is solved from: not those in placed scenes.
+
+    A scene whose placement has fallen counts like any other where its clicks can place it; else it waits.
+    """
+    left_out = set(standing(workspace, object_name))
+    for scene in fallen(workspace, object_name):
+        if len({o.click.keypoint for o in observations if o.click.scene == scene}) < FEWEST:
+            left_out.add(scene)
+    return [o for o in observations if o.click.scene not in left_out]
+
+
+def fallen_lines(workspace: Workspace, object_name: str) -> list[str]:
+    """One line per scene that is not placed any more, for the user."""
+    clicks = workspace.load_annotation(object_name).clicks
+    return [
+        f"scene {scene}: its clicks or camera poses are not those with which `rpl register` placed it, so it "
+        + (
+            "now counts like any other scene; register it again to place it by the model"
+            if len({click.keypoint for click in clicks if click.scene == scene}) >= FEWEST
+            else "is left out; register it again (`--auto true`)"
+        )
+        for scene in fallen(workspace, object_name)
+    ]
+
+
+def _holds(workspace: Workspace, scene: str, placement: Placement, clicks: Sequence[Click]) -> bool:
+    """Whether a scene's poses are the same, and its clicks: on known keypoints, in frames with a pose."""
+    trajectory = workspace.load_trajectory(workspace.load_scene(scene))
+    posed = set(trajectory.frames.tolist())
+    known = np.isfinite(placement.points_object).all(axis=1)
+    used = {
+        click
+        for click in clicks
+        if click.scene == scene and click.frame in posed and known[click.keypoint : click.keypoint + 1].all()
+    }
+    return path_key(trajectory) == placement.path_key and used == {r.click for r in placement.residuals}
 
 
 PLACED = {
@@ -44,7 +94,7 @@ def placement_lines(workspace: Workspace, *, scenes: Collection[str] | None = No
         f"{name} in scene {scene}: {PLACED[one.how]} {one.checked}"
         for name in workspace.object_names()
         for scene, one in sorted(standing(workspace, name).items())
-        if scenes is None or scene in scenes
+        if (scenes is None or scene in scenes) and scene in workspace.load_placed(name).scene_from_object
     ]
 
 
@@ -56,6 +106,8 @@ def without_scenes(solution: Solution, scenes: Collection[str]) -> Solution:
         covariance_in_scene={s: c for s, c in solution.covariance_in_scene.items() if s not in scenes},
         trajectory_sigma_m={s: m for s, m in solution.trajectory_sigma_m.items() if s not in scenes},
         residuals=tuple(r for r in solution.residuals if r.click.scene not in scenes),
+        statements=tuple(s for s in solution.statements if all(c.scene not in scenes for c in s.clicks)),
+        next_clicks=tuple(click for click in solution.next_clicks if click.scene not in scenes),
     )
 
 
@@ -65,26 +117,38 @@ def with_placements(solution: Solution, placements: Mapping[str, Placement]) -> 
     The model may have been solved again since, in another frame: a placement then follows its keypoints. It
     is left out, with a warning, where they have moved too far for that.
     """
-    poses, warnings = {}, list(solution.warnings)
-    for scene, one in placements.items():
-        pose = _followed(one, solution.model)
-        if pose is None:
-            warnings.append(
-                f"scene {scene} is not placed any more, as the model has changed: run `rpl register` again"
-            )
-        else:
-            poses[scene] = pose
-    kept = without_scenes(solution, poses)
+    poses = {scene: _followed(one, solution.model) for scene, one in placements.items()}
+    placed = {scene: pose for scene, pose in poses.items() if pose is not None}
+    lost = [_lost(scene) for scene in sorted(poses.keys() - placed.keys())]
+    kept, added = without_scenes(solution, placed), [placements[scene] for scene in placed]
+    told = {_lost(scene) for scene in placements}
     return replace(
         kept,
-        warnings=tuple(warnings),
-        scene_from_object={**kept.scene_from_object, **poses},
+        warnings=(*(line for line in solution.warnings if line not in told), *lost),
+        scene_from_object={**kept.scene_from_object, **placed},
         covariance_in_scene={
             **kept.covariance_in_scene,
-            **{scene: placements[scene].covariance_in_scene for scene in poses},
+            **{scene: _whole(placements[scene].covariance_in_scene, solution.model) for scene in placed},
         },
-        residuals=(*kept.residuals, *(r for scene in poses for r in placements[scene].residuals)),
+        trajectory_sigma_m={
+            **kept.trajectory_sigma_m,
+            **{scene: placements[scene].trajectory_sigma_m for scene in placed},
+        },
+        residuals=(*kept.residuals, *(r for one in added for r in one.residuals)),
+        statements=(*(s for one in added for s in one.statements), *kept.statements),
+        next_clicks=(*kept.next_clicks, *(click for one in added for click in one.next_clicks)),
     )
+
+
+def _lost(scene: str) -> str:
+    return f"scene {scene} is not placed any more, as the model has changed: run `rpl register` again"
+
+
+def _whole(covariance: Float64[np.ndarray, "k 3 3"], model: KeypointModel) -> Float64[np.ndarray, "k 3 3"]:
+    """The covariances, with the largest for keypoints that became known after the scene was placed."""
+    missing = model.known & ~np.isfinite(covariance).all(axis=(1, 2))
+    largest = covariance[np.nanargmax(np.trace(covariance, axis1=1, axis2=2))]
+    return np.where(missing[:, None, None], largest, covariance)
 
 
 def _followed(placement: Placement, model: KeypointModel) -> Transform | None:

@@ -23,6 +23,7 @@ METHODS: Mapping[str, Mapping[str, Mapping[str, Any]]] = {
         "refine": {"scenes": False},
         "segment": {"method": "smooth"},
         "label": {"method": "splat"},
+        "export": {"min_quality": 0.0},
     },
 }
 """What each method sets in the options of the stages."""

@@ -74,9 +74,9 @@ def parse_recipe(data: object, *, source: str) -> Recipe:
     """Make a recipe from parsed YAML; paths stay as they are written."""
     if not isinstance(data, dict):
         raise DataError(f"{source}: a recipe is a list of `key: value` lines; see datasets/recording.yaml")
-    data = fill_in(data, source=source)
     if isinstance(data.get("export"), list):
         data = {**data, "export": {"formats": data["export"]}}
+    data = fill_in(data, source=source)
     _refuse_unknown_keys(Recipe, data, source, "")
     recipe = _instantiate(data, source)
     _check(recipe, source)

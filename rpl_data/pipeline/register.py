@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from rpl_data.geometry import transform
 from rpl_data.images import read_color
 from rpl_data.meshes import load_cloud
-from rpl_data.pipeline.context import Context, crop_of, model_key, posed_frames
+from rpl_data.pipeline.context import Context, crop_of, model_key, path_key, posed_frames
 from rpl_data.pipeline.ledger import Advance, Ledger, Outcome, Step
 from rpl_data.pipeline.lifted_clicks import observe
 from rpl_data.pipeline.placements import with_placements
@@ -19,7 +20,8 @@ from rpl_data.pipeline.stages.surface import reporting, sphere_of
 from rpl_data.solve.expected import covariance_by_pose, expected_mm, expected_px
 from rpl_data.solve.joint import joint_clicks
 from rpl_data.solve.register import Registration, register_scene
-from rpl_data.types import DataError, NextClick, Observation, Placement, PointCloud, Solution, Statement
+from rpl_data.types import DataError, Observation, Placement, PointCloud, Solution
+from rpl_data.wording import counted
 
 FUSED_FRAMES = 60
 """Frames of a new scene that are fused to align an object, spread over it."""
@@ -35,13 +37,10 @@ class Found:
 
     Attributes:
         lines: for the user.
-        statements, next_clicks: of the clicks in the scene; see `Solution`.
     """
 
     placement: Placement
     lines: tuple[str, ...]
-    statements: tuple[Statement, ...] = ()
-    next_clicks: tuple[NextClick, ...] = ()
 
 
 def register_step(context: Context, object_name: str, scene: str, advance: Advance) -> Step:
@@ -57,9 +56,24 @@ def register_step(context: Context, object_name: str, scene: str, advance: Advan
         DataError: the object is not known, or its clicks do not place it.
     """
     item = object_named(context, object_name)
-    context.workspace.load_scene(scene)  # says which scenes there are
+    refuse_changed(context, item, scene)
     found = _by_clicks(context, item, scene, advance)
     return adding_step(context, item, scene, found)
+
+
+def refuse_changed(context: Context, item: ObjectRecipe, scene: str) -> None:
+    """DataError when there is no such scene, or the model is not that of the present clicks of the others."""
+    workspace = context.workspace
+    workspace.load_scene(scene)  # says which scenes there are
+    outside = {scene, *workspace.load_placements(item.name)}
+    solved = {r.click for r in workspace.load_solution(item.name).residuals if r.click.scene not in outside}
+    now = {o.click for o in observe(workspace, item.name) if o.click.scene not in outside}
+    if solved != now:
+        changed = ", ".join(sorted({click.scene for click in solved ^ now}))
+        raise DataError(
+            f"the clicks on {item.name} in scene {changed} have changed since its model was solved; run "
+            f"`rpl build` on {workspace.root}, then register it again"
+        )
 
 
 def object_named(context: Context, name: str) -> ObjectRecipe:
@@ -78,22 +92,15 @@ def adding_step(context: Context, item: ObjectRecipe, scene: str, found: Found) 
 
     def run(advance: Advance) -> Outcome:
         refined = workspace.load_placed(item.name) if workspace.refined_file(item.name).exists() else None
-        workspace.save_solution(_with(workspace.load_solution(item.name), scene, found))
+        added = {scene: found.placement}
+        workspace.save_solution(with_placements(workspace.load_solution(item.name), added))
         if refined is not None:  # which saving the solution removed
-            workspace.save_refined(_with(refined, scene, found))
-        return Outcome(messages=found.lines)
+            workspace.save_refined(with_placements(refined, added))
+        return Outcome(messages=found.lines, details=before.outcome.details if before else {})
 
-    return replace(solve_step(context, item), run=run)
-
-
-def _with(solution: Solution, scene: str, found: Found) -> Solution:
-    """A solution with the placed scene added."""
-    others = (s for s in solution.statements if all(click.scene != scene for click in s.clicks))
-    return replace(
-        with_placements(solution, {scene: found.placement}),
-        statements=(*found.statements, *others),
-        next_clicks=found.next_clicks,
-    )
+    step = solve_step(context, item)
+    before = Ledger(workspace.stages_file).entries.get(step.name)
+    return replace(step, run=run)
 
 
 def _by_clicks(context: Context, item: ObjectRecipe, scene: str, advance: Advance) -> Found:
@@ -116,6 +123,10 @@ def _by_clicks(context: Context, item: ObjectRecipe, scene: str, advance: Advanc
         clicked.residuals,
         "clicks",
         "its clicks",
+        path_key(workspace.load_trajectory(workspace.load_scene(scene))),
+        strayed_m,
+        clicked.statements,
+        clicked.next_clicks,
     )
     lines = [f"{item.name} {line}" for line in _said(context, solution, scene, clicked, placement)]
     if (model := dense_model(context, item, solution)) is None:
@@ -124,20 +135,19 @@ def _by_clicks(context: Context, item: ObjectRecipe, scene: str, advance: Advanc
             "then register it again"
         )
     else:
-        placement, line = _aligned(
-            context, item, scene, model, clicked, placement, observations, strayed_m, advance
-        )
+        placement, line = _aligned(context, item, scene, model, clicked, placement, observations, advance)
         lines.append(f"{item.name} {line}")
-    return Found(placement, tuple(lines), clicked.statements, clicked.next_clicks)
+    return Found(placement, tuple(lines))
 
 
 def _said(
     context: Context, solution: Solution, scene: str, found: Registration, placement: Placement
 ) -> Iterator[str]:
     """How well the clicks place the object, what they contradict, and what to click next."""
-    mean_px = float(np.mean([residual.error_px for residual in found.residuals]))
+    used = [r for r in found.residuals if solution.model.known[r.click.keypoint]]
+    mean_px = float(np.mean([residual.error_px for residual in used]))
     yield (
-        f"stands in scene {scene}; its {len(found.residuals)} clicks fit to {mean_px:.1f} px, and its "
+        f"stands in scene {scene}; its {counted(len(used), 'click')} fit to {mean_px:.1f} px, and its "
         f"keypoints should be {expected_error(context, scene, placement)} off"
     )
     yield from (statement.text for statement in found.statements)
@@ -152,8 +162,7 @@ def _said(
 def expected_error(context: Context, scene: str, placement: Placement) -> str:
     """The expected error of the keypoints over a scene, in mm and px."""
     recorded = context.workspace.load_scene(scene)
-    pose = placement.scene_from_object
-    points = placement.points_object @ pose[:3, :3].T + pose[:3, 3]
+    points = transform(placement.scene_from_object, placement.points_object)
     trajectory = context.workspace.load_trajectory(recorded)
     covariance = placement.covariance_in_scene
     error_px = expected_px(covariance, points, recorded.intrinsics, trajectory.scene_from_camera)
@@ -177,7 +186,6 @@ def _aligned(
     clicked: Registration,
     placement: Placement,
     observations: Sequence[Observation],
-    strayed_m: float,
     advance: Advance,
 ) -> tuple[Placement, str]:
     """The placement after alignment, and what held-out evidence said of it."""
@@ -208,13 +216,13 @@ def _aligned(
         "its clicks, and parts of its surface and colours that the alignment did not use: they agree better "
         f"by {found.verdict.gain_sigmas:.1f} standard errors than where the clicks put it"
     )
-    aligned = Placement(
-        found.scene_from_object,
-        points,
-        covariance + strayed_m**2 * np.eye(3),
-        posed.residuals,
-        "aligned",
-        checked,
+    aligned = replace(
+        placement,
+        scene_from_object=found.scene_from_object,
+        covariance_in_scene=covariance + placement.trajectory_sigma_m**2 * np.eye(3),
+        residuals=posed.residuals,
+        how="aligned",
+        checked=checked,
     )
     return aligned, (
         f"was aligned to the surface and colours of scene {scene}, checked by {checked}; its keypoints "
@@ -233,7 +241,7 @@ def _region(
     recorded = workspace.load_scene(scene)
     trajectory = workspace.load_trajectory(recorded)
     frames = [frame for frame in posed_frames(recorded, trajectory) if frame.depth is not None]
-    chosen = frames[:: max(1, len(frames) // FUSED_FRAMES)]
+    chosen = frames[:: max(1, -(-len(frames) // FUSED_FRAMES))]
     sphere = sphere_of(alone, scene)
     mesh = fuse_surface(
         recorded,
@@ -249,5 +257,4 @@ def _region(
     if grown is None:
         return None
     pose = alone.scene_from_object[scene]
-    points = grown.points @ pose[:3, :3].T + pose[:3, 3]
-    return PointCloud(points, grown.normals @ pose[:3, :3].T, grown.colors)
+    return PointCloud(transform(pose, grown.points), grown.normals @ pose[:3, :3].T, grown.colors)

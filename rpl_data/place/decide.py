@@ -73,7 +73,8 @@ def decide(candidates: Sequence[Candidate], *, clicked: bool = False) -> Decisio
         return Decision(best, False, f"the best pose is not good enough: {words}")
     if best.score - rival < LEAST_CLEAR:
         return Decision(best, False, f"two poses are nearly as good: scores {best.score:.2f} and {rival:.2f}")
-    return Decision(best, True, f"{words}; the next best pose scores {max(rival, -1):.2f}")
+    others = "no other pose comes near" if len(candidates) < 2 else f"the next best pose scores {rival:.2f}"
+    return Decision(best, True, f"{words}; {others}")
 
 
 def off_px(scene_from_object: Transform, model: KeypointModel, click: Observation) -> float:

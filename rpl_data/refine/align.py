@@ -137,9 +137,18 @@ def _further_starts(
     for weakest in (0, 1):
         sigma_m = 1 / np.sqrt(max(value[weakest], 1e-12))
         for times in (-2, -1, 1, 2) if sigma_m > BRIDGED_M else ():
-            moved = about @ motion[:, weakest] * times * min(sigma_m, size_m)
-            starts.append(from_rotvec(moved[:3], moved[3:]) @ pose)
+            turn, shift = np.split(motion[:, weakest] * times * min(sigma_m, size_m), 2)
+            starts.append(_turned_about(centre, turn / size_m, shift) @ pose)
     return starts
+
+
+def _turned_about(
+    centre: Float64[np.ndarray, "3"], turn_rad: Float64[np.ndarray, "3"], shift_m: Float64[np.ndarray, "3"]
+) -> Transform:
+    """The motion that turns about a point and then shifts, however far it turns."""
+    turned = from_rotvec(turn_rad, np.zeros(3))
+    turned[:3, 3] = centre - turned[:3, :3] @ centre + shift_m
+    return turned
 
 
 def _against_rivals(

@@ -277,6 +277,7 @@ def _solution(
         trajectory_sigma_m={name: trajectory_sigma_m.get(name, 0.0) for name in answer.scenes},
         click_sigma_px=answer.noise.click_px,
         depth_sigma_ratio=answer.noise.depth_ratio,
+        checked=False,
     )
     return solution, placed
 
@@ -290,4 +291,5 @@ def _checked(solution: Solution, observations: Sequence[Observation], placed: Pl
         residuals=click_residuals(observations, fit, diagnosis.statements),
         statements=diagnosis.statements,
         next_clicks=diagnosis.next_clicks,
+        checked=True,
     )

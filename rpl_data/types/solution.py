@@ -120,6 +120,9 @@ class Placement:
         points_object: one row per keypoint, metres, object frame; NaN where the model had none.
         covariance_in_scene: one 3x3 covariance per keypoint of its position, in m^2, scene frame.
         residuals: one per click in the scene; the placement holds as long as these are the scene's clicks.
+        path_key: stands for the camera poses of the scene; the placement holds as long as they are these.
+        trajectory_sigma_m: how far these poses stray, which the covariance includes.
+        statements, next_clicks: of the clicks in the scene; see `Solution`.
         how: by its clicks alone; aligned to the scene's surface and colours, from its clicks; or
             automatically, with one click or none.
         checked: what speaks for it, one line for a person.
@@ -131,6 +134,10 @@ class Placement:
     residuals: tuple[ClickResidual, ...]
     how: PlacedHow
     checked: str
+    path_key: str
+    trajectory_sigma_m: float = 0.0
+    statements: tuple[Statement, ...] = ()
+    next_clicks: tuple[NextClick, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -156,6 +163,7 @@ class Solution:
         next_clicks: further clicks in frames that have some, the most useful first.
         trajectory_sigma_m: how far the poses of each scene stray, standard deviation per axis, which
             `covariance_in_scene` includes; absent = 0.
+        checked: whether its clicks were checked against one another; the paper's way (SLSQP) has no check.
     """
 
     model: KeypointModel
@@ -169,6 +177,7 @@ class Solution:
     statements: tuple[Statement, ...] = ()
     next_clicks: tuple[NextClick, ...] = ()
     trajectory_sigma_m: Mapping[str, float] = field(default_factory=dict)
+    checked: bool = True
 
     @property
     def expected_mm(self) -> dict[str, float]:

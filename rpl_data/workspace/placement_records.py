@@ -10,6 +10,7 @@ from rpl_data.json_arrays import (
     Json,
     each,
     matrix_from_json,
+    number,
     numbers,
     rows_from_json,
     rows_to_json,
@@ -17,7 +18,7 @@ from rpl_data.json_arrays import (
     text,
 )
 from rpl_data.types import PlacedHow, Placement
-from rpl_data.workspace.records import residual_from_json
+from rpl_data.workspace.records import next_click_from_json, residual_from_json, statement_from_json
 
 
 def placements_to_json(placements: Mapping[str, Placement]) -> Json:
@@ -30,6 +31,10 @@ def placements_to_json(placements: Mapping[str, Placement]) -> Json:
             "points_object": rows_to_json(one.points_object),
             "covariance_in_scene": rows_to_json(one.covariance_in_scene.reshape(-1, 9)),
             "residuals": [asdict(residual) for residual in one.residuals],
+            "path_key": one.path_key,
+            "trajectory_sigma_m": one.trajectory_sigma_m,
+            "statements": [asdict(statement) for statement in one.statements],
+            "next_clicks": [asdict(click) for click in one.next_clicks],
         }
         for scene, one in placements.items()
     }
@@ -52,6 +57,10 @@ def _placement(data: Json) -> Placement:
         residuals=taken(data, "residuals", each(residual_from_json)),
         how=taken(data, "how", _how),
         checked=taken(data, "checked", text),
+        path_key=taken(data, "path_key", text),
+        trajectory_sigma_m=taken(data, "trajectory_sigma_m", number),
+        statements=taken(data, "statements", each(statement_from_json)),
+        next_clicks=taken(data, "next_clicks", each(next_click_from_json)),
     )
 
 

@@ -137,6 +137,7 @@ def solution_to_json(solution: Solution) -> Json:
         "depth_sigma_ratio": solution.depth_sigma_ratio,
         "next_clicks": [asdict(click) for click in solution.next_clicks],
         "statements": [asdict(statement) for statement in solution.statements],
+        "checked": solution.checked,
     }
 
 
@@ -175,12 +176,14 @@ def solution_from_json(data: Json) -> Solution:
         },
         click_sigma_px=optional(number)(data.get("click_sigma_px")),
         depth_sigma_ratio=optional(number)(data.get("depth_sigma_ratio")),
-        statements=each(_statement_from_json)(data.get("statements", [])),
-        next_clicks=each(_next_click_from_json)(data.get("next_clicks", [])),
+        statements=each(statement_from_json)(data.get("statements", [])),
+        next_clicks=each(next_click_from_json)(data.get("next_clicks", [])),
+        checked=flag(data.get("checked", True)),
     )
 
 
-def _statement_from_json(data: Json) -> Statement:
+def statement_from_json(data: Json) -> Statement:
+    """Convert the dictionary of a statement back."""
     return Statement(
         taken(data, "kind", _statement_kind),
         taken(data, "clicks", each(_click_from_json)),
@@ -196,7 +199,8 @@ def _statement_kind(value: object) -> StatementKind:
     raise ValueError(f"{value!r:.60} is no kind of statement")
 
 
-def _next_click_from_json(data: Json) -> NextClick:
+def next_click_from_json(data: Json) -> NextClick:
+    """Convert the dictionary of a further click back."""
     return NextClick(
         taken(data, "scene", text),
         taken(data, "frame", whole),

@@ -1,5 +1,7 @@
 """The next step: contradictions first, then what nothing checks; done when neither is left."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from rpl_data.annotate.advice import next_step
@@ -12,16 +14,20 @@ SCENES = ("00", "01", "02")
 CLICKS = [Click("it", k, scene, 3, 10.0 * k, 5.0) for scene in SCENES for k in range(4)]
 
 
-def advised(*statements, clicks=CLICKS, skipped=(), helpful=(), points=POINTS):
-    model = KeypointModel("it", tuple("abcd"), points)
-    solution = Solution(
-        model,
-        np.tile(1e-6 * np.eye(3), (4, 1, 1)),
+def solution_of(*statements, helpful=(), points=POINTS):
+    return Solution(
+        KeypointModel("it", tuple("abcde"[: len(points)]), points),
+        np.tile(1e-6 * np.eye(3), (len(points), 1, 1)),
         {scene: np.eye(4) for scene in SCENES},
         statements=statements,
         next_clicks=helpful,
     )
-    annotation = Annotation("it", tuple("abcd"), clicks=tuple(clicks), skipped=frozenset(skipped))
+
+
+def advised(*statements, clicks=CLICKS, skipped=(), helpful=(), points=POINTS):
+    solution = solution_of(*statements, helpful=helpful, points=points)
+    names = tuple("abcde"[: len(points)])
+    annotation = Annotation("it", names, clicks=tuple(clicks), skipped=frozenset(skipped))
     return next_step(annotation, Live(solution), SCENES)
 
 
@@ -59,6 +65,24 @@ def test_a_scene_with_too_few_clicks_says_how_many_it_needs():
     assert (step.scene, step.keypoint) == ("02", 1)
     asked = "mark keypoint b (1 of 4 keypoints clicked in this scene; it needs at least 3). Not visible here?"
     assert asked in step.text
+
+
+def test_a_scene_placed_without_clicks_is_not_asked_for_any():
+    assert advised(clicks=[c for c in CLICKS if c.scene != "02"]).action == "label"
+
+
+def test_a_badly_placed_scene_wants_a_click_and_is_never_called_placed():
+    said = Statement("weak scene", (CLICKS[8],), "scene 02: its clicks fit almost as well 80 mm away")
+    fifth = [Click("it", 4, scene, 3, 40.0, 5.0) for scene in ("00", "01")]
+    step = advised(said, clicks=CLICKS + fifth, points=np.eye(5, 3))
+    assert (step.text, step.scene, step.keypoint, step.action) == (said.text, "02", 4, None)
+    assert advised(said).text.startswith("every scene is placed, but scene 02 not surely, and every keypoint")
+
+
+def test_clicks_that_nothing_checked_are_not_called_checked():
+    solution = replace(solution_of(), checked=False)
+    said = next_step(Annotation("it", tuple("abcd"), clicks=tuple(CLICKS)), Live(solution), SCENES)
+    assert said.action == "label" and "nothing checks the clicks" in said.text
 
 
 def test_a_keypoint_that_nothing_checks_is_not_done():

@@ -215,6 +215,13 @@ def test_register_places_a_scene_and_keeps_the_model(
     assert "solve     up to date" in capsys.readouterr().out, "a mistake leaves everything as it was"
     assert main(["solve", *at, "--again", "true"]) == 0, "solved again, the registered scene follows"
     assert set(place.load_solution("carton").scene_from_object) == {"00", "01", "02"}
+    moved = tmp_path / "moved.csv"
+    first = next(line for line in whole if ",00," in line).rsplit(",", 2)[0]
+    moved.write_text(f"{whole[0]}{first},9.0,9.0\n")
+    assert main(["clicks", "import", str(moved), *at]) == 0
+    capsys.readouterr()
+    assert main(["register", "carton", "02", *at]) == 1
+    assert "in scene 00 have changed since its model was solved" in capsys.readouterr().err
 
 
 # Mistakes -----------------------------------------------------------------------------------------

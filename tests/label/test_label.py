@@ -59,6 +59,7 @@ def label(
     objects: dict[str, tuple[SceneObject, np.ndarray]],
     depth_m: np.ndarray | None = None,
     intrinsics: Intrinsics = CAMERA,
+    grey: np.ndarray | None = None,
 ) -> dict[str, InstanceLabel]:
     """Instances of one frame by object name; the camera stands in the scene's origin."""
     frame = Frame(0, 0.0, Path("c.png"), None if depth_m is None else Path("d.png"))
@@ -68,7 +69,13 @@ def label(
     items = [item for item, _ in objects.values()]
     read = {0: depth_m}
     (answer,) = label_frames(
-        scene, trajectory, items, [frame], lambda asked: read[asked.index], camera_from_object=poses
+        scene,
+        trajectory,
+        items,
+        [frame],
+        lambda asked: read[asked.index],
+        camera_from_object=poses,
+        read_grey=None if grey is None else lambda asked: grey,
     )
     return {instance.object: instance for instance in answer.instances}
 
@@ -211,6 +218,13 @@ def test_wholly_hidden_object_keeps_its_full_mask() -> None:
     assert found.box_full == (270, 190, 370, 290)
     assert decoded(found.mask).sum() == 0
     assert found.visibility.tolist() == [1] * 8
+
+
+def test_wholly_hidden_object_has_no_edges_to_look_at() -> None:
+    nearer = np.full((480, 640), 0.3, np.float32)
+    grey = np.full((480, 640), 90, np.uint8)
+    found, blind = (label({"cube": (cube(), FRONT)}, nearer, grey=g)["cube"] for g in (grey, None))
+    np.testing.assert_array_equal(found.sigma_px, blind.sigma_px)
 
 
 def test_truncated_at_the_border() -> None:

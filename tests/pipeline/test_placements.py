@@ -3,18 +3,38 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
+from rpl_data.clicks.log import click_event, keypoints_event
 from rpl_data.geometry import from_rotvec, invert, transform
-from rpl_data.pipeline.placements import with_placements
-from rpl_data.types import Click, ClickResidual, KeypointModel, Placement, Solution
+from rpl_data.pipeline.context import path_key
+from rpl_data.pipeline.placements import fallen, fallen_lines, standing, with_placements
+from rpl_data.types import (
+    Click,
+    ClickResidual,
+    Frame,
+    Intrinsics,
+    KeypointModel,
+    Placement,
+    Recording,
+    Scene,
+    Solution,
+    Statement,
+    Trajectory,
+)
 from rpl_data.workspace.workspace import Workspace
 
 POINTS = np.array([[0.05, 0, 0], [0, 0.05, 0], [0, 0, 0.07], [np.nan] * 3])
 POSE = from_rotvec(np.array([0.4, -1.0, 0.3]), np.array([0.2, -0.1, 0.5]))
 CLICK = ClickResidual(Click("egg", 1, "07", 3, 10.0, 20.0), 1.0, None, None, "none")
-PLACED = Placement(POSE, POINTS, np.tile(1e-6 * np.eye(3), (4, 1, 1)), (CLICK,), "aligned", "its print")
+SAID = Statement("wrong place", (CLICK.click,), "keypoint b is off")
+PLACED = Placement(
+    POSE, POINTS, np.tile(1e-6 * np.eye(3), (4, 1, 1)), (CLICK,), "aligned", "its print", "path"
+)
+SPREADS = np.array([1, 9, 4, np.nan])[:, None, None] * 1e-6 * np.eye(3)
+STILL = np.tile(np.eye(4), (3, 1, 1))
 SOLUTION = Solution(
     KeypointModel("egg", ("a", "b", "c", "d"), POINTS), np.zeros((4, 3, 3)), {"00": np.eye(4)}
 )
@@ -28,6 +48,58 @@ def test_a_placement_follows_the_keypoints_into_another_frame() -> None:
     assert set(found.covariance_in_scene) == {"07"} and found.residuals == (CLICK,)
 
 
+def test_a_placed_scene_keeps_what_is_known_of_it_and_says_it_once() -> None:
+    known = replace(SOLUTION.model, points_object=np.vstack([POINTS[:3], [[0, 0, 0.01]]]))
+    placed = replace(PLACED, trajectory_sigma_m=0.004, statements=(SAID,), covariance_in_scene=SPREADS)
+    once = with_placements(replace(SOLUTION, model=known), {"07": placed})
+    twice = with_placements(once, {"07": placed})
+    for found in (once, twice):
+        assert found.trajectory_sigma_m == {"07": 0.004} and found.statements == (SAID,)
+    spreads = once.covariance_in_scene["07"]
+    np.testing.assert_array_equal(spreads[:3], SPREADS[:3])
+    np.testing.assert_array_equal(spreads[3], SPREADS[1])  # first known afterwards: as the least known
+
+
+def test_a_warning_of_a_lost_placement_goes_when_it_is_placed_again() -> None:
+    other = replace(SOLUTION, model=replace(SOLUTION.model, points_object=1.3 * POINTS))
+    lost = with_placements(with_placements(other, {"07": PLACED}), {"07": PLACED})
+    assert len(lost.warnings) == 1
+    again = with_placements(lost, {"07": replace(PLACED, points_object=1.3 * POINTS)})
+    assert again.warnings == () and "07" in again.scene_from_object
+
+
+def at_work(root: Path, *clicks: Click, path: np.ndarray = STILL) -> Workspace:
+    """A workspace with a placed scene, 07, whose poses and clicks are these."""
+    workspace = Workspace(root)
+    frames = tuple(Frame(n, n / 30, root / "c.png", None) for n in range(4))
+    scene = Scene("07", Intrinsics(500.0, 500.0, 320.0, 240.0, 640, 480), 0.001, frames)
+    trajectory = Trajectory(np.arange(3), path)  # frame 3 has no pose
+    workspace.save_recording(Recording(scene, trajectory))
+    workspace.append_events("egg", [keypoints_event(tuple("abcd")), *map(click_event, clicks)])
+    key = path_key(Trajectory(np.arange(3), STILL))
+    workspace.save_placements("egg", {"07": replace(PLACED, path_key=key)})
+    return workspace
+
+
+def test_a_placement_holds_with_its_clicks_and_poses_only(tmp_path: Path) -> None:
+    own = replace(CLICK.click, frame=2)
+    placed = replace(CLICK, click=own)
+    no_pose, unknown = replace(own, frame=3), replace(own, keypoint=3)
+    cases = {
+        "same": ((own,), STILL, True),
+        "and clicks that count for nothing": ((own, no_pose, unknown), STILL, True),
+        "another click": ((own, replace(own, keypoint=0)), STILL, False),
+        "moved": ((own,), STILL + 0.001 * np.eye(4, k=3), False),
+    }
+    for name, (clicks, path, holds) in cases.items():
+        workspace = at_work(tmp_path / name, *clicks, path=path)
+        (one,) = workspace.load_placements("egg").values()
+        workspace.save_placements("egg", {"07": replace(one, residuals=(placed,))})
+        assert (set(standing(workspace, "egg")) == {"07"}) is holds, name
+        assert (fallen(workspace, "egg") == []) is holds
+        assert len(fallen_lines(workspace, "egg")) == (0 if holds else 1)
+
+
 def test_of_another_model_nothing_is_kept() -> None:
     model = replace(SOLUTION.model, points_object=1.3 * POINTS)
     found = with_placements(replace(SOLUTION, model=model), {"07": PLACED})
@@ -35,11 +107,12 @@ def test_of_another_model_nothing_is_kept() -> None:
     assert "scene 07 is not placed any more" in found.warnings[0]
 
 
-def test_placements_survive_the_disk(tmp_path) -> None:
+def test_placements_survive_the_disk(tmp_path: Path) -> None:
     workspace = Workspace(tmp_path)
     assert workspace.load_placements("egg") == {}
-    workspace.save_placements("egg", {"07": PLACED})
+    workspace.save_placements("egg", {"07": replace(PLACED, statements=(SAID,))})
     (again,) = workspace.load_placements("egg").values()
     np.testing.assert_array_equal(again.points_object, POINTS)
     np.testing.assert_allclose(again.scene_from_object, POSE)
     assert (again.residuals, again.how, again.checked) == ((CLICK,), "aligned", "its print")
+    assert (again.path_key, again.statements) == ("path", (SAID,))

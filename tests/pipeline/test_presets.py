@@ -22,15 +22,17 @@ def test_paper_chooses_the_papers_way_in_every_stage() -> None:
     assert not recipe.refine.scenes
     assert recipe.segment.method == "smooth"
     assert recipe.label.method == "splat"
+    assert recipe.export.min_quality == 0
     assert recipe == by_method(parse_recipe(TWIN, source="recipe"), "paper")
     assert parse_recipe({**TWIN, "method": "ours"}, source="recipe") == parse_recipe(TWIN, source="recipe")
 
 
 def test_what_the_recipe_says_itself_stays() -> None:
-    own = {"reconstruct": {"method": "track"}, "label": {"rate": 5.0}}
+    own = {"reconstruct": {"method": "track"}, "label": {"rate": 5.0}, "export": ["yolo"]}
     recipe = parse_recipe({**TWIN, **own, "method": "paper"}, source="recipe")
     assert recipe.reconstruct.method == "track"
     assert (recipe.label.rate, recipe.label.method) == (5.0, "splat")
+    assert (recipe.export.formats, recipe.export.min_quality) == (("yolo",), 0)
 
 
 def test_the_resolved_recipe_spells_out_every_choice(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from made_surfaces import PointClicks, egg_seen_from, moved
 
 from rpl_data.geometry import from_rotvec, invert, rotation_angle_rad, transform
 from rpl_data.meshes import joined, thinned
-from rpl_data.refine.align import Alignment, align_scene
+from rpl_data.refine.align import Alignment, _further_starts, align_scene
 from rpl_data.types import PointCloud
 
 TRUE = from_rotvec(np.array([0.4, -1.0, 0.3]), np.array([0.2, -0.1, 0.5]))
@@ -51,6 +51,17 @@ def test_the_print_brings_a_round_thing_home() -> None:
     assert found.verdict.accepted, found.verdict.reason
     assert off(found.scene_from_object)[0] < 0.7
     assert off(found.scene_from_object)[1] < 0.5
+
+
+def test_further_starts_turn_about_the_object_however_far() -> None:
+    """Clicks near an axis far from the scene's origin leave the turn about that axis open."""
+    clicks = PointClicks(transform(TRUE, 0.2 * POINTS)[None], 0.01)
+    normal = clicks.terms(TRUE[None], 0.2 * POINTS)[0][:6, :6]
+    starts = _further_starts(TRUE, normal, MODEL)
+    centre = MODEL.points.mean(axis=0)
+    turned = [rotation_angle_rad((invert(TRUE) @ start)[:3, :3]) for start in starts]
+    away_m = [np.linalg.norm(transform(start, centre) - transform(TRUE, centre)) for start in starts]
+    assert max(turned) > 1.0 and max(away_m) < 0.12
 
 
 def test_the_print_chooses_among_several_answers_of_the_clicks() -> None:

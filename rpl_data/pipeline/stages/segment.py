@@ -9,6 +9,7 @@ import numpy as np
 from rpl_data.meshes import load_mesh, oriented_points, save_cloud, save_mesh
 from rpl_data.pipeline.context import Context, crop_of, known_points, model_key, step
 from rpl_data.pipeline.ledger import Advance, Outcome, Step, stamps
+from rpl_data.pipeline.placements import standing
 from rpl_data.pipeline.recipe import ObjectRecipe
 from rpl_data.types import Mesh, Solution
 from rpl_data.workspace.workspace import Workspace
@@ -33,7 +34,9 @@ def segment_steps(context: Context) -> list[Step]:
 def _segment_step(context: Context, item: ObjectRecipe) -> Step:
     workspace, voxel_m = context.workspace, context.recipe.reconstruct.voxel_m
     scene_from_object = workspace.load_solution(item.name).scene_from_object
-    scenes = [name for name in context.placed_scenes() if name in scene_from_object]
+    # What was registered follows the model, and never changes it: a wrong place would spoil it.
+    outside = standing(workspace, item.name)
+    scenes = [s for s in context.placed_scenes() if s in scene_from_object and s not in outside]
     crop, given = crop_of(workspace, item), given_mesh(workspace, item.name)
     method = context.recipe.segment.method
 

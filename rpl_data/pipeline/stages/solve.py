@@ -14,7 +14,7 @@ from rpl_data.geometry import transform
 from rpl_data.pipeline.context import Context, known_points, step
 from rpl_data.pipeline.ledger import Advance, Outcome, Step, stamps
 from rpl_data.pipeline.lifted_clicks import observe
-from rpl_data.pipeline.placements import standing, with_placements
+from rpl_data.pipeline.placements import fallen_lines, solved_from, standing, with_placements
 from rpl_data.pipeline.recipe import ObjectRecipe
 from rpl_data.solve.register import register_scene
 from rpl_data.solve.residuals import click_spreads_m
@@ -43,16 +43,14 @@ def solve_step(context: Context, item: ObjectRecipe) -> Step:
     workspace, options = context.workspace, asdict(context.recipe.solve)
 
     def run(advance: Advance) -> Outcome:
-        placed = standing(workspace, item.name)
-        observations = [o for o in observe(workspace, item.name) if o.click.scene not in placed]
-        annotation = workspace.load_annotation(item.name)
-        solution = with_placements(solve_annotation(context, annotation, observations), placed)
+        observations, annotation = observe(workspace, item.name), workspace.load_annotation(item.name)
+        solution = solve_annotation(context, annotation, observations)
         workspace.save_solution(solution)
         outliers = sum(residual.outlier for residual in solution.residuals)
-        own = [click for click in annotation.clicks if click.scene not in placed]
-        unused = clicks_without_pose(own, observations)
+        unused = clicks_without_pose(annotation.clicks, observations)
         said = [statement.text for statement in solution.statements]
-        lines = [f"{item.name}: {line}" for line in (*said, *unused, *solution.warnings)]
+        moved = fallen_lines(workspace, item.name)
+        lines = [f"{item.name}: {line}" for line in (*said, *moved, *unused, *solution.warnings)]
         details = {
             "clicks": len(observations),
             "outliers": outliers,
@@ -107,6 +105,8 @@ def solve_annotation(
 ) -> Solution:
     """The solution of some clicks of an object: its model found, or placed where it is known.
 
+    Scenes that `rpl register` placed take no part in it, and are added to it.
+
     Raises:
         DataError: the clicks do not tie the scenes, or do not place the known model.
     """
@@ -119,6 +119,19 @@ def solve_annotation_unchecked(
 ) -> Unchecked:
     """As `solve_annotation`, for a person who waits: the check of the clicks is left for later."""
     item = next(item for item in context.objects if item.name == annotation.object)
+    placed = standing(context.workspace, item.name)
+    observations = solved_from(context.workspace, item.name, observations)
+    solution, check = _unchecked(context, item, annotation, observations)
+    return Unchecked(
+        with_placements(solution, placed),
+        None if check is None else lambda: with_placements(check(), placed),
+    )
+
+
+def _unchecked(
+    context: Context, item: ObjectRecipe, annotation: Annotation, observations: Sequence[Observation]
+) -> Unchecked:
+    """The solution of these clicks alone."""
     names = annotation.keypoints or item.keypoint_names
     skeleton = _by_name(item, names)
     if annotation.known_points is not None:
