@@ -11,7 +11,7 @@ from rpl_data.geometry import Points, back_project, invert, transform
 from rpl_data.meshes import oriented_points, smoothed_normals, thinned
 from rpl_data.reconstruct.surface import fuse_surface
 from rpl_data.segment.free_space import DepthView
-from rpl_data.types import ColorImage, Frame, PointCloud, ReadDepth, Scene, Trajectory
+from rpl_data.types import ColorImage, DataError, Frame, PointCloud, ReadDepth, Scene, Trajectory
 
 FUSED_FRAMES, VIEWS = 24, 8
 """Frames that are fused, and depth images that show where space is free; spread over the scene."""
@@ -58,7 +58,13 @@ def looked_at(
         DepthView(scene.name, scene.intrinsics, invert(trajectory.at(frame.index)), depths(frame))
         for frame in seen
     ]
-    middle = np.median(np.concatenate([_middle_points(view) for view in views]), axis=0)
+    near = np.concatenate([_middle_points(view) for view in views])
+    if not len(near):
+        raise DataError(
+            f"scene {scene.name}: the middle of its images shows nothing nearer than {FARTHEST_M:g} m; click "
+            "three keypoints of the object there, and register it without `--auto`"
+        )
+    middle = np.median(near, axis=0)
 
     def reported() -> Iterator[Frame]:
         for done, frame in enumerate(chosen):

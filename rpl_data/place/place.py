@@ -13,7 +13,7 @@ from rpl_data.place.shape import Field, poses_by_shape
 from rpl_data.place.things import things_on_support, windows
 from rpl_data.place.verify import Candidate, checked, drawn, judged
 from rpl_data.refine.scene_surfaces import SceneSurface, scene_surface
-from rpl_data.segment.free_space import DepthView, witnesses
+from rpl_data.segment.free_space import WITNESSES, DepthView, witnesses
 from rpl_data.segment.region_growing import Plane
 from rpl_data.types import PointCloud
 
@@ -97,7 +97,7 @@ def _proposals(
         poses, disagreement = poses_by_shape(field, thing, support)
         there = transform_all(poses, few)
         free = (
-            (witnesses(there.reshape(-1, 3), views, margin_m=MARGIN_M) >= 2)
+            (witnesses(there.reshape(-1, 3), views, margin_m=MARGIN_M) >= WITNESSES)
             .reshape(there.shape[:2])
             .mean(axis=1)
         )

@@ -13,17 +13,12 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from rpl_data.geometry import Points, Transform, invert, transform
+from rpl_data.refine.align import HELD, beside_model
 from rpl_data.refine.evidence import cross_validated
 from rpl_data.refine.registration import Poses, Registration, register_scenes
 from rpl_data.refine.scene_surfaces import SceneSurface, match, print_differences
-from rpl_data.segment.free_space import DepthView, witnesses
+from rpl_data.segment.free_space import MARGIN_M, WITNESSES, DepthView, witnesses
 
-HELD = 1e10
-"""Weight that holds the model still, per square metre and square radian."""
-SEEN_THROUGH_M = 0.008
-"""A depth image sees through a point when it measures a surface this far behind it."""
-WITNESSES = 2
-"""Depth images that must see through a point: a single one may be wrong."""
 NEAR_M = 0.006
 """A point of the scene is explained by model surface this near."""
 
@@ -58,7 +53,7 @@ class Candidate:
 
 def drawn(model: SceneSurface, scene: SceneSurface, pose: Transform) -> Registration:
     """A proposed pose, registered on surface and print without clicks; the model is the first "scene"."""
-    return register_scenes([model, scene], _both(pose), np.empty((0, 3)), _model_held)
+    return register_scenes([model, scene], beside_model(pose), np.empty((0, 3)), _model_held)
 
 
 def judged(
@@ -80,7 +75,7 @@ def judged(
 
 def checked(candidate: Candidate, model: SceneSurface, scene: SceneSurface) -> Candidate:
     """The candidate with its likeness measured on parts that its pose was not fitted to."""
-    start = _both(candidate.scene_from_object)
+    start = beside_model(candidate.scene_from_object)
     tests = cross_validated([model, scene], start, np.empty((0, 3)), _model_held)
     found = []
     for registration, (_, held_out) in tests:
@@ -91,13 +86,8 @@ def checked(candidate: Candidate, model: SceneSurface, scene: SceneSurface) -> C
 
 def free_share(points_scene: Points, views: Sequence[DepthView]) -> float:
     """Share of points that the cameras saw through."""
-    through: Bool[np.ndarray, " n"] = witnesses(points_scene, views, margin_m=SEEN_THROUGH_M) >= WITNESSES
+    through: Bool[np.ndarray, " n"] = witnesses(points_scene, views, margin_m=MARGIN_M) >= WITNESSES
     return float(through.mean())
-
-
-def _both(pose: Transform) -> Poses:
-    """The poses of the model and of the scene."""
-    return np.stack([np.eye(4), pose])
 
 
 def _model_held(poses: Poses, points: Points) -> tuple[np.ndarray, np.ndarray]:

@@ -61,7 +61,7 @@ class _Pair(NamedTuple):
     clicks: ClickTerms
 
     def registered(self, pose: Transform) -> Registration:
-        return register_scenes(self.surfaces, _both(pose), NO_POINTS, self.clicks)
+        return register_scenes(self.surfaces, beside_model(pose), NO_POINTS, self.clicks)
 
     def misfit(self, found: Registration, *, sigmas_of: Registration) -> float:
         """How much the scene's surface disagrees with the model, 0 to 1."""
@@ -86,7 +86,7 @@ def align_scene(
         clicks: terms of the clicks in the scene, by its pose alone.
         click_costs: their cost.
     """
-    held, start = _holding(clicks), _both(starts[0])
+    held, start = _holding(clicks), beside_model(starts[0])
     by_clicks = held(start, NO_POINTS)[0][6:, 6:]
     if region is None:
         return Alignment(starts[0], by_clicks, without_surface())
@@ -95,7 +95,7 @@ def align_scene(
     found = [pair.registered(pose) for pose in tried]
     sharpest = min(found, key=lambda one: one.surface_sigma_m)
     best = min(range(len(found)), key=lambda n: pair.misfit(found[n], sigmas_of=sharpest))
-    tests: list[Test] = cross_validated(pair.surfaces, _both(tried[best]), NO_POINTS, held)
+    tests: list[Test] = cross_validated(pair.surfaces, beside_model(tried[best]), NO_POINTS, held)
     aligned = found[best].scene_from_object
     worse = click_costs(aligned[1:], NO_POINTS) - click_costs(start[1:], NO_POINTS)
     verdict = verdicts(gains_sigmas(tests, start)[1:], worse)[0]
@@ -105,7 +105,7 @@ def align_scene(
     return Alignment(aligned[1], found[best].normal[6:, 6:], verdict)
 
 
-def _both(scene_from_object: Transform) -> Poses:
+def beside_model(scene_from_object: Transform) -> Poses:
     """The poses of the model and of the scene."""
     return np.stack([np.eye(4), scene_from_object])
 
