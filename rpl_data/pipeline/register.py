@@ -15,8 +15,11 @@ from rpl_data.pipeline.ledger import Advance, Ledger, Outcome, Step
 from rpl_data.pipeline.lifted_clicks import observe
 from rpl_data.pipeline.placements import with_placements
 from rpl_data.pipeline.recipe import ObjectRecipe
+from rpl_data.pipeline.stages.segment import depth_views
 from rpl_data.pipeline.stages.solve import solve_step, trajectory_sigmas_m
 from rpl_data.pipeline.stages.surface import reporting, sphere_of
+from rpl_data.place.decide import MOST_FREE
+from rpl_data.place.verify import free_share
 from rpl_data.solve.expected import covariance_by_pose, expected_mm, expected_px
 from rpl_data.solve.joint import joint_clicks
 from rpl_data.solve.register import Registration, register_scene
@@ -204,17 +207,22 @@ def _aligned(
     found = align_scene(
         model, region, [clicked.scene_from_object, *clicked.alternatives], clicks.terms, clicks.costs
     )
-    if not found.verdict.accepted:
+    there = replace(alone, scene_from_object={scene: found.scene_from_object})
+    free = free_share(model.points, depth_views(context.workspace, scene, there))
+    reason = found.verdict.reason
+    if found.verdict.accepted and free > MOST_FREE:
+        reason = f"aligned, {free:.0%} of its surface would lie where the cameras saw through"
+    if not found.verdict.accepted or free > MOST_FREE:
         return placement, (
-            f"stays where its clicks put it: {found.verdict.reason}; with `--auto true`, all poses that "
-            "agree with its clicks are tried"
+            f"stays where its clicks put it: {reason}; with `--auto true`, all poses that agree with its "
+            "clicks are tried"
         )
     posed = clicks.solved(found.scene_from_object[None], np.empty((0, 3)), found.normal)
     by_pose, points = np.linalg.inv(found.normal), solution.model.points_object
     covariance = covariance_by_pose(by_pose, found.scene_from_object, points, solution.covariance)
     checked = (
-        "its clicks, and parts of its surface and colours that the alignment did not use: they agree better "
-        f"by {found.verdict.gain_sigmas:.1f} standard errors than where the clicks put it"
+        "its clicks, free space, and parts of its surface and colours that the alignment did not use: they "
+        f"agree better by {found.verdict.gain_sigmas:.1f} standard errors than where the clicks put it"
     )
     aligned = replace(
         placement,

@@ -84,9 +84,9 @@ def checked(candidate: Candidate, model: SceneSurface, scene: SceneSurface) -> C
     return replace(candidate, likeness=float(np.mean(found)))
 
 
-def free_share(points_scene: Points, views: Sequence[DepthView]) -> float:
-    """Share of points that the cameras saw through."""
-    through: Bool[np.ndarray, " n"] = witnesses(points_scene, views, margin_m=MARGIN_M) >= WITNESSES
+def free_share(points: Points, views: Sequence[DepthView]) -> float:
+    """Share of points that the cameras saw through; points and views are in one frame."""
+    through: Bool[np.ndarray, " n"] = witnesses(points, views, margin_m=MARGIN_M) >= WITNESSES
     return float(through.mean())
 
 
