@@ -91,6 +91,18 @@ def _add_options(parser: ArgumentParser, function: Command, presets: Collection[
     if function in presets:
         parser.add_argument("--config", action="config", help="YAML file with options; those after it win")
     parser.add_function_arguments(function, as_group=False, as_positional=True, fail_untyped=True)
+    _without_underscore(parser)
+
+
+def _without_underscore(parser: ArgumentParser) -> None:
+    """`from_` of a function, which Python would not let be called `from`, becomes the option `--from`."""
+    for action in parser._actions:
+        if action.dest.endswith("_"):
+            option = f"--{action.dest[:-1]}"
+            action.option_strings, action.metavar = [option], action.dest[:-1].upper()
+            parser._option_string_actions[option] = action
+            parser._positionals._group_actions.remove(action)  # where what must be given is listed
+            parser._optionals._group_actions.append(action)
 
 
 def help_of(function: Command) -> str:

@@ -36,11 +36,17 @@ def recordings_at(
         if not found:
             raise DataError(f"{path} names no recordings; give `rpl check` the folder of a recording")
         return [recording for recording in found if names is None or recording.scene.name in names]
+    chosen = format or format_of(path)
+    return open_scenes(path, chosen, names=names, metres_per_unit=metres_per_unit, unpack=scratch.joinpath)
+
+
+def format_of(path: Path) -> str:
+    """The format that a recording looks like; DataError where it looks like none, or nothing is there."""
     if not path.exists():
         raise DataError(f"there is no {path}; expected a recording or a recipe")
-    likely = [format] if format else likely_formats(path)
+    likely = likely_formats(path)
     if not likely:
         raise DataError(
             f"{path} looks like no format known; say which with --format {'|'.join(READERS | UNPACKERS)}"
         )
-    return open_scenes(path, likely[0], names=names, metres_per_unit=metres_per_unit, unpack=scratch.joinpath)
+    return likely[0]

@@ -14,6 +14,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from rpl_data.cli.building import HERE, run_build  # noqa: E402
 from rpl_data.cli.clicks import annotate, clicks_export, clicks_import  # noqa: E402
+from rpl_data.cli.first import init  # noqa: E402
 from rpl_data.cli.recordings import capture, check, import_, truth  # noqa: E402
 from rpl_data.cli.stages import (  # noqa: E402
     cut,
@@ -155,12 +156,13 @@ def status(workspace: Path = HERE) -> None:
         print(line)
 
 
-HELP = "Labelled pose, keypoint and mask datasets from RGB-D videos and a few clicks. Start with `rpl build`."
+HELP = "Labelled pose, keypoint and mask datasets from RGB-D videos and a few clicks. Start with `rpl init`."
 COMMANDS: dict[str, Any] = {
     "build": build_recipe,
     "status": status,
     "capture": capture,
     "check": check,
+    "init": init,
     "import": import_,
     "track": track,
     "annotate": annotate,

@@ -6,22 +6,42 @@ from pathlib import Path
 from typing import Literal
 
 from rpl_data.cli.building import HERE, run_build
+from rpl_data.types import DataError
 
 
-def import_(recipe: Path, workspace: Path = HERE, root: Path | None = None, again: bool = False) -> None:
-    """Read the recordings of a recipe into a workspace; what is left out is counted and named.
+def import_(
+    recipe: Path,
+    workspace: Path = HERE,
+    root: Path | None = None,
+    again: bool = False,
+    object: str | None = None,
+    keypoints: str | None = None,
+) -> None:
+    """Read the recordings of a recipe, or a lone recording, into a workspace; what is left out is named.
 
-    Example: rpl import my.yaml --root my-recording --workspace my-workspace
+    A recording needs no recipe: it is looked at as `rpl init` does, and the recipe is kept in the workspace.
+
+    Example: rpl import my-recording --workspace my-workspace --object mug --keypoints 8
 
     Args:
-        recipe: the YAML file.
+        recipe: the YAML file, or a recording.
         workspace: folder for everything that is made.
         root: where the relative paths of the recipe start; the recipe's own folder when left out.
         again: run the stage even if nothing it depends on has changed.
+        object: of a lone recording: what the object is called; `object` when left out.
+        keypoints: of a lone recording: how many keypoints, or their names with commas; 8 when left out.
     """
     from rpl_data.pipeline.recipe_file import load_recipe
 
-    run_build(load_recipe(recipe, root=root), workspace, "import", "import" if again else None)
+    if recipe.suffix in (".yaml", ".yml") or not recipe.exists():
+        if object is not None or keypoints is not None:
+            raise DataError(f"{recipe} says which objects there are; leave out --object and --keypoints")
+        loaded = load_recipe(recipe, root=root)
+    else:
+        from rpl_data.cli.new_recipe import recipe_for
+
+        loaded = recipe_for(recipe, workspace, object=object, keypoints=keypoints)
+    run_build(loaded, workspace, "import", "import" if again else None)
 
 
 def capture(

@@ -9,6 +9,7 @@ from types import TracebackType
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
+from rpl_data.doctor.findings import Diagnosis
 from rpl_data.evaluate.quality import format_table
 from rpl_data.pipeline import build
 from rpl_data.pipeline.ledger import Ledger
@@ -58,11 +59,12 @@ class Screen:
             self.console.print(f"    {line}")
 
 
-def print_diagnoses(recordings: Sequence[Recording]) -> None:
-    """Examine each scene with the doctor, with a progress bar, and print its diagnosis."""
+def print_diagnoses(recordings: Sequence[Recording]) -> list[Diagnosis]:
+    """Examine each scene with the doctor, with a progress bar; print and return its diagnosis."""
     from rpl_data.doctor.examine import examine
     from rpl_data.doctor.text import describe
 
+    found = []
     console = Console(highlight=False, markup=False, soft_wrap=True)
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
@@ -71,6 +73,8 @@ def print_diagnoses(recordings: Sequence[Recording]) -> None:
             diagnosis = examine(recording, progress=partial(_show, bar, task))
             bar.remove_task(task)
             console.print(describe(diagnosis))
+            found.append(diagnosis)
+    return found
 
 
 def _show(bar: Progress, task: TaskID, done: int, total: int) -> None:

@@ -30,6 +30,14 @@ def objects_in_csv(text: str, *, source: str) -> list[str]:
     return sorted({row["object"] for _, row in _rows(text, source)})
 
 
+def keypoints_in_csv(text: str, *, source: str) -> dict[str, list[str]]:
+    """Keypoints of each object that CSV text has clicks for, as they are called there, in that order."""
+    found: dict[str, dict[str, None]] = {}
+    for _, row in _rows(text, source):
+        found.setdefault(row["object"], {})[row["keypoint"]] = None
+    return {name: list(keypoints) for name, keypoints in found.items()}
+
+
 def clicks_from_csv(text: str, *, source: str, object_name: str, keypoints: Sequence[str]) -> list[Click]:
     """Read the clicks of one object from CSV text; keypoints are given by name, or by number from 0.
 

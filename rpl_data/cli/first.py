@@ -1,0 +1,50 @@
+"""A recording without a recipe: `rpl init` writes one, and `rpl import` makes do without a file."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from rpl_data.types import DataError
+
+
+def init(
+    recipe: Path,
+    from_: Path,
+    object: str | None = None,
+    keypoints: str | None = None,
+    format: str | None = None,
+) -> None:
+    """Look at a recording and write its recipe: format and `mend:` filled in from what `rpl check` finds.
+
+    Only faults that are certain are put right; what is less sure stands in the recipe as a comment. An object
+    that is clicked in the recording's clicks.csv comes into the recipe with its keypoints; otherwise its name
+    and keypoints are asked for, or taken from the options.
+
+    Example: rpl init my.yaml --from my-recording --object mug --keypoints handle,rim,foot,logo
+
+    Args:
+        recipe: the YAML file to write; one that is there is never replaced.
+        from_: the recording: a folder of scenes, one scene, or a file.
+        object: what the object is called.
+        keypoints: how many keypoints it has, or their names with commas.
+        format: how the recording is stored; guessed when left out.
+    """
+    import yaml
+
+    from rpl_data.cli.new_recipe import next_commands, text_for
+    from rpl_data.files import write_text
+    from rpl_data.pipeline.recipe_file import parse_recipe
+
+    if recipe.suffix not in (".yaml", ".yml"):
+        raise DataError(f"{recipe}: a recipe is called .yaml; rpl init {recipe.with_suffix('.yaml')}")
+    if recipe.exists():
+        raise DataError(f"{recipe} is there already and is not replaced; choose another name, or delete it")
+    if not recipe.absolute().parent.is_dir():
+        raise DataError(f"there is no folder {recipe.parent}; make it first")
+    asks = sys.stdin.isatty() and sys.stdout.isatty()
+    text = text_for(from_, recipe, object=object, keypoints=keypoints, format=format, asks=asks)
+    written = parse_recipe(yaml.safe_load(text), source=str(recipe))  # never one that `rpl build` refuses
+    write_text(recipe, text)
+    clicked = all(item.clicks for item in written.objects)
+    print(f"wrote {recipe}\n{next_commands(recipe, clicked=clicked)}")

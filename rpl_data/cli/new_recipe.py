@@ -1,0 +1,109 @@
+"""The recipe of a recording that has none: the doctor looks at it, the person names the object."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import yaml
+
+from rpl_data.cli.check import format_of, recordings_at
+from rpl_data.cli.screen import print_diagnoses
+from rpl_data.pipeline.build import recipe_of
+from rpl_data.pipeline.first_recipe import (
+    KeypointsSaid,
+    keypoints_from,
+    objects_clicked,
+    path_from,
+    recipe_text,
+)
+from rpl_data.pipeline.recipe import Recipe
+from rpl_data.pipeline.recipe_file import parse_recipe, resolve_paths
+from rpl_data.types import DataError
+from rpl_data.untrusted.names import checked_name
+from rpl_data.workspace.workspace import Workspace
+
+USUAL_OBJECT, USUAL_KEYPOINTS = "object", "8"
+
+
+def text_for(
+    recording: Path,
+    recipe: Path,
+    *,
+    object: str | None = None,
+    keypoints: str | None = None,
+    format: str | None = None,
+    asks: bool = False,
+) -> str:
+    """The recipe's text; prints what the doctor says on the way.
+
+    Args:
+        recording: where it is.
+        recipe: the file that the text is for; paths in it start at its folder.
+        object: what the object is called; as in the recording's clicks.csv, or asked for, when None.
+        keypoints: how many, or their names with commas; likewise.
+        format: how it is stored; guessed when None.
+        asks: whether somebody is there to ask.
+
+    Raises:
+        DataError: nothing can be read there, or a name cannot be one.
+    """
+    chosen = format or format_of(recording)
+    clicks = recording / "clicks.csv"
+    objects = objects_clicked(clicks) if object is None else []
+    if not objects:
+        objects = [_named(object, keypoints, asks=asks)]
+    elif keypoints is not None:
+        raise DataError(f"{clicks} says which keypoints there are; give --keypoints together with --object")
+    with TemporaryDirectory() as scratch:
+        found = recordings_at(recording, Path(scratch), format=chosen)
+        examined = list(zip(found, print_diagnoses(found), strict=True))
+    return recipe_text(
+        path_from(recipe, recording),
+        chosen,
+        examined,
+        name=recipe.stem,
+        objects=objects,
+        clicks=path_from(recipe, clicks) if objects_clicked(clicks) and object is None else None,
+    )
+
+
+def recipe_for(
+    recording: Path, workspace: Path, *, object: str | None = None, keypoints: str | None = None
+) -> Recipe:
+    """The recipe of a lone recording, which no file holds; DataError as `text_for`.
+
+    A workspace that was made of this recording keeps the recipe it has: objects may have been added to it.
+    """
+    kept = Workspace(workspace)
+    if kept.recipe_file.exists() and object is None and keypoints is None:
+        known = recipe_of(kept)
+        if [source.path.resolve() for source in known.scenes] == [recording.resolve()]:
+            return known
+    stem = "recording" if workspace.name in ("", "..") else workspace.name
+    place = Path.cwd() / f"{stem}.yaml"
+    text = text_for(recording, place, object=object, keypoints=keypoints)
+    return resolve_paths(parse_recipe(yaml.safe_load(text), source=str(recording)), place.parent)
+
+
+def next_commands(recipe: Path, *, clicked: bool) -> str:
+    """What to run now."""
+    build = f"rpl build {recipe} --workspace workspaces/{recipe.stem}"
+    if clicked:
+        return f"its keypoints are clicked; make the dataset:  {build}"
+    annotate = f"rpl annotate workspaces/{recipe.stem} --recipe {recipe}"
+    return f"next, click the keypoints in the browser:  {annotate}\nthen make the dataset:  {build}"
+
+
+def _named(object: str | None, keypoints: str | None, *, asks: bool) -> tuple[str, KeypointsSaid]:
+    """The object, as the options say, or as the person answers."""
+    if object is None:
+        object = _asked("what is the object called?", USUAL_OBJECT) if asks else USUAL_OBJECT
+    if keypoints is None:
+        question = "how many keypoints has it, or their names with commas?"
+        keypoints = _asked(question, USUAL_KEYPOINTS) if asks else USUAL_KEYPOINTS
+    return checked_name(object, "object"), keypoints_from(keypoints, where="--keypoints")
+
+
+def _asked(question: str, usual: str) -> str:
+    return input(f"{question} [{usual}] ").strip() or usual

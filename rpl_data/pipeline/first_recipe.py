@@ -1,0 +1,151 @@
+"""The first recipe of a recording: its YAML text, with what the doctor is sure of put right."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import yaml
+
+from rpl_data.clicks.table import keypoints_in_csv
+from rpl_data.doctor.findings import Diagnosis
+from rpl_data.doctor.pairing import SURE
+from rpl_data.files import read_text
+from rpl_data.recordings.mend import Mend, in_recipe
+from rpl_data.types import DataError, Recording
+from rpl_data.untrusted.names import checked_keypoints, checked_name
+
+KeypointsSaid = int | tuple[str, ...]
+"""How many keypoints an object has, or their names in order."""
+
+
+def keypoints_from(text: str, *, where: str) -> KeypointsSaid:
+    """`8`, or `handle,spout,lid`, as a recipe holds them.
+
+    Raises:
+        DataError: neither a number nor names.
+    """
+    given = text.strip()
+    if given.isascii() and given.isdigit():
+        return int(given)
+    names = tuple(part.strip() for part in given.strip("[]").split(","))
+    if len(names) < 3:
+        raise DataError(
+            f"{where}: expected how many keypoints, or at least three names with commas, got {text!r}"
+        )
+    return tuple(checked_keypoints(names, where=where))
+
+
+def mends(diagnosis: Diagnosis) -> Mend:
+    """Everything that the doctor is sure mends a scene, together."""
+    whole = Mend()
+    for finding in diagnosis.findings:
+        if finding.mend is not None and finding.sure >= SURE:
+            changed = {
+                name: value for name, value in asdict(finding.mend).items() if value != getattr(Mend(), name)
+            }
+            whole = replace(whole, **changed)
+    return whole
+
+
+def recipe_text(
+    path: str,
+    format: str,
+    examined: Sequence[tuple[Recording, Diagnosis]],
+    *,
+    name: str,
+    objects: Sequence[tuple[str, KeypointsSaid]],
+    clicks: str | None,
+) -> str:
+    """A commented recipe for the scenes that were examined.
+
+    Args:
+        path: where the recording is, as the recipe shall say it.
+        format: how it is stored.
+        examined: each of its scenes, and what the doctor said of it.
+        name: of the dataset.
+        objects: name and keypoints of each object.
+        clicks: the CSV file with their clicks, as the recipe shall say it; None where nothing is clicked yet.
+    """
+    lines = [
+        f"name: {_flow(name)}  # of the dataset",
+        "",
+        "scenes:  # recordings of several places can be joined: add a `- path:` for each",
+        *_sources(path, format, examined),
+        "",
+        "objects:  # what is labelled; several may stand in the same scenes",
+    ]
+    for item, keypoints in objects:
+        lines += [
+            f"  - name: {_flow(checked_name(item, 'object'))}",
+            f"    keypoints: {_keypoints(keypoints)}  # how many, or names in order: [handle, spout, lid]",
+        ]
+        lines += [f"    clicks: {_flow(clicks)}"] if clicks else []
+    return "\n".join([*lines, "", *_REST]) + "\n"
+
+
+_REST = (
+    "reconstruct:",
+    "  method: auto  # the recording's poses where its images agree with them, else computed from the images",
+    "label:",
+    "  rate: 3  # frames per second that are labelled, or `all`",
+    "split:",
+    "  test_scenes: 1  # whole scenes that are never trained on; none where there are fewer than 3 scenes",
+    "  val_fraction: 0.1",
+    "export: [coco]  # also yolo, bop, okt",
+)
+
+
+def _sources(path: str, format: str, examined: Sequence[tuple[Recording, Diagnosis]]) -> list[str]:
+    """The lines of `scenes:`, one source for all scenes that are mended alike."""
+    alike: dict[Mend, list[str]] = {}
+    for recording, diagnosis in examined:
+        alike.setdefault(mends(diagnosis), []).append(recording.scene.name)
+    lines = []
+    for mend, names in alike.items():
+        lines += [f"  - path: {_flow(path)}", f"    format: {format}"]
+        lines += [f"    names: {_flow(names)}"] if len(alike) > 1 else []
+        if mend != Mend():
+            lines.append(f"    {in_recipe(mend)}  # as `rpl check` found")
+    for recording, diagnosis in examined:
+        for finding in diagnosis.findings:
+            said_by_build = finding.kind in ("left out", "unreadable")
+            if not said_by_build and (finding.mend is None or finding.sure < SURE):
+                lines.append(f"  # scene {recording.scene.name}: {finding.what}; {finding.todo}")
+    return lines
+
+
+def _keypoints(keypoints: KeypointsSaid) -> str:
+    return str(keypoints) if isinstance(keypoints, int) else _flow(list(keypoints))
+
+
+def _flow(value: str | list[str]) -> str:
+    """A string, or a list of strings, as YAML on one line; quoted only where YAML needs it."""
+    text: str = yaml.safe_dump(value, default_flow_style=True, allow_unicode=True, width=10_000)
+    return text.removesuffix("...\n").strip()
+
+
+def path_from(recipe: Path, recording: Path) -> str:
+    """The path of the recording as a recipe file says it: relative where it lies beside or below it."""
+    place, whole = recipe.expanduser().absolute().parent.resolve(), recording.expanduser().resolve()
+    return str(whole.relative_to(place)) if whole.is_relative_to(place) else str(whole)
+
+
+def objects_clicked(file: Path) -> list[tuple[str, KeypointsSaid]]:
+    """Names and keypoints of the objects that a CSV file has clicks for; [] where there is no such file.
+
+    Raises:
+        DataError: the file is no table of clicks.
+    """
+    if not file.is_file():
+        return []
+    found = keypoints_in_csv(read_text(file), source=str(file))
+    return [(name, _numbered_or_named(said)) for name, said in sorted(found.items())]
+
+
+def _numbered_or_named(said: list[str]) -> KeypointsSaid:
+    """How many, where all are numbers; else their names, in the order in which they come."""
+    if all(text.isascii() and text.isdigit() for text in said):
+        return max(map(int, said)) + 1
+    return tuple(said)

@@ -1,0 +1,54 @@
+"""The text of a first recipe: what is certain is mended, what is not stands there as a comment."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import yaml
+from recordings import CAMERA
+
+from rpl_data.doctor.findings import Diagnosis, Finding
+from rpl_data.pipeline.first_recipe import keypoints_from, path_from, recipe_text
+from rpl_data.pipeline.recipe_file import parse_recipe
+from rpl_data.recordings.mend import Mend
+from rpl_data.types import Recording, Scene
+
+SCENE = Scene("00", CAMERA, 0.001, ())
+
+
+def examined(name: str, *findings: Finding) -> tuple[Recording, Diagnosis]:
+    return Recording(replace(SCENE, name=name), None), Diagnosis(name, (), findings)
+
+
+def lag(frames: int, sure: float = 1.0) -> Finding:
+    return Finding("pose lag", f"poses are {frames} late", sure, "do it", Mend(pose_lag=frames))
+
+
+def test_scenes_with_other_faults_are_sources_of_their_own() -> None:
+    repeats = Finding("repeated frames", "twice the same", 1.0, "do it", Mend(no_repeats=True))
+    found = [examined("00", lag(2), repeats), examined("01"), examined("02", lag(2), repeats)]
+    text = recipe_text("data", "tum", found, name="n", objects=[("mug", 4)], clicks=None)
+    recipe = parse_recipe(yaml.safe_load(text), source="text")
+    assert [source.names for source in recipe.scenes] == [("00", "02"), ("01",)]
+    assert [source.mend for source in recipe.scenes] == [Mend(pose_lag=2, no_repeats=True), Mend()]
+    assert {(str(source.path), source.format) for source in recipe.scenes} == {("data", "tum")}
+
+
+def test_what_is_not_sure_is_a_comment() -> None:
+    text = recipe_text(
+        "data", "tum", [examined("00", lag(3, 0.5))], name="n", objects=[("m", 4)], clicks=None
+    )
+    assert parse_recipe(yaml.safe_load(text), source="text").scenes[0].mend == Mend()
+    assert "# scene 00: poses are 3 late; do it" in text
+
+
+def test_paths_start_at_the_recipe(tmp_path: Path) -> None:
+    assert path_from(tmp_path / "my.yaml", tmp_path / "rec") == "rec"
+    assert path_from(tmp_path / "my.yaml", tmp_path) == "."
+    assert path_from(tmp_path / "sub" / "my.yaml", tmp_path / "rec") == str(tmp_path / "rec")
+
+
+def test_keypoints_as_they_are_told() -> None:
+    assert keypoints_from(" 7 ", where="") == 7
+    assert keypoints_from("[handle, rim,lid]", where="") == ("handle", "rim", "lid")
