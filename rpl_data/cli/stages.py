@@ -122,31 +122,48 @@ def label(workspace: Path = HERE, again: bool = False, workers: int | None = Non
     run_stage(workspace, "label", again, workers)
 
 
-def export(workspace: Path = HERE, labels: Literal["own", "truth"] = "own", again: bool = False) -> None:
+def export(
+    workspace: Path = HERE,
+    labels: Literal["own", "truth"] = "own",
+    format: str | None = None,
+    again: bool = False,
+) -> None:
     """Write the labels in the formats of the recipe, to export/ of the workspace.
 
     A frame is left out, and counted, when a label in it has a lower quality than the recipe's
     `export: {min_quality: 0.25}`. Quality is 1 / (1 + e / 5 px), where e is the label's expected error: 0.25
     stands for 15 px, 0.5 for 5 px. `min_quality: 0` keeps all.
 
-    Example: rpl export --workspace workspaces/demo
+    Formats: coco; yolo for Ultralytics; bop; okt for ObjectKeypointTrainer; foundationpose, reference views
+    for its model-free mode; bundlesdf, a video of each object and scene.
+
+    Example: rpl export --workspace workspaces/demo --format foundationpose
 
     Args:
         workspace: a folder made by `rpl build` or `rpl import`.
         labels: `own`, or `truth`: export/coco_truth with the same images, labelled by the truth where it is
             known.
+        format: one more format, this time only; the recipe says which are written by every build.
         again: run the stage even if nothing it depends on has changed.
     """
+    from rpl_data.pipeline.stages.export import check_format
+
+    if format is not None:
+        check_format(format)
     run_stage(workspace, "export", again)
-    if labels == "truth":
+    if labels == "truth" or format is not None:
         from rpl_data.pipeline.build import alone_in, context_of
-        from rpl_data.pipeline.stages.export import export_truth
+        from rpl_data.pipeline.stages.export import EXPORTS, export_truth
         from rpl_data.workspace.workspace import Workspace
 
         place = Workspace(workspace)
-        with alone_in(place):
-            summary = export_truth(context_of(place))
-        print(f"{place.export('coco_truth')}: {sum(summary.images.values())} images")
+        wanted = [] if format is None else [format]
+        for name in ["coco_truth"] * (labels == "truth") + wanted:
+            with alone_in(place):
+                summary = EXPORTS.get(name, export_truth)(context_of(place))
+            print(f"{place.export(name)}: {sum(summary.images.values())} images")
+            for line in summary.messages:
+                print(f"    {line}")
 
 
 def quality(workspace: Path = HERE, again: bool = False) -> None:

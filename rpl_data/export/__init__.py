@@ -4,8 +4,19 @@
 """
 
 from rpl_data.export.bop import export_bop
+from rpl_data.export.bundlesdf import export_bundlesdf
 from rpl_data.export.coco import ExportScene, ExportSummary, export_coco
+from rpl_data.export.foundationpose import export_foundationpose
 from rpl_data.export.okt import export_okt
 from rpl_data.export.yolo import export_yolo
 
-__all__ = ["ExportScene", "ExportSummary", "export_bop", "export_coco", "export_okt", "export_yolo"]
+__all__ = [
+    "ExportScene",
+    "ExportSummary",
+    "export_bop",
+    "export_bundlesdf",
+    "export_coco",
+    "export_foundationpose",
+    "export_okt",
+    "export_yolo",
+]

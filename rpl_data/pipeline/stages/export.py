@@ -6,7 +6,16 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, replace
 
-from rpl_data.export import ExportScene, ExportSummary, export_bop, export_coco, export_okt, export_yolo
+from rpl_data.export import (
+    ExportScene,
+    ExportSummary,
+    export_bop,
+    export_bundlesdf,
+    export_coco,
+    export_foundationpose,
+    export_okt,
+    export_yolo,
+)
 from rpl_data.export.dialect import DialectSummary
 from rpl_data.json_arrays import Json, finite_or_none
 from rpl_data.pipeline.context import Context, step, truth_workspace
@@ -30,10 +39,15 @@ def export_steps(context: Context) -> list[Step]:
 def refuse_unknown_exports(names: Sequence[str]) -> None:
     """Raise a DataError for an unknown format; called before a long build, not after."""
     for name in names:
-        if name not in EXPORTS:
-            raise DataError(f"unknown export {name!r} in the recipe; expected one of {', '.join(EXPORTS)}")
+        check_format(name)
     if names and "coco" not in names:
         raise DataError(f"export {', '.join(names)} is made from `coco`; write `export: [coco, {names[0]}]`")
+
+
+def check_format(name: str) -> None:
+    """Raise a DataError for a format that nothing writes."""
+    if name not in EXPORTS:
+        raise DataError(f"unknown export {name!r}; expected one of {', '.join(EXPORTS)}")
 
 
 def _export_step(context: Context, name: str) -> Step:
@@ -149,9 +163,23 @@ def _yolo(context: Context) -> DialectSummary:
 
 
 def _bop(context: Context) -> DialectSummary:
+    return export_bop(context.workspace.export("bop"), context.workspace.export("coco"), _units(context))
+
+
+def _bundlesdf(context: Context) -> DialectSummary:
+    place = context.workspace.export("bundlesdf")
+    return export_bundlesdf(place, context.workspace.export("coco"), _units(context))
+
+
+def _foundationpose(context: Context) -> DialectSummary:
+    place = context.workspace.export("foundationpose")
+    return export_foundationpose(place, context.workspace.export("coco"), _units(context))
+
+
+def _units(context: Context) -> dict[str, float]:
+    """Metres per unit of the depth images, by scene."""
     workspace = context.workspace
-    units = {name: workspace.load_scene(name).metres_per_unit for name in workspace.labelled_scene_names()}
-    return export_bop(workspace.export("bop"), workspace.export("coco"), units)
+    return {name: workspace.load_scene(name).metres_per_unit for name in workspace.labelled_scene_names()}
 
 
 def _okt(context: Context) -> DialectSummary:
@@ -162,9 +190,8 @@ EXPORTS: dict[str, Callable[[Context], ExportSummary | DialectSummary]] = {
     "coco": export_labels,
     "yolo": _yolo,
     "bop": _bop,
+    "bundlesdf": _bundlesdf,
+    "foundationpose": _foundationpose,
     "okt": _okt,
 }
 """The writer of each format, by its name in the recipe."""
-
-
-# Report -------------------------------------------------------------------------------------------

@@ -1,0 +1,124 @@
+"""One object's views of an exported COCO folder: colour as PNG, depth in millimetres, mask and pose."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import Float64, UInt16
+
+from rpl_data.export.dialect import Split
+from rpl_data.export.folder import link
+from rpl_data.files import write_bytes
+from rpl_data.formats.datasets.coco import intrinsics_from_coco
+from rpl_data.formats.recordings.saved_images import encoded
+from rpl_data.geometry import Transform, invert
+from rpl_data.json_arrays import Json, matrix_from_json
+from rpl_data.types import DataError, Intrinsics
+
+MILLIMETRE = 0.001
+MOST_MM = np.iinfo(np.uint16).max
+
+
+@dataclass(frozen=True)
+class View:
+    """An object in an image.
+
+    Attributes:
+        image, annotation: their entries in the COCO file.
+        object_from_camera: the camera's pose in the object frame, OpenCV axes, metres.
+    """
+
+    image: Json
+    annotation: Json
+    object_from_camera: Transform
+
+    @property
+    def direction(self) -> Float64[np.ndarray, "3"]:
+        """Unit vector from the object's origin to the camera, object frame."""
+        towards = self.object_from_camera[:3, 3]
+        return np.asarray(towards / np.linalg.norm(towards))
+
+    @property
+    def camera(self) -> Intrinsics:
+        """The camera that took the image."""
+        return intrinsics_from_coco(self.image)
+
+
+def views_of(split: Split, category: int) -> list[View]:
+    """The images of a split that show an object and have a depth image, in their order."""
+    found = []
+    for image in split.images:
+        for annotation in split.annotations.get(image["id"], []):
+            if annotation["category_id"] == category and image["depth_file_name"] is not None:
+                pose = invert(matrix_from_json(annotation["camera_from_object"]))
+                found.append(View(image, annotation, pose))
+    return found
+
+
+def refuse_distortion(views: Sequence[View], layout: str) -> None:
+    """Raise a DataError where a lens bends lines, which a layout with a 3 x 3 matrix alone cannot say."""
+    for view in views:
+        if any(view.camera.distortion):
+            raise DataError(
+                f"scene {view.image['scene']} was taken by a lens with distortion, and {layout} holds a "
+                "3 x 3 matrix only; undistort the recording first, or leave this format out of `export`"
+            )
+
+
+def refuse_rgb_in(folder: Path) -> None:
+    """Raise a DataError where readers would be led astray that replace `rgb` anywhere in a path."""
+    if "rgb" in str(folder.resolve()):
+        raise DataError(
+            f"{folder}: readers of this layout replace `rgb` anywhere in the path of an image, and so would "
+            "find no depth here; build in a workspace whose path does not contain `rgb`"
+        )
+
+
+def rows_of(matrix: Float64[np.ndarray, "rows columns"]) -> str:
+    """A matrix as text, a row a line."""
+    return "".join(" ".join(f"{value:.9g}" for value in row) + "\n" for row in matrix)
+
+
+def write_view(
+    view: View, coco: Path, *, color: Path, depth: Path, mask: Path, metres_per_unit: Mapping[str, float]
+) -> None:
+    """Write the images of a view; what is stored already as it is wanted is linked.
+
+    Args:
+        view: the view.
+        coco: the exported COCO folder.
+        color, depth, mask: the PNG files to write: 8 bit; 16 bit in mm; 0 and 255.
+        metres_per_unit: of the depth images in the COCO folder, by scene name.
+    """
+    from pycocotools import mask as masks
+
+    source = coco / view.image["file_name"]
+    if source.suffix == ".png":
+        link(source, color)
+    else:
+        write_bytes(color, encoded(_read(source, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION), "png"))
+    raw, unit = coco / view.image["depth_file_name"], metres_per_unit[view.image["scene"]]
+    if np.isclose(unit, MILLIMETRE) and raw.suffix == ".png":
+        link(raw, depth)
+    else:
+        write_bytes(depth, encoded(_in_mm(_read(raw, cv2.IMREAD_UNCHANGED), unit), "png"))
+    seen = masks.decode(view.annotation["segmentation"])
+    write_bytes(mask, encoded(255 * seen, "png"))
+
+
+def _in_mm(raw: UInt16[np.ndarray, "h w"], metres_per_unit: float) -> UInt16[np.ndarray, "h w"]:
+    """Depth in whole millimetres; none where it is farther than 16 bits hold."""
+    mm = np.rint(raw * (metres_per_unit / MILLIMETRE))
+    return np.where(mm > MOST_MM, 0, mm).astype(np.uint16)
+
+
+def _read(path: Path, flags: int) -> np.ndarray:
+    """An image as OpenCV reads it: colour as BGR."""
+    image = cv2.imread(str(path), flags)
+    if image is None:
+        raise DataError(f"{path} cannot be read; export `coco` again")
+    return image
