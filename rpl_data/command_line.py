@@ -44,15 +44,24 @@ def run(
         description: what it is for; heads its help.
         presets: the functions whose options may also come from a YAML file, by `--config`.
     """
-    parser = ArgumentParser(prog=program, description=description, formatter_class=Help)
-    parser.add_argument("--version", action="version", version=f"{program} {installed_version()}")
-    _add_commands(parser, commands, presets)
-    values = _parsed(parser, arguments)
+    values = _parsed(
+        parser_of(commands, program=program, description=description, presets=presets), arguments
+    )
     function: Any = commands
     while isinstance(function, Mapping):
         name = values["subcommand"]
         function, values = function[name], values[name]
     return _called(function, values)
+
+
+def parser_of(
+    commands: Commands, *, program: str, description: str, presets: Collection[Command] = ()
+) -> ArgumentParser:
+    """The parser that `run` uses."""
+    parser = ArgumentParser(prog=program, description=description, formatter_class=Help)
+    parser.add_argument("--version", action="version", version=f"{program} {installed_version()}")
+    _add_commands(parser, commands, presets)
+    return parser
 
 
 def run_one(

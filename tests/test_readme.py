@@ -42,11 +42,18 @@ def test_bash_blocks_run(line: str) -> None:
 def test_console_blocks_parse(line: str) -> None:
     from jsonargparse import auto_parser
 
+    from rpl_data.command_line import parser_of
+
     words = shlex.split(line)
     assert words[0] == "rpl" or words[:2] == ["python", "-m"]
     program, arguments = (COMMANDS, words[1:]) if words[0] == "rpl" else (program_of(words[2]), words[3:])
     with contextlib.chdir(ROOT):  # where the configurations start
-        parsed = auto_parser(program, exit_on_error=False).parse_args(arguments)
+        if words[0] == "rpl":
+            parser = parser_of(program, program="rpl", description="")
+        else:
+            parser = auto_parser(program)
+        parser.exit_on_error = False
+        parsed = parser.parse_args(arguments)
     assert not isinstance(program, dict) or parsed.subcommand in program
 
 
