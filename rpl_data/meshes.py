@@ -100,13 +100,17 @@ def load_cloud(path: Path) -> PointCloud:
     return PointCloud(points, normals, _colors(vertices))
 
 
-def mesh_to_ply(mesh: Mesh, *, seen: Bool[np.ndarray, " m"] | None = None) -> bytes:
+def mesh_to_ply(mesh: Mesh, *, seen: Bool[np.ndarray, " m"] | None = None, normals: bool = False) -> bytes:
     """Encode vertices (with colours where known) and triangles as PLY.
 
     Args:
+        normals: whether the vertices get normals.
         seen: whether a camera saw each triangle; written as the property `seen` (1 or 0) of the faces.
     """
-    header, vertices = _vertices([("xyz", mesh.vertices)], mesh.colors)
+    columns: list[tuple[Sequence[str], Floats]] = [("xyz", mesh.vertices)]
+    if normals:
+        columns.append((("nx", "ny", "nz"), vertex_normals(mesh)))
+    header, vertices = _vertices(columns, mesh.colors)
     faces = f"element face {len(mesh.triangles)}\nproperty list uchar int vertex_indices\n"
     if seen is not None:
         faces += "property uchar seen\n"
@@ -116,6 +120,16 @@ def mesh_to_ply(mesh: Mesh, *, seen: Bool[np.ndarray, " m"] | None = None) -> by
 def cloud_to_ply(cloud: PointCloud) -> bytes:
     """Encode points with normals (and colours where known) as PLY."""
     return _file(*_vertices([("xyz", cloud.points), (("nx", "ny", "nz"), cloud.normals)], cloud.colors))
+
+
+def vertex_normals(mesh: Mesh) -> Floats:
+    """Unit normal of every vertex: the mean of its triangles' normals by area; 0 where it has no triangle."""
+    a, b, c = (mesh.vertices[mesh.triangles[:, corner]] for corner in range(3))
+    twice_area = np.cross(b - a, c - a)
+    sums = np.zeros_like(mesh.vertices)
+    for corner in range(3):
+        np.add.at(sums, mesh.triangles[:, corner], twice_area)
+    return np.asarray(sums / np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), 1e-30))
 
 
 def _file(elements: str, content: bytes) -> bytes:

@@ -14,13 +14,15 @@ from pycocotools import mask as masks
 
 from rpl_data.evaluate.truth import box_mesh
 from rpl_data.export import ExportScene, export_bop, export_coco, export_okt, export_yolo
+from rpl_data.export.bop_instances import Silhouettes, write_instance
 from rpl_data.export.split import SplitRule
-from rpl_data.formats.datasets.coco import read_coco
+from rpl_data.formats.datasets.coco import CocoObject, read_coco
 from rpl_data.formats.datasets.yolo import LINES, detect_line, pose_line, segment_line
 from rpl_data.formats.recordings.bop import read_bop
 from rpl_data.meshes import load_mesh, save_mesh
 from rpl_data.pipeline.stages.export import refuse_unknown_exports
-from rpl_data.types import DataError
+from rpl_data.raycast import RayScene, render_depth_m
+from rpl_data.types import DataError, Intrinsics
 
 PLAIN = CAMERA.__class__(150.0, 151.0, 79.5, 59.5, 160, 120)
 SIZE = np.array([0.2, 0.2, 0.05])
@@ -146,7 +148,12 @@ def test_masks_and_numbers_of_bop(coco: Path, tmp_path: Path) -> None:
     (scene,) = (tmp_path / "bop/test").iterdir()
     info = json.loads((scene / "scene_gt_info.json").read_text())
     truth = json.loads((scene / "scene_gt.json").read_text())
+    in_coco = json.loads((scene / "scene_gt_coco.json").read_text())
     assert info["0"] == truth["0"] == []
+    entries_of = {
+        image["id"]: iter([a for a in in_coco["annotations"] if a["image_id"] == image["id"]])
+        for image in in_coco["images"]
+    }
     for frame, entries in info.items():
         for number, entry in enumerate(entries):
             name = f"{int(frame):06d}_{number:06d}.png"
@@ -154,10 +161,50 @@ def test_masks_and_numbers_of_bop(coco: Path, tmp_path: Path) -> None:
             x, y, w, h = cv2.boundingRect(full)  # OpenCV counts to the far edge
             assert entry["bbox_obj"] == [x, y, w - 1, h - 1]
             assert entry["px_count_all"] == entry["px_count_valid"] == cv2.countNonZero(full)
+            coco_one = next(entries_of[int(frame)])
+            np.testing.assert_array_equal(masks.decode(plain(coco_one["segmentation"])), visible > 0)
+            assert coco_one["bbox"] == [x, y, w, h] and coco_one["ignore"] == (entry["visib_fract"] < 0.1)
             assert entry["px_count_visib"] == cv2.countNonZero(visible)
             assert entry["visib_fract"] == pytest.approx(cv2.countNonZero(visible) / cv2.countNonZero(full))
-    targets = json.loads((tmp_path / "bop/test_targets_bop19.json").read_text())
+    targets, images = (
+        json.loads((tmp_path / f"bop/test_targets_bop{year}.json").read_text()) for year in (19, 24)
+    )
     assert len(targets) == sum(map(len, truth.values())) == 10
+    assert {(t["scene_id"], t["im_id"]) for t in targets} == {(t["scene_id"], t["im_id"]) for t in images}
+    assert all(set(target) == {"scene_id", "im_id"} for target in images) and len(images) == 5
+
+
+def plain(rle: dict[str, object]) -> dict[str, object]:
+    """Run lengths as pycocotools decodes them."""
+    return masks.frPyObjects(rle, *rle["size"])  # type: ignore[misc]
+
+
+@pytest.mark.parametrize("shift_px", [0, 60, 110])
+def test_what_the_border_cuts_off_is_counted(shift_px: int, tmp_path: Path) -> None:
+    """A box before the camera, moved out of the image: against the same render on a canvas of our own."""
+    corners = np.array([[x, y, z] for x in (-0.1, 0.1) for y in (-0.1, 0.1) for z in (0.0, 0.05)])
+    save_mesh(tmp_path / "box.ply", box_mesh(corners))
+    pose = np.eye(4)
+    pose[:3, 3] = [shift_px / 150.0 * 0.6, 0, 0.6]
+    wide = Intrinsics(150.0, 151.0, 79.5 + 400, 59.5, 960, 120)
+    rays = RayScene([load_mesh(tmp_path / "box.ply")])
+    uncut = render_depth_m(rays, wide, pose, left_px=0, top_px=0, width=960, height=120) > 0
+    inside = uncut[:, 400:560]
+    run = masks.encode(np.asfortranarray(inside.astype(np.uint8)))
+    image = {"cam_K": list(map(float, PLAIN.matrix.ravel())), "width": 160, "height": 120, "distortion": []}
+    one = {
+        "category_id": 1,
+        "truncated": bool(inside[:, -1].any()),
+        "camera_from_object": pose.ravel().tolist(),
+        "segmentation": run,
+        "segmentation_full": run,
+    }
+    whole = Silhouettes(tmp_path, [CocoObject(BOX, "box.ply")])
+    info = write_instance(tmp_path, "one.png", image, one, None, whole)
+    columns = np.flatnonzero(uncut.any(axis=0)) - 400
+    assert abs(info["px_count_all"] - uncut.sum()) <= 0.01 * uncut.sum()
+    assert abs(info["visib_fract"] - inside.sum() / uncut.sum()) < 0.01
+    assert info["bbox_obj"][0] == columns[0] and info["bbox_obj"][2] == np.ptp(columns)
 
 
 def test_models_of_bop_are_millimetres(coco: Path, tmp_path: Path) -> None:
@@ -166,6 +213,9 @@ def test_models_of_bop_are_millimetres(coco: Path, tmp_path: Path) -> None:
     np.testing.assert_allclose(np.ptp(mesh.vertices, axis=0), 1000 * SIZE)
     info = json.loads((tmp_path / "bop/models/models_info.json").read_text())
     assert list(info) == ["1"]
+    content = (tmp_path / "bop/models/obj_000001.ply").read_bytes()
+    assert b"property double nx" in content[: content.index(b"end_header")]
+    assert (tmp_path / "bop/models_eval/obj_000001.ply").exists()
     assert info["1"]["diameter"] == pytest.approx(1000 * np.linalg.norm(SIZE))
     assert (info["1"]["min_x"], info["1"]["size_z"]) == pytest.approx((-100, 50))
 

@@ -26,7 +26,7 @@ from rpl_data.types import DataError, FrameLabel
 from rpl_data.wording import counted
 from rpl_data.workspace.workspace import Workspace
 
-VERSION = 2
+VERSION = 3
 """Increase it when the stage writes something else for the same input: its steps then run again."""
 
 
