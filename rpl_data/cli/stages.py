@@ -135,7 +135,8 @@ def export(
     stands for 15 px, 0.5 for 5 px. `min_quality: 0` keeps all.
 
     Formats: coco; yolo for Ultralytics; bop; okt for ObjectKeypointTrainer; foundationpose, reference views
-    for its model-free mode; bundlesdf, a video of each object and scene.
+    for its model-free mode; bundlesdf, a video of each object and scene; nerfstudio (with COLMAP's text);
+    huggingface, an image folder for `datasets`; webdataset, tar shards.
 
     Example: rpl export --workspace workspaces/demo --format foundationpose
 

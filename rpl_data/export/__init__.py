@@ -7,7 +7,10 @@ from rpl_data.export.bop import export_bop
 from rpl_data.export.bundlesdf import export_bundlesdf
 from rpl_data.export.coco import ExportScene, ExportSummary, export_coco
 from rpl_data.export.foundationpose import export_foundationpose
+from rpl_data.export.huggingface import export_huggingface
+from rpl_data.export.nerfstudio import export_nerfstudio
 from rpl_data.export.okt import export_okt
+from rpl_data.export.webdataset import export_webdataset
 from rpl_data.export.yolo import export_yolo
 
 __all__ = [
@@ -17,6 +20,9 @@ __all__ = [
     "export_bundlesdf",
     "export_coco",
     "export_foundationpose",
+    "export_huggingface",
+    "export_nerfstudio",
     "export_okt",
+    "export_webdataset",
     "export_yolo",
 ]

@@ -93,7 +93,7 @@ _REST = (
     "split:",
     "  test_scenes: 1  # whole scenes that are never trained on; none where there are fewer than 3 scenes",
     "  val_fraction: 0.1",
-    "export: [coco]  # also yolo, bop, okt, foundationpose, bundlesdf",
+    "export: [coco]  # `rpl export --help` names the other formats",
 )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, replace
+from pathlib import Path
 
 from rpl_data.export import (
     ExportScene,
@@ -13,7 +14,10 @@ from rpl_data.export import (
     export_bundlesdf,
     export_coco,
     export_foundationpose,
+    export_huggingface,
+    export_nerfstudio,
     export_okt,
+    export_webdataset,
     export_yolo,
 )
 from rpl_data.export.dialect import DialectSummary
@@ -25,6 +29,8 @@ from rpl_data.pipeline.ledger import Advance, Ledger, Outcome, Step
 from rpl_data.types import DataError, FrameLabel
 from rpl_data.wording import counted
 from rpl_data.workspace.workspace import Workspace
+
+Export = Callable[[Context], ExportSummary | DialectSummary]
 
 VERSION = 3
 """Increase it when the stage writes something else for the same input: its steps then run again."""
@@ -158,22 +164,16 @@ def _without(labels: Iterator[FrameLabel], left_out: frozenset[int]) -> Iterator
     return (label for label in labels if label.frame not in left_out)
 
 
-def _yolo(context: Context) -> DialectSummary:
-    return export_yolo(context.workspace.export("yolo"), context.workspace.export("coco"))
+def _dialect(name: str, write: Callable[[Path, Path], DialectSummary]) -> Export:
+    """A format made from `coco` alone."""
+    return lambda context: write(context.workspace.export(name), context.workspace.export("coco"))
 
 
-def _bop(context: Context) -> DialectSummary:
-    return export_bop(context.workspace.export("bop"), context.workspace.export("coco"), _units(context))
-
-
-def _bundlesdf(context: Context) -> DialectSummary:
-    place = context.workspace.export("bundlesdf")
-    return export_bundlesdf(place, context.workspace.export("coco"), _units(context))
-
-
-def _foundationpose(context: Context) -> DialectSummary:
-    place = context.workspace.export("foundationpose")
-    return export_foundationpose(place, context.workspace.export("coco"), _units(context))
+def _with_units(name: str, write: Callable[[Path, Path, dict[str, float]], DialectSummary]) -> Export:
+    """A format that must say what the depth images of each scene count in."""
+    return lambda context: write(
+        context.workspace.export(name), context.workspace.export("coco"), _units(context)
+    )
 
 
 def _units(context: Context) -> dict[str, float]:
@@ -182,16 +182,15 @@ def _units(context: Context) -> dict[str, float]:
     return {name: workspace.load_scene(name).metres_per_unit for name in workspace.labelled_scene_names()}
 
 
-def _okt(context: Context) -> DialectSummary:
-    return export_okt(context.workspace.export("okt"), context.workspace.export("coco"))
-
-
-EXPORTS: dict[str, Callable[[Context], ExportSummary | DialectSummary]] = {
+EXPORTS: dict[str, Export] = {
     "coco": export_labels,
-    "yolo": _yolo,
-    "bop": _bop,
-    "bundlesdf": _bundlesdf,
-    "foundationpose": _foundationpose,
-    "okt": _okt,
+    "yolo": _dialect("yolo", export_yolo),
+    "bop": _with_units("bop", export_bop),
+    "okt": _dialect("okt", export_okt),
+    "foundationpose": _with_units("foundationpose", export_foundationpose),
+    "bundlesdf": _with_units("bundlesdf", export_bundlesdf),
+    "nerfstudio": _with_units("nerfstudio", export_nerfstudio),
+    "huggingface": _dialect("huggingface", export_huggingface),
+    "webdataset": _dialect("webdataset", export_webdataset),
 }
 """The writer of each format, by its name in the recipe."""
