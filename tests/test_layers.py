@@ -40,7 +40,7 @@ CONFINED = {
     "fastapi": {"annotate", "capture"},
     "uvicorn": {"capture", "cli"},
     "pyrealsense2": {"capture"},
-    "open3d": {"meshes", "raycast", "reconstruct", "segment", "twin"},
+    "open3d": {"export", "meshes", "raycast", "reconstruct", "segment", "twin"},
     "pycocotools": {"annotate", "evaluate", "export", "formats", "label", "overlay", "torch", "twin"},
 }
 """The rooms that need a package; no other imports it."""

@@ -136,7 +136,8 @@ def export(
 
     Formats: coco; yolo for Ultralytics; bop; okt for ObjectKeypointTrainer; foundationpose, reference views
     for its model-free mode; bundlesdf, a video of each object and scene; nerfstudio (with COLMAP's text);
-    huggingface, an image folder for `datasets`; webdataset, tar shards.
+    huggingface, an image folder for `datasets`; webdataset, tar shards; assets, the objects'
+    textured meshes.
 
     Example: rpl export --workspace workspaces/demo --format foundationpose
 

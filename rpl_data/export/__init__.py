@@ -3,6 +3,7 @@
 `coco` is made from the labels and holds everything; the other dialects are made from it, with the same split.
 """
 
+from rpl_data.export.assets import export_assets
 from rpl_data.export.bop import export_bop
 from rpl_data.export.bundlesdf import export_bundlesdf
 from rpl_data.export.coco import ExportScene, ExportSummary, export_coco
@@ -16,6 +17,7 @@ from rpl_data.export.yolo import export_yolo
 __all__ = [
     "ExportScene",
     "ExportSummary",
+    "export_assets",
     "export_bop",
     "export_bundlesdf",
     "export_coco",

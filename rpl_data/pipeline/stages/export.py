@@ -10,6 +10,7 @@ from pathlib import Path
 from rpl_data.export import (
     ExportScene,
     ExportSummary,
+    export_assets,
     export_bop,
     export_bundlesdf,
     export_coco,
@@ -191,6 +192,7 @@ EXPORTS: dict[str, Export] = {
     "bundlesdf": _with_units("bundlesdf", export_bundlesdf),
     "nerfstudio": _with_units("nerfstudio", export_nerfstudio),
     "huggingface": _dialect("huggingface", export_huggingface),
+    "assets": _dialect("assets", export_assets),
     "webdataset": _dialect("webdataset", export_webdataset),
 }
 """The writer of each format, by its name in the recipe."""
