@@ -15,6 +15,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from rpl_data.cli.building import HERE, run_build  # noqa: E402
 from rpl_data.cli.clicks import annotate, clicks_export, clicks_import  # noqa: E402
 from rpl_data.cli.first import init  # noqa: E402
+from rpl_data.cli.machine import demo, doctor  # noqa: E402
 from rpl_data.cli.recordings import capture, check, import_, truth  # noqa: E402
 from rpl_data.cli.stages import (  # noqa: E402
     cut,
@@ -160,6 +161,8 @@ HELP = "Labelled pose, keypoint and mask datasets from RGB-D videos and a few cl
 COMMANDS: dict[str, Any] = {
     "build": build_recipe,
     "status": status,
+    "demo": demo,
+    "doctor": doctor,
     "capture": capture,
     "check": check,
     "init": init,

@@ -65,7 +65,7 @@ def test_every_command_explains_its_arguments(command: str, capsys: pytest.Captu
     arguments = re.search(r"positional arguments:.*|options:.*", capsys.readouterr().out, re.S)
     assert arguments is not None
     words = " ".join(arguments[0].split())
-    described = inspect.getdoc(COMMANDS[command]).split("Args:")[1]
+    described = inspect.getdoc(COMMANDS[command]).partition("Args:")[2]
     for name in inspect.signature(COMMANDS[command]).parameters:
         meaning = re.search(rf"\b{name}: (\S+)", described)
         assert meaning and name.rstrip("_") in words and meaning[1] in words, name

@@ -1,0 +1,100 @@
+"""What is installed: the lines of `rpl doctor`."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import importlib.util
+import os
+import platform
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from rpl_data.version import installed_version
+
+
+@dataclass(frozen=True)
+class Part:
+    """A package, and what does not work without it.
+
+    Attributes:
+        package: its name on the package index.
+        module: what is imported.
+        purpose: what it is needed for.
+        remedy: how to get it.
+    """
+
+    package: str
+    module: str
+    purpose: str
+    remedy: str = "pip install rpl-data"
+
+
+PARTS = (
+    Part("numpy", "numpy", "everything"),
+    Part("scipy", "scipy", "solving"),
+    Part("opencv-python-headless", "cv2", "images"),
+    Part("open3d", "open3d", "surfaces, masks"),
+    Part("small_gicp", "small_gicp", "tracking, surfaces"),
+    Part("pycocotools", "pycocotools", "masks, exports"),
+    Part("fastapi", "fastapi", "the annotation page"),
+    Part("torch", "torch", "Datasets, training"),
+    Part("torchvision", "torchvision", "Datasets, training"),
+    Part("pyrealsense2", "pyrealsense2", "RealSense cameras, .bag and .db3 files of theirs"),
+    Part("rosbags", "rosbags", "ROS bags"),
+    Part("av", "av", "videos of phones, Azure Kinect"),
+    Part("imagecodecs", "imagecodecs", "depth of Record3D"),
+    Part(
+        "pytorch-lightning", "pytorch_lightning", "the training programs", "pip install 'rpl-data[training]'"
+    ),
+    Part("tensorboard", "tensorboard", "curves of a training", "pip install 'rpl-data[training]'"),
+)
+
+
+def machine_lines() -> list[str]:
+    """Versions, cores, memory, and whether there is a GPU."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    lines = [
+        f"rpl-data {installed_version()}, Python {platform.python_version()} at {sys.prefix}",
+        f"{platform.system()} {platform.machine()}, {cores} cores{_memory()}",
+    ]
+    return [*lines, _gpu()]
+
+
+def package_lines() -> list[str]:
+    """A line per package; what is missing says what does not work, and what to run."""
+    return [_line(part) for part in PARTS]
+
+
+def _line(part: Part) -> str:
+    if importlib.util.find_spec(part.module) is None:
+        return f"  missing  {part.package}: {part.purpose} will not work; {part.remedy}"
+    try:
+        version = importlib.metadata.version(part.package)
+    except importlib.metadata.PackageNotFoundError:  # installed by other means than a package
+        version = "installed"
+    return f"  ok       {part.package} {version}: {part.purpose}"
+
+
+def _memory() -> str:
+    """Memory in GiB, where the system says it the way Linux does."""
+    try:
+        size = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, OSError, ValueError):
+        return ""
+    return f", {size / 2**30:.0f} GiB of memory, {_free_gib():.0f} GiB free on the disk of this folder"
+
+
+def _free_gib() -> float:
+    import shutil
+
+    return shutil.disk_usage(Path.cwd()).free / 2**30
+
+
+def _gpu() -> str:
+    if importlib.util.find_spec("torch") is None:
+        return "no PyTorch, so no GPU was looked for"
+    from rpl_data.torch.device import accelerator
+
+    found = accelerator()
+    return f"GPU for training: {found}" if found else "no GPU: labelling needs none, training takes the CPU"

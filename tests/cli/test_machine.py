@@ -1,0 +1,33 @@
+"""`rpl demo` is the recipe of the repository; `rpl doctor` says what is there and what is not."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+
+import pytest
+
+from rpl_data.cli import installed
+from rpl_data.cli.main import main
+from rpl_data.pipeline.demo import DEMO
+from rpl_data.pipeline.recipe_file import load_recipe
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_the_demo_is_the_recipe_of_the_repository() -> None:
+    assert load_recipe(ROOT / "datasets/demo.yaml") == DEMO
+
+
+def test_what_is_missing_says_how_to_get_it(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    there = importlib.util.find_spec
+    monkeypatch.setattr(
+        installed.importlib.util, "find_spec", lambda name: None if name == "pyrealsense2" else there(name)
+    )
+    assert main(["doctor"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith("rpl-data ") and any("ok       numpy" in line for line in lines)
+    (missing,) = [line for line in lines if "missing" in line]
+    assert "pyrealsense2: RealSense cameras" in missing and missing.endswith("pip install rpl-data")
