@@ -5,8 +5,10 @@ from __future__ import annotations
 import inspect
 import re
 from argparse import SUPPRESS, Action, RawDescriptionHelpFormatter
+import sys
 from collections.abc import Callable, Collection, Mapping, Sequence
-from typing import Any
+from difflib import get_close_matches
+from typing import Any, NoReturn
 
 from jsonargparse import ArgumentParser
 
@@ -25,6 +27,59 @@ class Help(RawDescriptionHelpFormatter):
         quiet = action.default in (None, SUPPRESS, []) or action.default is False
         shown = action.option_strings and not quiet
         return f"{text} (default: {action.default})" if shown else text
+
+
+class Parser(ArgumentParser):
+    """A parser that says a mistake in one line, with what was probably meant."""
+
+    def error(self, message: str, ex: Exception | None = None) -> NoReturn:
+        """Print one line and exit with status 2."""
+        parser = getattr(ex, "subcommand_parser", None) or self
+        said = one_line(message, [name for action in parser._actions for name in action.option_strings])
+        program = parser.prog.replace(" [options]", "")
+        if found := re.search(r"are required: ([\w.]+)[.]", message):  # said by the parser above the command's
+            program = f"{program} {found[1].replace('.', ' ')}"
+        see = " See" if said.endswith("?") else "; see"
+        print(f"{program}: {said}{see} `{program} --help`", file=sys.stderr)
+        sys.exit(2)
+
+
+def one_line(message: str, options: Sequence[str]) -> str:
+    """What the parser has to say of a mistake, in one line; the nearest name for one that is not known.
+
+    Args:
+        message: of argparse or jsonargparse.
+        options: those that there are.
+    """
+    if found := re.search(r"argument COMMAND: invalid choice: '(.*)' \(choose from (.*)\)", message):
+        known = re.findall(r"'([^']+)'", found[2])
+        return f"there is no command {found[1]!r}{_meant(found[1], known) or f'; there are {found[2]}'}"
+    if found := re.match(r"unrecognized arguments: (.*)", message):
+        given = [word.split("=")[0] for word in found[1].split() if word.startswith("--")]
+        if not given:
+            return f"too many arguments: {found[1]}"
+        return ", ".join(f"there is no option {name}{_meant(name, options)}" for name in given)
+    if "subcommand" in message:
+        return "a command is missing"
+    if found := re.match(r'Parser key "([\w.]+)":.*?<class .*valu?e: (.*)', message, re.DOTALL):
+        expected = dict.fromkeys(re.findall(r"<class '(\w+)'>", message.split("Given")[0]))
+        return f"--{found[1]}: expected {' or '.join(k for k in expected if k in VALUES)}, found {found[2]!r}"
+    if message.startswith("the following arguments are required: "):
+        return f"{re.sub(r'[^ ]*[.]', '', message.split(': ')[1])} is missing"
+    return " ".join(re.sub(r'Parser key "([\w.]+)":', r"--\1:", message).split())
+
+
+VALUES = ("int", "float", "bool", "str")
+"""Types that a person can write on a command line."""
+
+
+def _meant(name: str, known: Sequence[str]) -> str:
+    """The known name most like another one; an option may have been named without its group."""
+    near = get_close_matches(name, known, 1, 0.6)
+    if not near:
+        by_end = {option.split(".")[-1]: option for option in known if "." in option}
+        near = [by_end[end] for end in get_close_matches(name.lstrip("-").split(".")[-1], by_end, 1, 0.7)]
+    return f"; did you mean {near[0]}?" if near else ""
 
 
 def run(
@@ -58,7 +113,7 @@ def parser_of(
     commands: Commands, *, program: str, description: str, presets: Collection[Command] = ()
 ) -> ArgumentParser:
     """The parser that `run` uses."""
-    parser = ArgumentParser(prog=program, description=description, formatter_class=Help)
+    parser = Parser(prog=program, description=description, formatter_class=Help)
     parser.add_argument("--version", action="version", version=f"{program} {installed_version()}")
     _add_commands(parser, commands, presets)
     return parser
@@ -68,7 +123,7 @@ def run_one(
     function: Command, arguments: Sequence[str] | None, *, program: str, presets: Collection[Command] = ()
 ) -> Any:
     """Call the function with the options of the command line; `run` for a program with a single command."""
-    parser = ArgumentParser(prog=program, description=help_of(function), formatter_class=Help)
+    parser = Parser(prog=program, description=help_of(function), formatter_class=Help)
     _add_options(parser, function, presets)
     return _called(function, _parsed(parser, arguments))
 
@@ -88,7 +143,7 @@ def _add_commands(parser: ArgumentParser, commands: Commands, presets: Collectio
             continue
         group = isinstance(command, Mapping)
         text = command["_help"] if group else help_of(command)
-        below = ArgumentParser(description=text, formatter_class=Help)
+        below = Parser(description=text, formatter_class=Help)
         chosen.add_subcommand(name, below, help=text.split("\n")[0])
         if group:  # only after its parent knows it, or the parser loses its levels
             _add_commands(below, command, presets)

@@ -74,10 +74,18 @@ def build_recipe(
     export, quality, report. Interrupt it whenever you like: run it again and it goes on from there.
     `method: paper` in the recipe makes every stage do what the paper does, as a baseline.
 
-    Example: rpl build datasets/demo.yaml --workspace workspaces/demo
+    Example: rpl build my.yaml --root my-recording --workspace my-workspace
+
+    The smallest recipe, for a recording made with `rpl capture` and clicks made with `rpl annotate`:
+
+      name: cube
+      scenes: [{path: my-recording}]
+      objects: [{name: cube, keypoints: 8}]
+
+    The workspace's own recipe.yaml lists every field with its value.
 
     Args:
-        recipe: the YAML file; datasets/recording.yaml explains every field.
+        recipe: the YAML file.
         workspace: folder for everything that is made; workspaces/<name of the file> when left out.
         root: where the relative paths of the recipe start; the recipe's own folder when left out.
         workers: number of processes for labelling and rendering; as many as there are cores when left out,

@@ -56,8 +56,7 @@ def load_recipe(path: str | Path, *, root: str | Path | None = None) -> Recipe:
     if not path.exists() or path.is_dir():
         found = "is a folder" if path.is_dir() else "does not exist"
         raise DataError(
-            f"{path} {found}; give the recipe, a YAML file: datasets/recording.yaml is one to copy, and "
-            "explains every field"
+            f"{path} {found}; give the recipe, a YAML file; `rpl build --help` shows the smallest one"
         )
     try:
         data = yaml.load(read_text(path), _OnceLoader)
@@ -73,7 +72,9 @@ def load_recipe(path: str | Path, *, root: str | Path | None = None) -> Recipe:
 def parse_recipe(data: object, *, source: str) -> Recipe:
     """Make a recipe from parsed YAML; paths stay as they are written."""
     if not isinstance(data, dict):
-        raise DataError(f"{source}: a recipe is a list of `key: value` lines; see datasets/recording.yaml")
+        raise DataError(
+            f"{source}: a recipe is a list of `key: value` lines; `rpl build --help` shows the smallest one"
+        )
     if isinstance(data.get("export"), list):
         data = {**data, "export": {"formats": data["export"]}}
     data = fill_in(data, source=source)

@@ -1,0 +1,48 @@
+"""Mistakes on a command line: one line each, with what was probably meant."""
+
+from __future__ import annotations
+
+import pytest
+
+from rpl_data.cli.main import main
+from rpl_data.command_line import one_line
+from rpl_data.pipeline.recipe_file import load_recipe
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["biuld"], "rpl: there is no command 'biuld'; did you mean build? See `rpl --help`"),
+        (["clicks", "exprt"], "rpl clicks: there is no command 'exprt'; did you mean export? See"),
+        (["xyzzy"], "rpl: there is no command 'xyzzy'; there are 'build', 'status'"),
+        (["label", "--agian", "true"], "rpl label: there is no option --agian; did you mean --again? See"),
+        (["label", "--workers", "two"], "rpl label: --workers: expected int, found 'two'; see"),
+        (["build", "a.yaml", "b"], "rpl build: too many arguments: b; see"),
+        (["register", "cube"], "rpl register: scene is missing; see `rpl register --help`"),
+        ([], "rpl: a command is missing; see `rpl --help`"),
+    ],
+)
+def test_a_mistyped_command_is_one_line(
+    arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as end:
+        main(arguments)
+    told = capsys.readouterr().err
+    assert end.value.code == 2 and told.count("\n") == 1
+    assert told.startswith(said)
+
+
+def test_an_option_may_be_named_without_its_group() -> None:
+    options = ["--learning.epochs", "--learning.batch", "--seed"]
+    said = one_line("unrecognized arguments: --epoch 5", options)
+    assert said == "there is no option --epoch; did you mean --learning.epochs?"
+    assert one_line("unrecognized arguments: --nothing.like=1", options) == "there is no option --nothing.like"
+
+
+def test_the_recipe_in_the_help_is_one(tmp_path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["build", "--help"])
+    shown = capsys.readouterr().out.split("The smallest recipe")[1].split("\n\n")[1]
+    (tmp_path / "my.yaml").write_text(shown)
+    recipe = load_recipe(tmp_path / "my.yaml")
+    assert [len(item.keypoint_names) for item in recipe.objects] == [8]
