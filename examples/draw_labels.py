@@ -1,6 +1,6 @@
 """Every labelled frame as a picture with its masks, boxes and keypoints drawn on it.
 
-python examples/draw_labels.py my-workspace pictures
+    python examples/draw_labels.py my-workspace pictures
 """
 
 import sys
@@ -23,4 +23,6 @@ def main(folder: str, out: str) -> None:
 
 
 if __name__ == "__main__":
+    if len(sys.argv) != 3:
+        sys.exit(__doc__)
     main(*sys.argv[1:])

@@ -65,4 +65,6 @@ def main(recording: str, clicks_csv: str, name: str, out: str) -> None:
 
 
 if __name__ == "__main__":
+    if len(sys.argv) != 5:
+        sys.exit(__doc__)
     main(*sys.argv[1:])

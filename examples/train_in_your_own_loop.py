@@ -66,4 +66,6 @@ def main(export: str, name: str, epochs: int = 3) -> None:
 
 
 if __name__ == "__main__":
+    if len(sys.argv) not in (3, 4):
+        sys.exit(__doc__)
     main(*sys.argv[1:])

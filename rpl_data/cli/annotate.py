@@ -18,6 +18,7 @@ from rpl_data.pipeline.build import Progress, build, context_of, recipe_of, save
 from rpl_data.pipeline.context import Context
 from rpl_data.pipeline.grasp import object_from_grasp
 from rpl_data.pipeline.recipe import ObjectRecipe
+from rpl_data.pipeline.results import sparse_labels
 from rpl_data.pipeline.stages.solve import solve_annotation_unchecked
 from rpl_data.solve.solve import register
 from rpl_data.types import DataError
@@ -87,7 +88,9 @@ def _run(workspace: Workspace, stage: str, tell: Tell) -> list[str]:
             counts = ", ".join(f"{count} {split}" for split, count in images.items())
             lines.append(f"{workspace.export(progress.item).resolve()}: {counts} images")
 
-    build(recipe_of(workspace), workspace, until=stage, tell=told)
+    ledger = build(recipe_of(workspace), workspace, until=stage, tell=told)
+    if stage != "segment":
+        lines.extend(sparse_labels(ledger.of_stage("label").values()))
     return lines
 
 

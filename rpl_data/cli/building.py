@@ -30,12 +30,12 @@ def run_build(
 ) -> Ledger:
     """Build with progress on the terminal, and say what came out."""
     from rpl_data.cli.screen import Screen, print_results
-    from rpl_data.pipeline.build import build, stages_named
+    from rpl_data.pipeline.build import build, fresh_steps, stages_named
     from rpl_data.workspace.workspace import Workspace
 
     chosen = stages_named(again, until)
     place = Workspace(workspace)
     with Screen() as screen:
         ledger = build(recipe, place, until=until, again=chosen, workers=workers, tell=screen.tell)
-    print_results(place, ledger, screen, until)
+    print_results(place, ledger, screen, until, fresh_steps(recipe, place))
     return ledger

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import time
+from collections.abc import Collection, Sequence
 from functools import partial
 from types import TracebackType
 
@@ -17,15 +18,38 @@ from rpl_data.pipeline.results import quality_rows, split_summary, timings, wort
 from rpl_data.types import Recording
 from rpl_data.workspace.workspace import Workspace
 
+TELL_EVERY_S = 10.0
+"""Where there is no terminal, the running step is named in a line at most this often."""
+
+
+class _Lines:
+    """Lines in place of a progress bar, for a log file or a pipe."""
+
+    def __init__(self, console: Console) -> None:
+        self.console = console
+        self._told_s = time.monotonic()
+        self._title = ""
+
+    def tell(self, title: str, done: int, total: int) -> None:
+        """Say how far a step is; nothing when it began, or was named, a short time ago."""
+        now_s = time.monotonic()
+        if title != self._title:
+            self._title, self._told_s = title, now_s
+        if self.console.is_terminal or now_s - self._told_s < TELL_EVERY_S:
+            return
+        self._told_s = now_s
+        self.console.print(f"{title:20s} {f'{done} of {total}' if total else 'at work'}")
+
 
 class Screen:
-    """Prints one line per finished step, and a progress bar for the running one (on a terminal only)."""
+    """Prints one line per finished step, and how far the running one is: a bar, or lines without a terminal."""
 
     def __init__(self) -> None:
         self.console = Console(highlight=False, markup=False, soft_wrap=True)
         columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
         quiet = not self.console.is_terminal
         self._bar = Progress(*columns, console=self.console, transient=True, disable=quiet)
+        self._lines = _Lines(self.console)
         self._task: TaskID | None = None
         self.ran = 0
 
@@ -45,6 +69,7 @@ class Screen:
             if self._task is None:
                 self._task = self._bar.add_task(title, total=progress.total or None)
             self._bar.update(self._task, completed=progress.done, total=progress.total or None)
+            self._lines.tell(title, progress.done, progress.total)
             return
         if self._task is not None:
             self._bar.remove_task(self._task)
@@ -67,22 +92,31 @@ def print_diagnoses(recordings: Sequence[Recording]) -> list[Diagnosis]:
     found = []
     console = Console(highlight=False, markup=False, soft_wrap=True)
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
+    lines = _Lines(console)
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         for recording in recordings:
             task = bar.add_task(f"scene {recording.scene.name}", total=None)
-            diagnosis = examine(recording, progress=partial(_show, bar, task))
+            show = partial(_show, bar, task, lines, f"scene {recording.scene.name}")
+            diagnosis = examine(recording, progress=show)
             bar.remove_task(task)
             console.print(describe(diagnosis))
             found.append(diagnosis)
     return found
 
 
-def _show(bar: Progress, task: TaskID, done: int, total: int) -> None:
+def _show(bar: Progress, task: TaskID, lines: _Lines, title: str, done: int, total: int) -> None:
     bar.update(task, completed=done, total=total)
+    lines.tell(title, done, total)
 
 
-def print_results(workspace: Workspace, ledger: Ledger, screen: Screen, until: str | None) -> None:
-    """Print the results of a build: timings, split, errors against truth, click advice, and the report."""
+def print_results(
+    workspace: Workspace, ledger: Ledger, screen: Screen, until: str | None, fresh: Collection[str]
+) -> None:
+    """Print the results of a build: timings, split, errors against truth, click advice, and the report.
+
+    Args:
+        fresh: names of the steps that are up to date; what others said was of an earlier state.
+    """
     say = screen.console.print
     if not screen.ran:
         say("nothing to do: every stage is up to date; these are its results")
@@ -96,7 +130,7 @@ def print_results(workspace: Workspace, ledger: Ledger, screen: Screen, until: s
     rows = quality_rows(ledger)
     if rows and until in (None, "quality", "report"):
         say(f"\nerrors against the truth\n{format_table(rows)}")
-    known = worth_knowing(ledger)
+    known = worth_knowing(ledger, fresh)
     if known:
         say("\nWorth knowing\n" + "\n".join(f"    {line}" for line in known))
     if until in (None, "report"):

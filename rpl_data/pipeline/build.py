@@ -202,6 +202,16 @@ def stale_steps(recipe: Recipe, workspace: Workspace) -> dict[str, list[tuple[st
     return found
 
 
+def fresh_steps(recipe: Recipe, workspace: Workspace) -> set[str]:
+    """The names of the steps that are known to be up to date."""
+    return {
+        f"{stage}/{item}" if item else stage
+        for stage, steps in stale_steps(recipe, workspace).items()
+        for item, holds in steps
+        if holds
+    }
+
+
 def run_step(
     recipe: Recipe,
     workspace: Workspace,

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from typing import Any
 
-from rpl_data.pipeline.ledger import Ledger
+from rpl_data.pipeline.ledger import Entry, Ledger
 from rpl_data.pipeline.stages import ORDER
 from rpl_data.types import QualityRow
 from rpl_data.wording import counted
@@ -30,11 +31,36 @@ def timings(ledger: Ledger) -> dict[str, dict[str, float | int]]:
     return found
 
 
-def worth_knowing(ledger: Ledger) -> list[str]:
-    """What the stages after the reading of recordings had to say about the result, each line once."""
+def worth_knowing(ledger: Ledger, fresh: Collection[str] | None = None) -> list[str]:
+    """What the stages after the reading of recordings had to say about the result, each line once.
+
+    Args:
+        fresh: names of the steps that are up to date; only these are heard. All of them when None.
+    """
     stages = ("cut", "solve", "refine", "segment", "label", "export")
-    said = [line for stage in stages for x in ledger.of_stage(stage).values() for line in x.outcome.messages]
-    return list(dict.fromkeys(said))
+    heard = [
+        (stage, entry)
+        for stage in stages
+        for item, entry in ledger.of_stage(stage).items()
+        if fresh is None or (f"{stage}/{item}" if item else stage) in fresh
+    ]
+    said = [line for _, entry in heard for line in entry.outcome.messages]
+    sparse = sparse_labels([entry for stage, entry in heard if stage == "label"])
+    return list(dict.fromkeys([*said, *sparse]))
+
+
+def sparse_labels(entries: Collection[Entry]) -> list[str]:
+    """A line when not all frames are labelled: how many are, by which rate, and how to get all."""
+    rates = {entry.options.get("rate_hz") for entry in entries}
+    labelled = sum(entry.outcome.frames for entry in entries)
+    posed = sum(entry.outcome.details.get("posed", entry.outcome.frames) for entry in entries)
+    if labelled >= posed:
+        return []
+    by = " or ".join(f"{rate:g}" for rate in sorted(rate for rate in rates if rate is not None))
+    return [
+        f"{labelled} of the {posed} frames with a camera pose are labelled, {by} per second of the recording; "
+        "`label: {rate: all}` in the recipe labels all of them"
+    ]
 
 
 def split_summary(ledger: Ledger) -> str:

@@ -62,3 +62,12 @@ def test_train_in_your_own_loop(
     losses = [float(line.split()[-1]) for line in said.splitlines() if line.startswith("epoch")]
     assert len(losses) == 2 and losses[1] < losses[0]
     assert "labelled camera_from_object" in said
+
+
+@pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.py")), ids=lambda path: path.name)
+def test_without_arguments_an_example_says_how_it_is_called(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(SystemExit) as end:
+        run(monkeypatch, path.name)
+    assert f"python examples/{path.name} my-" in str(end.value)

@@ -17,10 +17,10 @@ from rpl_data.meshes import joined_meshes
 from rpl_data.pipeline import build as module
 from rpl_data.pipeline.build import FORGET, STAGES, Progress, alone_in, build, recipe_of, stale_steps
 from rpl_data.pipeline.context import Context
-from rpl_data.pipeline.ledger import Ledger, Outcome, Step, stamps
+from rpl_data.pipeline.ledger import Entry, Ledger, Outcome, Step, stamps
 from rpl_data.pipeline.pool import Pool
 from rpl_data.pipeline.recipe import LabelRecipe, ObjectRecipe, Recipe, RefineRecipe, SceneSource
-from rpl_data.pipeline.results import quality_rows, timings, worth_knowing
+from rpl_data.pipeline.results import quality_rows, sparse_labels, timings, worth_knowing
 from rpl_data.pipeline.stages import ORDER
 from rpl_data.pipeline.stages.surface import joined_spheres
 from rpl_data.twin.spec import TwinSpec
@@ -169,6 +169,18 @@ def test_what_the_segmentation_says_is_worth_knowing(tmp_path: Path) -> None:
         step = Step(stage, "cup", 1, {}, {}, (), (), lambda advance, outcome=outcome: outcome)
         ledger.run(step, lambda done, total: None)
     assert worth_knowing(ledger) == ["solve speaks", "segment speaks"]
+    assert worth_knowing(ledger, {"import/cup", "solve/cup"}) == ["solve speaks"]
+
+
+def test_how_many_frames_are_labelled_is_said_with_the_way_to_more() -> None:
+    def entry(labelled: int, posed: int, rate_hz: float | None) -> Entry:
+        outcome = Outcome(labelled, details={"posed": posed})
+        return Entry("key", 1, {"rate_hz": rate_hz}, {}, {}, 1.0, outcome)
+
+    (line,) = sparse_labels([entry(6, 148, 3.0), entry(5, 52, 3.0)])
+    assert line.startswith("11 of the 200 frames with a camera pose are labelled, 3 per second")
+    assert "`label: {rate: all}`" in line
+    assert sparse_labels([entry(148, 148, None)]) == []
 
 
 def test_removed_scene_disappears(built: tuple[Recipe, Workspace]) -> None:

@@ -47,7 +47,8 @@ def _label_step(context: Context, video: str) -> Step:
     def run(advance: Advance) -> Outcome:
         counts: Counter[str] = Counter()
         scene = workspace.load_scene(video)
-        frames = sample_frames(posed_frames(scene, workspace.load_trajectory(scene)), rate_hz=rate_hz)
+        posed = posed_frames(scene, workspace.load_trajectory(scene))
+        frames = sample_frames(posed, rate_hz=rate_hz)
         chosen = {
             name: [f.index for f in frames if parts.scene_at(video, f.index) == name] for name in placed
         }
@@ -66,7 +67,8 @@ def _label_step(context: Context, video: str) -> Step:
                 yield label
 
         workspace.save_labels(video, counted())
-        return Outcome(total, details={"instances": {item: counts[item] for item in names}})
+        instances = {item: counts[item] for item in names}
+        return Outcome(total, details={"instances": instances, "posed": len(posed)})
 
     before = [step for item in names for step in (context.placed_by(item), f"segment/{item}")]
     options: Json = {"rate_hz": rate_hz} | {name: context.frames_of(name) for name in placed if name != video}

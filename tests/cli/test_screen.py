@@ -1,0 +1,26 @@
+"""What a build says where there is no terminal, and which messages it repeats."""
+
+from __future__ import annotations
+
+import io
+
+import pytest
+from rich.console import Console
+
+from rpl_data.cli import screen
+from rpl_data.pipeline.build import Progress
+
+
+def test_without_a_terminal_a_long_step_is_named_at_most_every_ten_seconds(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    now_s = 0.0
+    monkeypatch.setattr(screen.time, "monotonic", lambda: now_s)
+    with screen.Screen() as shown:
+        shown.console = shown._lines.console = Console(file=(file := io.StringIO()))
+        for now_s in range(26):
+            shown.tell(Progress("label", "00", "runs", now_s, 100))
+        for now_s in range(26, 34):
+            shown.tell(Progress("label", "01", "runs", now_s - 26, 100))
+    lines = [line.split() for line in file.getvalue().splitlines()]
+    assert lines == [["label", "00", "10", "of", "100"], ["label", "00", "20", "of", "100"]]
