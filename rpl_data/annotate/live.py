@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from rpl_data.annotate.stores.scenes import SceneStore
-from rpl_data.annotate.work import Check, Solve
+from rpl_data.annotate.work import Check, GoOn, Solve
 from rpl_data.clicks.lift import lift
 from rpl_data.clicks.log import Annotation
 from rpl_data.clicks.rigidity import describe_loose, generic_points, loose_scenes
@@ -31,7 +31,7 @@ class Live:
         loose: what each scene lacks, by scene; scenes without clicks are left out.
         problem: why scenes that should be tied have no solution; empty when all is well.
         seconds: time that solving took.
-        check: completes the solution by the check of its clicks; None when nothing is left to check.
+        check: gives the final solution, with the check of its clicks; None when this is the final one.
     """
 
     solution: Solution | None
@@ -40,9 +40,13 @@ class Live:
     seconds: float = 0.0
     check: Check | None = None
 
-    def checked(self) -> Live:
-        """The result with what its clicks say about one another."""
-        return self if self.check is None else replace(self, solution=self.check(), check=None)
+    def checked(self, go_on: GoOn = lambda: None) -> Live:
+        """The final result, with what its clicks say about one another.
+
+        Args:
+            go_on: called again and again meanwhile; what it raises ends the check.
+        """
+        return self if self.check is None else replace(self, solution=self.check(go_on), check=None)
 
     def lifted(self, observations: Sequence[Observation]) -> list[tuple[Click, Float64[np.ndarray, "3"]]]:
         """Clicks of scenes in which the object has no pose yet, in the scene frame, at the nearest depth."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
@@ -38,6 +38,10 @@ class Result:
     lifted: tuple[tuple[Click, Float64[np.ndarray, "3"]], ...]
     grasp: Transform | None = None
     grasp_problem: str = ""
+
+
+class Overtaken(Exception):
+    """The clicks have changed since the check of their result began."""
 
 
 class Session:
@@ -94,21 +98,39 @@ class Session:
         """The result of the current clicks; solved and checked once per revision.
 
         Args:
-            checked: whether to wait for the check of the clicks against one another.
+            checked: whether to wait for the check of the clicks against one another. A click that is made
+                meanwhile ends the check, and the result that comes back is then that click's, unchecked.
         """
         log = self.log(name)
         with self._solving:
-            revision = log.now()
-            kept = self._results.get(name)
-            if kept is None or kept.revision.number != revision.number:
-                observations = self._lifter.observations(revision.annotation.clicks)
-                live = solve_live(revision.annotation, observations, self.work.solve)
-                kept = self._results[name] = Result(
-                    revision, live, tuple(live.lifted(observations)), *self._grasp(revision.annotation, live)
-                )
-            if checked and kept.live.check is not None:
-                kept = self._results[name] = replace(kept, live=kept.live.checked())
+            kept = self._solved(name, log.now())
+            if not checked or kept.live.check is None:
+                return kept
+
+            def go_on() -> None:
+                if log.now().number != kept.revision.number:
+                    raise Overtaken
+
+            try:
+                live = kept.live.checked(go_on)
+            except Overtaken:
+                return self._solved(name, log.now())
+            kept = self._results[name] = self._result(kept.revision, live)
+            return kept
+
+    def _solved(self, name: str, revision: Revision) -> Result:
+        """The result of a revision, checked if it was before."""
+        kept = self._results.get(name)
+        if kept is None or kept.revision.number != revision.number:
+            observations = self._lifter.observations(revision.annotation.clicks)
+            live = solve_live(revision.annotation, observations, self.work.solve)
+            kept = self._results[name] = self._result(revision, live)
         return kept
+
+    def _result(self, revision: Revision, live: Live) -> Result:
+        observations = self._lifter.observations(revision.annotation.clicks)
+        lifted = tuple(live.lifted(observations))
+        return Result(revision, live, lifted, *self._grasp(revision.annotation, live))
 
     def _grasp(self, annotation: Annotation, live: Live) -> tuple[Transform | None, str]:
         if annotation.grasp is None or live.solution is None:

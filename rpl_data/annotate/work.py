@@ -16,7 +16,9 @@ Tell = Callable[[str, int, int], None]
 """``tell(what, done, total)`` reports the progress of a job; it may raise to stop it."""
 
 
-Check = Callable[[], Solution]
+GoOn = Callable[[], None]
+"""Called again and again during long work; it may raise to end it."""
+Check = Callable[[GoOn], Solution]
 Solve = Callable[[Annotation, Sequence[Observation]], tuple[Solution, Check | None]]
 
 
@@ -26,8 +28,8 @@ class Work:
 
     Attributes:
         solve: solves the sparse model and scene transforms from clicks; DataError when they do not tie.
-            Also gives a function that completes the solution by the check of its clicks; None when nothing
-            is left to check.
+            Also gives a function that makes the final solution, with the check of its clicks; None when the
+            solution is final.
         register: `scene_from_object` of one scene from clicks on a known model, and their residuals.
         objects: returns the names of the workspace's objects, in order.
         add_object: (name, keypoint names) adds an object to the workspace.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -61,15 +61,17 @@ def diagnose(
     placed: Placed,
     *,
     hold_points: bool = False,
+    go_on: Callable[[], None] = lambda: None,
 ) -> Diagnosis:
     """Statements about clicks, the strongest contradiction first, and the clicks that would help most.
 
     Args:
         observations: in the order of `placed.rays`.
         hold_points: the model is known; only scenes were placed.
+        go_on: called before each fit; what it raises ends the work.
     """
     clicks = [o.click for o in observations]
-    trial = first_trial(placed.rays, *placed.state, hold_points=hold_points)
+    trial = first_trial(placed.rays, *placed.state, hold_points=hold_points, go_on=go_on)
     faults, mended = find_faults(trial, np.flatnonzero(_left_out(placed)))
     words = FaultWords(placed.scenes, keypoints, clicks, mended)
     statements = [

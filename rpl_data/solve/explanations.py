@@ -8,7 +8,7 @@ placements of a keypoint that disagree, nobody can say which of them is wrong.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -54,15 +54,15 @@ def first_trial(
     points_model: Float64[np.ndarray, "k 3"],
     *,
     hold_points: bool = False,
+    go_on: Callable[[], None] = lambda: None,
 ) -> Trial:
     """Every click taken at its word, in units of the noise that the clicks themselves show.
 
     A noise below the usual one is not believed: a dozen clicks show it by chance, and good ones stand out.
     """
     reading = read_as_named(rays)
-    trial = Trial(
-        rays, reading, refit(rays, reading, scene_from_model, points_model, hold_points=hold_points)
-    )
+    fit = refit(rays, reading, scene_from_model, points_model, hold_points=hold_points)
+    trial = Trial(rays, reading, fit, go_on)
     settled = _settled(trial)
     sigma_px = max(shown_sigma_px(_without_the_worst(settled).fit), HAND_SIGMA_PX)
     return replace(settled, fit=settled.fit._replace(sigma_px=sigma_px)).read(reading)

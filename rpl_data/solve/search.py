@@ -9,7 +9,7 @@ clicks cannot rule out.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -64,24 +64,33 @@ class Found(NamedTuple):
     alternatives: tuple[Alternative, ...]
 
 
-def search(
-    rays: Rays,
-    candidates: Sequence[Hypotheses],
-    starts: Sequence[State],
-) -> Found:
-    """The answer of lowest cost that can be reached from the starts.
+def cheapest_of(rays: Rays, candidates: Sequence[Hypotheses], starts: Sequence[State]) -> State:
+    """The answer of lowest cost that is reached from one of the starts, with no scene placed anew.
 
     Args:
         candidates: for each scene, by keypoint, where in the scene it may be.
         starts: right to a few centimetres, if the clicks are.
     """
     settled = [settle(rays, candidates, adjust(rays, start, tolerance=ROUGHLY)) for start in starts]
-    costs = [cost_of(rays, state) for state in settled]
-    state, cost = settled[int(np.argmin(costs))], min(costs)
+    return min(settled, key=lambda state: cost_of(rays, state))
+
+
+def search(
+    rays: Rays, candidates: Sequence[Hypotheses], state: State, *, go_on: Callable[[], None] = lambda: None
+) -> Found:
+    """The answer of lowest cost that is reached when scenes are placed anew, one after another.
+
+    Args:
+        candidates: for each scene, by keypoint, where in the scene it may be.
+        state: from `cheapest_of`; it comes back itself where nothing better is found.
+        go_on: called before each scene; what it raises ends the search.
+    """
+    cost = cost_of(rays, state)
     alternatives: dict[int, list[Alternative]] = {}
     waiting = list(range(len(state.scene_from_model))) * SWEEPS
     unchanged = 0
     for scene in waiting:
+        go_on()
         found = _other_poses(rays, candidates, state, cost, scene)
         alternatives[scene] = found
         unchanged += 1

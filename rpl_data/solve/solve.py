@@ -43,7 +43,7 @@ from rpl_data.solve.procrustes import Adjusted, Fragments, Loss, adjust_points, 
 from rpl_data.solve.refusals import refuse_bad, refuse_loose, refuse_untied
 from rpl_data.solve.register import register, register_scene
 from rpl_data.solve.residuals import click_fit, click_residuals, describe_keypoints
-from rpl_data.solve.search import Alternative, search
+from rpl_data.solve.search import Alternative, cheapest_of, search
 from rpl_data.solve.slsqp import adjust_points_slsqp, at_clicked_pixel, measured_fragments
 from rpl_data.types import KeypointModel, Observation, Solution
 
@@ -52,16 +52,25 @@ __all__ = ["Method", "Unchecked", "register", "register_scene", "solve", "solve_
 Method = Literal["robust", "slsqp"]
 
 
+GoOn = Callable[[], None]
+"""Called again and again during long work; it may raise to end it."""
+
+
 class Unchecked(NamedTuple):
-    """A solution whose clicks may not have been checked against one another yet.
+    """A first solution, whose clicks may not have been checked against one another yet.
 
     Attributes:
-        solution: without statements and next clicks while `check` is not None.
-        check: gives the solution with both; None when there is nothing left to check.
+        solution: while `check` is not None without statements and next clicks, and from the first start alone:
+            where clicks are wrong, a scene may stand elsewhere once they are checked.
+        check: gives the final solution; None when there is nothing left to do.
     """
 
     solution: Solution
-    check: Callable[[], Solution] | None
+    check: Callable[[GoOn], Solution] | None
+
+
+def _undisturbed() -> None:
+    """Go on."""
 
 
 STARTS = 2
@@ -98,7 +107,7 @@ def solve(
         skeleton=skeleton,
         trajectory_sigma_m=trajectory_sigma_m,
     )
-    return solution if check is None else check()
+    return solution if check is None else check(_undisturbed)
 
 
 def solve_unchecked(
@@ -110,19 +119,24 @@ def solve_unchecked(
     skeleton: Sequence[tuple[int, int]] = (),
     trajectory_sigma_m: Mapping[str, float] | None = None,
 ) -> Unchecked:
-    """As `solve`, for a person who waits: the check of the clicks is left for later."""
+    """As `solve`, for a person who waits: other starts and the check of the clicks are left for later."""
     scenes = sorted({o.click.scene for o in observations})
     refuse_bad(object_name, observations)
     if method == "slsqp":
         observations = [at_clicked_pixel(o) for o in observations]
-        answer = _papers_answer(object_name, keypoints, observations, scenes)
+        answer, searched = _papers_answer(object_name, keypoints, observations, scenes), None
     else:
-        answer = _robust_answer(object_name, keypoints, observations, scenes)
-    solution, placed = _solution(
-        object_name, keypoints, skeleton, observations, answer, trajectory_sigma_m or {}
+        answer, searched = _robust_answer(object_name, keypoints, observations, scenes)
+    finish = partial(
+        _solution, object_name, keypoints, skeleton, observations, trajectory_sigma_m=trajectory_sigma_m or {}
     )
-    check = partial(_checked, solution, observations, placed) if answer.diagnosed else None
-    return Unchecked(solution, check)
+    if searched is None:
+        return Unchecked(finish(answer)[0], None)
+
+    def check(go_on: GoOn) -> Solution:
+        return _checked(*finish(searched(go_on)), observations, go_on)
+
+    return Unchecked(finish(answer)[0], check)
 
 
 def solve_points(fragments: Fragments, *, method: Method = "robust", loss: Loss = "robust") -> Adjusted:
@@ -153,16 +167,24 @@ def _robust_answer(
     keypoints: Sequence[str],
     observations: Sequence[Observation],
     scenes: Sequence[str],
-) -> _Answer:
-    """Rays and candidate depths adjusted together, from several starts."""
+) -> tuple[_Answer, Callable[[GoOn], _Answer]]:
+    """Rays and candidate depths adjusted together: from one start, and by a search from several."""
     groups = [hypotheses_of_scene([o for o in observations if o.click.scene == s]) for s in scenes]
     refuse_untied(object_name, groups, scenes, keypoints)
     clicked = np.array([[k in group for k in range(len(keypoints))] for group in groups])
     rays, starts = rays_of(observations, scenes), _starts(groups, len(keypoints))
     refuse_loose(object_name, starts[0].points_model, clicked, scenes, keypoints)
-    found = search(rays, groups, starts)
-    state, noise = adjust_with_noise(rays, found.state)
-    return _Answer(scenes, rays, state, noise, np.asarray(clicked.any(axis=0)), found.alternatives)
+    first = cheapest_of(rays, groups, starts)
+    known = np.asarray(clicked.any(axis=0))
+    answer = _Answer(scenes, rays, *adjust_with_noise(rays, first), known, ())
+
+    def searched(go_on: GoOn) -> _Answer:
+        found = search(rays, groups, first, go_on=go_on)
+        if found.state is first:
+            return answer._replace(alternatives=found.alternatives)
+        return _Answer(scenes, rays, *adjust_with_noise(rays, found.state), known, found.alternatives)
+
+    return answer, searched
 
 
 def _papers_answer(
@@ -176,7 +198,7 @@ def _papers_answer(
     refuse_loose(object_name, adjusted.points_model, clicked, scenes, keypoints)
     state, rays = State(adjusted.scene_from_model, adjusted.points_model), rays_of(observations, scenes)
     noise = estimate_noise(rays, state, noise=Noise())
-    return _Answer(scenes, rays, state, noise, np.asarray(clicked.any(axis=0)), (), diagnosed=False)
+    return _Answer(scenes, rays, state, noise, np.asarray(clicked.any(axis=0)), ())
 
 
 # The start ----------------------------------------------------------------------------------------
@@ -233,8 +255,6 @@ class _Answer(NamedTuple):
     noise: Noise
     known: Bool[np.ndarray, " k"]
     alternatives: Sequence[Alternative]
-    diagnosed: bool = True
-    """Whether its clicks are told right from wrong; what follows wrong clicks cannot judge them."""
 
 
 def _solution(
@@ -243,6 +263,7 @@ def _solution(
     skeleton: Sequence[tuple[int, int]],
     observations: Sequence[Observation],
     answer: _Answer,
+    *,
     trajectory_sigma_m: Mapping[str, float],
 ) -> tuple[Solution, Placed]:
     """Moved to the object frame: the first scene's axes, at the centroid of the keypoints."""
@@ -282,9 +303,11 @@ def _solution(
     return solution, placed
 
 
-def _checked(solution: Solution, observations: Sequence[Observation], placed: Placed) -> Solution:
+def _checked(
+    solution: Solution, placed: Placed, observations: Sequence[Observation], go_on: GoOn
+) -> Solution:
     """The solution, with what its clicks say about one another and which further clicks would help."""
-    diagnosis = diagnose(observations, solution.model.keypoints, placed)
+    diagnosis = diagnose(observations, solution.model.keypoints, placed, go_on=go_on)
     fit = click_fit(placed.rays, placed.state, placed.noise)
     return replace(
         solution,

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -53,11 +53,16 @@ class Fault:
 
 @dataclass(frozen=True)
 class Trial:
-    """A reading of the clicks and its fit."""
+    """A reading of the clicks and its fit.
+
+    Attributes:
+        go_on: called before each further fit; what it raises ends the work.
+    """
 
     rays: Rays
     reading: Reading
     fit: Fit
+    go_on: Callable[[], None] = lambda: None
 
     def placements(self) -> dict[tuple[int, int], Clicks]:
         """The clicks in use by scene and keypoint."""
@@ -88,12 +93,13 @@ class Trial:
 
     def read(self, reading: Reading, *starts: tuple[np.ndarray, np.ndarray]) -> Trial:
         """The fit of another reading: the best one from here and from the other starts."""
+        self.go_on()
         here = (self.fit.scene_from_model, self.fit.points_model)
         fits = [
             refit(self.rays, reading, *start, sigma_px=self.fit.sigma_px, hold_points=self.fit.hold_points)
             for start in (here, *starts)
         ]
-        return Trial(self.rays, reading, min(fits, key=lambda fit: fit.cost))
+        return replace(self, reading=reading, fit=min(fits, key=lambda fit: fit.cost))
 
 
 def undo(reading: Reading, explanation: Explanation) -> Reading:

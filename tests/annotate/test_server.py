@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from contextlib import AbstractContextManager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from fastapi.testclient import TestClient
 from rpl_data.annotate.server import make_app
 from rpl_data.annotate.session import Session
 from rpl_data.cli.annotate import address_of, work_of
-from rpl_data.types import DataError
+from rpl_data.types import DataError, Solution
 from rpl_data.workspace.workspace import Workspace
 
 
@@ -150,6 +151,29 @@ def test_a_bad_click_is_named_and_is_the_next_step(client: TestClient) -> None:
     ]
     assert result["scenes"][wrong["scene"]]["state"] == "bad"
     assert bad[0]["reason"] in result["next"]["text"] and result["next"]["frame"] == wrong["frame"]
+
+
+def test_a_newer_click_ends_the_check_of_an_older_one(root: Path) -> None:
+    """The check that runs is given up, and the answer is that of the newer click, unchecked."""
+    workspace = Workspace(root)
+    session = Session(workspace, work_of(workspace))
+    asked = []
+
+    def move_a_click(to_px: float) -> None:
+        session.act("carton", [click(0, to_px, 80.0)], seen=session.log("carton").now().number)
+
+    def clicked_meanwhile(go_on: Callable[[], None]) -> Solution:
+        move_a_click(101.0)
+        while True:
+            asked.append(1)
+            go_on()
+
+    move_a_click(100.0)
+    first = session.result("carton", checked=False)
+    session._results["carton"] = replace(first, live=replace(first.live, check=clicked_meanwhile))
+    then = session.result("carton")
+    assert asked == [1] and then.revision.number == first.revision.number + 1
+    assert then.live.check is not None and session.result("carton").live.check is None
 
 
 def test_the_solution_comes_before_the_check_of_its_clicks(client: TestClient) -> None:

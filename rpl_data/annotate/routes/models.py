@@ -52,7 +52,7 @@ def model_routes(session: Session) -> APIRouter:
 
     @routes.get("/api/objects/{name}/sparse_model.txt")
     def sparse_model(name: str) -> Response:
-        result = session.result(name, checked=False)
+        result = session.result(name)
         solution = result.live.solution
         if solution is None:
             raise DataError(f"{name} has no model yet; mark its keypoints first")

@@ -111,20 +111,20 @@ def solve_annotation(
         DataError: the clicks do not tie the scenes, or do not place the known model.
     """
     solution, check = solve_annotation_unchecked(context, annotation, observations)
-    return solution if check is None else check()
+    return solution if check is None else check(lambda: None)
 
 
 def solve_annotation_unchecked(
     context: Context, annotation: Annotation, observations: Sequence[Observation]
 ) -> Unchecked:
-    """As `solve_annotation`, for a person who waits: the check of the clicks is left for later."""
+    """As `solve_annotation`, for a person who waits: see `Unchecked`."""
     item = next(item for item in context.objects if item.name == annotation.object)
     placed = standing(context.workspace, item.name)
     observations = solved_from(context.workspace, item.name, observations)
     solution, check = _unchecked(context, item, annotation, observations)
     return Unchecked(
         with_placements(solution, placed),
-        None if check is None else lambda: with_placements(check(), placed),
+        None if check is None else lambda go_on: with_placements(check(go_on), placed),
     )
 
 
