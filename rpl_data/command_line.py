@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import inspect
 import re
-from argparse import SUPPRESS, Action, RawDescriptionHelpFormatter
 import sys
+from argparse import SUPPRESS, Action, RawDescriptionHelpFormatter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from difflib import get_close_matches
 from typing import Any, NoReturn
@@ -37,7 +37,7 @@ class Parser(ArgumentParser):
         parser = getattr(ex, "subcommand_parser", None) or self
         said = one_line(message, [name for action in parser._actions for name in action.option_strings])
         program = parser.prog.replace(" [options]", "")
-        if found := re.search(r"are required: ([\w.]+)[.]", message):  # said by the parser above the command's
+        if found := re.search(r"are required: ([\w.]+)[.]", message):  # the parser above says it
             program = f"{program} {found[1].replace('.', ' ')}"
         see = " See" if said.endswith("?") else "; see"
         print(f"{program}: {said}{see} `{program} --help`", file=sys.stderr)

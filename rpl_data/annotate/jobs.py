@@ -7,18 +7,22 @@ import time
 import traceback
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from typing import Any, Literal
 
 from rpl_data.annotate.news import News
 from rpl_data.annotate.work import Tell
-from rpl_data.types import DataError
+from rpl_data.types import DataError, UnsureError
 
 STAGES = ("segment", "label", "export")
 """Stages that can be started; earlier stages that are out of date run as well."""
 TELL_EVERY_S = 0.2
 
+FIND = "find"
+"""The job that places a known object in a scene without clicks."""
+
 Run = Callable[[str, Tell], list[str]]
-State = Literal["running", "stopping", "done", "failed", "stopped"]
+State = Literal["running", "stopping", "done", "failed", "stopped", "unsure"]
 
 
 class Stopped(Exception):
@@ -35,6 +39,8 @@ class Job:
         what: the stage and the scene or object being processed; `done` of `total` frames, total 0 = unknown.
         lines: the results, for the user.
         error: what went wrong and what to do.
+        scene: where an object is looked for; empty for a build.
+        frame, keypoint: the click that would tell, where the job ended unsure.
     """
 
     number: int
@@ -46,6 +52,9 @@ class Job:
     lines: tuple[str, ...] = ()
     error: str = ""
     seconds: float = 0.0
+    scene: str = ""
+    frame: int | None = None
+    keypoint: int | None = None
 
     @property
     def at_work(self) -> bool:
@@ -74,13 +83,25 @@ class Jobs:
         """
         if stage not in STAGES:
             raise DataError(f"there is no job {stage!r}; expected one of {', '.join(STAGES)}")
+        return self.start_work(stage, partial(self._build, stage))
+
+    def start_work(self, stage: str, work: Callable[[Tell], list[str]], *, scene: str = "") -> Job:
+        """Run some work in its own thread.
+
+        Args:
+            stage: what it is called.
+            scene: where an object is looked for.
+
+        Raises:
+            DataError: a job is already running.
+        """
         with self._lock:
             if self._job is not None and self._job.at_work:
                 raise DataError(f"the job {self._job.stage} is running; wait until it ends, or stop it first")
             number = 1 if self._job is None else self._job.number + 1
-            self._job = Job(number, stage)
+            self._job = Job(number, stage, scene=scene)
         self._tell()
-        threading.Thread(target=self._run, args=(stage,), daemon=True).start()
+        threading.Thread(target=self._run, args=(work,), daemon=True).start()
         return self._job
 
     def stop(self) -> Job | None:
@@ -91,13 +112,15 @@ class Jobs:
         self._tell()
         return self._job
 
-    def _run(self, stage: str) -> None:
+    def _run(self, work: Callable[[Tell], list[str]]) -> None:
         started = time.perf_counter()
         try:
-            lines = tuple(self._build(stage, self._progress))
+            lines = tuple(work(self._progress))
             self._end(started, state="done", lines=lines)
         except Stopped:
             self._end(started, state="stopped")
+        except UnsureError as error:
+            self._end(started, state="unsure", error=str(error), frame=error.frame, keypoint=error.keypoint)
         except DataError as error:
             self._end(started, state="failed", error=str(error))
         except Exception as error:  # a bug: the page stays open and says where to look

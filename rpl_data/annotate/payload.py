@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 
 import numpy as np
@@ -100,7 +100,7 @@ def result_payload(result: Result, scenes: Sequence[str]) -> Json:
         else {name: numbers(matrix, 9) for name, matrix in solution.scene_from_object.items()},
         "skeleton": [] if solution is None else [list(pair) for pair in solution.model.skeleton],
         "clicks": [] if solution is None else [_residual(r) for r in solution.residuals],
-        "scenes": _scenes(revision, live),
+        "scenes": _scenes(revision, live, result.expected_px),
         "lifted": [
             {"keypoint": click.keypoint, "scene": click.scene, "point_m": numbers(point, 6)}
             for click, point in result.lifted
@@ -143,22 +143,25 @@ def _residual(residual: ClickResidual) -> Json:
     }
 
 
-def _scenes(revision: Revision, live: Live) -> dict[str, Json]:
-    """Describe each scene with clicks: number of keypoints, whether it is tied to others, its errors."""
+def _scenes(revision: Revision, live: Live, expected_px: Mapping[str, float]) -> dict[str, Json]:
+    """Describe each scene with clicks or a pose: its keypoints, whether it is tied to others, its errors."""
     annotation, found = revision.annotation, {}
     residuals = live.solution.residuals if live.solution else ()
-    for scene in sorted({click.scene for click in annotation.clicks}):
+    placed_in = live.solution.scene_from_object if live.solution else {}
+    for scene in sorted({click.scene for click in annotation.clicks} | set(placed_in)):
         mine = [r for r in residuals if r.click.scene == scene]
         metres = [r.error_m for r in mine if r.error_m is not None and not r.outlier]
         clicked = {click.keypoint for click in annotation.clicks if click.scene == scene}
         bad = sum(r.outlier for r in mine)
-        placed = live.solution is not None and scene in live.solution.scene_from_object
+        placed = scene in placed_in
         doubt = any(r.reason for r in mine)
         state = (
             "bad"
             if bad
             else "doubt"
             if doubt
+            else "found"
+            if placed and not clicked
             else "checking"
             if placed and live.check is not None
             else "tied"
@@ -174,6 +177,7 @@ def _scenes(revision: Revision, live: Live) -> dict[str, Json]:
             "error_mm": round(1e3 * float(np.sqrt(np.mean(np.square(metres)))), 2) if metres else None,
             "error_px": round(float(np.median([r.error_px for r in mine])), 2) if mine else None,
             "expected_mm": _rounded(live.solution.expected_mm.get(scene)) if live.solution else None,
+            "expected_px": _rounded(expected_px.get(scene)),
             "text": live.loose.get(scene, ""),
         }
     return found

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float64
@@ -17,7 +17,7 @@ from rpl_data.annotate.stores.masks import MaskStore
 from rpl_data.annotate.stores.pictures import PictureStore
 from rpl_data.annotate.stores.scenes import SceneStore
 from rpl_data.annotate.suggest import Suggestion, suggest_frames
-from rpl_data.annotate.work import Work
+from rpl_data.annotate.work import Tell, Work
 from rpl_data.clicks.log import Annotation
 from rpl_data.geometry import Transform
 from rpl_data.types import Click, DataError
@@ -31,6 +31,7 @@ class Result:
 
     Attributes:
         grasp: `object_from_grasp` if one was marked and can be computed; else `grasp_problem` says why not.
+        expected_px: expected error of the keypoints over the images of each scene.
     """
 
     revision: Revision
@@ -38,6 +39,7 @@ class Result:
     lifted: tuple[tuple[Click, Float64[np.ndarray, "3"]], ...]
     grasp: Transform | None = None
     grasp_problem: str = ""
+    expected_px: Mapping[str, float] = field(default_factory=dict)
 
 
 class Overtaken(Exception):
@@ -71,9 +73,12 @@ class Session:
 
     def log(self, name: str) -> ObjectLog:
         """The log of an object; DataError when there is no such object."""
+        if name not in self.objects():
+            raise DataError(
+                f"there is no object {name!r} in this workspace; if it was replaced while the page was open, "
+                "reload the page"
+            )
         if name not in self._logs:
-            if name not in self.objects():
-                raise DataError(f"there is no object {name!r}")
             self._logs.setdefault(name, ObjectLog(self.workspace, name, self.scenes))
         return self._logs[name]
 
@@ -130,7 +135,20 @@ class Session:
     def _result(self, revision: Revision, live: Live) -> Result:
         observations = self._lifter.observations(revision.annotation.clicks)
         lifted = tuple(live.lifted(observations))
-        return Result(revision, live, lifted, *self._grasp(revision.annotation, live))
+        placed = live.solution.scene_from_object if live.solution else {}
+        expected_px = {
+            scene: self.work.expected_px(live.solution, scene) for scene in placed if live.solution
+        }
+        return Result(revision, live, lifted, *self._grasp(revision.annotation, live), expected_px)
+
+    def find(self, name: str, scene: str, tell: Tell) -> list[str]:
+        """Place a known object in a scene without clicks; see `Work`."""
+        self.log(name)
+        self.scenes.get(scene)
+        lines = self.work.find(name, scene, tell)
+        with self._solving:
+            self._results.pop(name, None)  # its clicks are the same, but it has one more scene
+        return lines
 
     def _grasp(self, annotation: Annotation, live: Live) -> tuple[Transform | None, str]:
         if annotation.grasp is None or live.solution is None:

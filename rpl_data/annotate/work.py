@@ -36,6 +36,9 @@ class Work:
         grasp: `object_from_grasp` of two clicks; DataError where there is no depth or no pose.
         run: (last stage, tell) runs what is out of date up to that stage; returns lines for the user.
         fresh: whether each stage is up to date; stages that wait for others are absent.
+        find: (object, scene, tell) places a known object in a scene without clicks; returns lines for the
+            user; UnsureError, with the click that would tell, where it is not sure.
+        expected_px: (solution, scene) is the expected error of the keypoints over the images of a scene.
     """
 
     solve: Solve
@@ -45,6 +48,8 @@ class Work:
     grasp: Callable[[GraspClicks, Solution], Transform]
     run: Callable[[str, Tell], list[str]]
     fresh: Callable[[], Mapping[str, bool]]
+    find: Callable[[str, str, Tell], list[str]]
+    expected_px: Callable[[Solution, str], float]
 
 
 @dataclass(frozen=True)

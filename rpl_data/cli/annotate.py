@@ -12,16 +12,30 @@ from functools import lru_cache
 from pathlib import Path
 from types import FrameType
 
+import numpy as np
+from jaxtyping import Float64
+
 from rpl_data.annotate import Address, Work
 from rpl_data.annotate.work import Tell
-from rpl_data.pipeline.build import Progress, build, context_of, recipe_of, save_recipe, stale_steps
+from rpl_data.geometry import transform
+from rpl_data.pipeline.automatic import find_step
+from rpl_data.pipeline.build import (
+    Progress,
+    build,
+    context_of,
+    recipe_of,
+    run_step,
+    save_recipe,
+    stale_steps,
+)
 from rpl_data.pipeline.context import Context
 from rpl_data.pipeline.grasp import object_from_grasp
 from rpl_data.pipeline.recipe import ObjectRecipe
 from rpl_data.pipeline.results import sparse_labels
 from rpl_data.pipeline.stages.solve import solve_annotation_unchecked
+from rpl_data.solve.expected import expected_px
 from rpl_data.solve.solve import register
-from rpl_data.types import DataError
+from rpl_data.types import DataError, Solution
 from rpl_data.workspace.workspace import Workspace
 
 
@@ -49,6 +63,8 @@ def work_of(workspace: Workspace) -> Work:
         grasp=lambda clicks, solution: object_from_grasp(workspace, clicks, solution),
         run=lambda stage, tell: _run(workspace, stage, tell),
         fresh=lambda: _fresh(workspace),
+        find=lambda name, scene, tell: _find(workspace, name, scene, tell),
+        expected_px=lambda solution, scene: _expected_px(workspace, solution, scene),
     )
 
 
@@ -92,6 +108,40 @@ def _run(workspace: Workspace, stage: str, tell: Tell) -> list[str]:
     if stage != "segment":
         lines.extend(sparse_labels(ledger.of_stage("label").values()))
     return lines
+
+
+def _find(workspace: Workspace, name: str, scene: str, tell: Tell) -> list[str]:
+    """What was found of an object in a scene without clicks."""
+
+    def told(progress: Progress) -> None:
+        tell(f"finding {name} in scene {scene}", progress.done, progress.total)
+
+    entry = run_step(
+        recipe_of(workspace),
+        workspace,
+        lambda context, advance: find_step(context, name, scene, advance),
+        title=("register", name),
+        tell=told,
+    )
+    return list(entry.outcome.messages)
+
+
+VIEWS = 40
+"""Frames of a scene, spread over it, in which the expected error in pixels is computed."""
+
+
+def _expected_px(workspace: Workspace, solution: Solution, scene: str) -> float:
+    """The expected error of the keypoints in the images of a scene."""
+    recorded = workspace.load_scene(scene)
+    poses = _camera_poses(workspace, scene, workspace.trajectory_file(scene).stat().st_mtime_ns)
+    points = transform(solution.scene_from_object[scene], solution.model.points_object)
+    return expected_px(solution.covariance_at(scene), points, recorded.intrinsics, poses)
+
+
+@lru_cache(256)
+def _camera_poses(workspace: Workspace, scene: str, stamp: int) -> Float64[np.ndarray, "f 4 4"]:
+    poses = workspace.load_trajectory(workspace.load_scene(scene)).scene_from_camera
+    return poses[:: -(-len(poses) // VIEWS)]
 
 
 def _fresh(workspace: Workspace) -> dict[str, bool]:

@@ -42,7 +42,7 @@ class _Lines:
 
 
 class Screen:
-    """Prints one line per finished step, and how far the running one is: a bar, or lines without a terminal."""
+    """Prints one line per finished step, and how far the running one is: a bar, or lines for a log file."""
 
     def __init__(self) -> None:
         self.console = Console(highlight=False, markup=False, soft_wrap=True)

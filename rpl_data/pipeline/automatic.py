@@ -58,7 +58,7 @@ def find_step(context: Context, object_name: str, scene: str, advance: Advance) 
     )
     decision = decide(candidates, clicked=bool(clicks))
     if not decision.sure or decision.chosen is None:
-        raise UnsureError(_asking(context, item, scene, model, solution, decision, candidates))
+        raise _asking(context, item, scene, model, solution, decision, candidates)
     found = _placed(context, item, scene, solution, clicks, decision.chosen, decision.words)
     return adding_step(context, item, scene, found)
 
@@ -91,17 +91,19 @@ def _asking(
     solution: Solution,
     decision: Decision,
     candidates: Sequence[Candidate],
-) -> str:
+) -> UnsureError:
     """Why the object is not placed, and what to do."""
     recorded = context.workspace.load_scene(scene)
     trajectory = context.workspace.load_trajectory(recorded)
     ask = click_to_ask(candidates, solution.model, model, recorded.intrinsics, trajectory)
     said = f"{item.name} was not placed in scene {scene}: {decision.words}"
     if ask is None:
-        return f"{said}; if it is there, click three of its keypoints, and run `rpl register` without --auto"
-    return (
+        return UnsureError(f"{said}; if it is there, place it by clicks on three of its keypoints")
+    return UnsureError(
         f"{said}; if it is there, click keypoint {solution.model.keypoints[ask.keypoint]} in frame "
-        f"{ask.frame}, and run this again"
+        f"{ask.frame}, and try again",
+        frame=ask.frame,
+        keypoint=ask.keypoint,
     )
 
 

@@ -58,7 +58,7 @@ def sparse_labels(entries: Collection[Entry]) -> list[str]:
         return []
     by = " or ".join(f"{rate:g}" for rate in sorted(rate for rate in rates if rate is not None))
     return [
-        f"{labelled} of the {posed} frames with a camera pose are labelled, {by} per second of the recording; "
+        f"{labelled} of the {posed} frames with a camera pose are labelled, {by} per second of recording; "
         "`label: {rate: all}` in the recipe labels all of them"
     ]
 

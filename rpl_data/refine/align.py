@@ -28,6 +28,7 @@ from rpl_data.refine.registration import ClickTerms, Points, Poses, Registration
 from rpl_data.refine.scene_surfaces import SceneSurface, scene_surface
 from rpl_data.types import PointCloud
 
+MODEL = "the dense model"
 HELD = 1e10
 """Weight that holds the model still, per square metre and square radian: to 10 micrometres."""
 NO_POINTS: Points = np.empty((0, 3))
@@ -89,7 +90,7 @@ def align_scene(
     held, start = _holding(clicks), beside_model(starts[0])
     by_clicks = held(start, NO_POINTS)[0][6:, 6:]
     if region is None:
-        return Alignment(starts[0], by_clicks, without_surface())
+        return Alignment(starts[0], by_clicks, without_surface(MODEL))
     pair = _Pair([scene_surface(model), scene_surface(region)], held)
     tried = [*starts, *_further_starts(starts[0], by_clicks, model)]
     found = [pair.registered(pose) for pose in tried]
@@ -98,7 +99,7 @@ def align_scene(
     tests: list[Test] = cross_validated(pair.surfaces, beside_model(tried[best]), NO_POINTS, held)
     aligned = found[best].scene_from_object
     worse = click_costs(aligned[1:], NO_POINTS) - click_costs(start[1:], NO_POINTS)
-    verdict = verdicts(gains_sigmas(tests, start)[1:], worse)[0]
+    verdict = verdicts(gains_sigmas(tests, start)[1:], worse, compared_with=MODEL)[0]
     verdict = _against_rivals(verdict, pair, found, best, model)
     if not verdict.accepted:
         return Alignment(starts[0], by_clicks, verdict)

@@ -147,24 +147,33 @@ def _mean_in_sigmas(blocks: Int64[np.ndarray, "n 4"], values: Float64[np.ndarray
     return float(means.mean() / max(means.std(ddof=1) / np.sqrt(len(means)), 1e-9))
 
 
-def verdicts(gains: Float64[np.ndarray, " s"], click_costs: Float64[np.ndarray, " s"]) -> list[Verdict]:
-    """One per scene; the clicks' own solution is kept where one of the two witnesses is against."""
+def verdicts(
+    gains: Float64[np.ndarray, " s"],
+    click_costs: Float64[np.ndarray, " s"],
+    *,
+    compared_with: str = "the other scenes",
+) -> list[Verdict]:
+    """One per scene; the clicks' own solution is kept where one of the two witnesses is against.
+
+    Args:
+        compared_with: what the surfaces are compared with, in words.
+    """
     return [
-        Verdict(not (why := _why_not(gain, cost)), float(gain), float(cost), why)
+        Verdict(not (why := _why_not(gain, cost, compared_with)), float(gain), float(cost), why)
         for gain, cost in zip(gains, click_costs, strict=True)
     ]
 
 
-def without_surface() -> Verdict:
+def without_surface(compared_with: str = "another scene") -> Verdict:
     """Of a scene that has nothing to be registered with."""
-    return Verdict(False, 0.0, 0.0, "it shares no surface of the object with another scene")
+    return Verdict(False, 0.0, 0.0, f"it shares no surface of the object with {compared_with}")
 
 
-def _why_not(gain_sigmas: float, click_cost: float) -> str:
+def _why_not(gain_sigmas: float, click_cost: float, compared_with: str) -> str:
     if gain_sigmas < GAIN_SIGMAS:
         return (
-            "the parts of its surface that were left out of the registration do not agree better with the "
-            f"other scenes ({gain_sigmas:.1f} standard errors, at least {GAIN_SIGMAS} are needed)"
+            "the parts of its surface that were left out of the registration do not agree better with "
+            f"{compared_with} ({gain_sigmas:.1f} standard errors, at least {GAIN_SIGMAS} are needed)"
         )
     if click_cost > CLICK_LIMIT:
         return (

@@ -81,9 +81,11 @@ def diagnose(
     contradictions = [*_everything(trial, faults, clicks), *statements]
     explained = _explained(faults, mended, clicks)
     contradictions += (
-        s for s in left_out(clicks, placed, contradictions, keypoints) if not explained.issuperset(s.clicks)
+        s
+        for s in left_out(clicks, placed, contradictions, keypoints, known_model=hold_points)
+        if not explained.issuperset(s.clicks)
     )
-    contradictions = list(_as_whole_scenes(contradictions, clicks))
+    contradictions = list(_as_whole_scenes(contradictions, clicks, known_model=hold_points))
     contradicted = {c.scene for s in contradictions if s.kind == "whole scene" for c in s.clicks}
     helpful = next_clicks(
         placed.rays,
@@ -101,7 +103,12 @@ def diagnose(
 
 
 def left_out(
-    clicks: Sequence[Click], placed: Placed, said: Sequence[Statement], keypoints: Sequence[str]
+    clicks: Sequence[Click],
+    placed: Placed,
+    said: Sequence[Statement],
+    keypoints: Sequence[str],
+    *,
+    known_model: bool = False,
 ) -> Iterator[Statement]:
     """Clicks that the answer does not follow although nothing shows that they are wrong."""
     known = {click for statement in said for click in statement.clicks}
@@ -113,7 +120,7 @@ def left_out(
         text = (
             f"scene {click.scene}, frame {click.frame}: keypoint {name} was clicked {error_px[n]:.0f} px "
             "away from where the solution has it, but nothing tells which click is wrong; look at it, or "
-            f"mark {name} in one more scene or frame"
+            f"mark {name} in one more {'frame' if known_model else 'scene or frame'}"
         )
         yield Statement("disagree", (click,), text)
 
@@ -146,7 +153,9 @@ def _explained(faults: Sequence[Fault], mended: Trial, clicks: Sequence[Click]) 
     return {clicks[n] for n in own[near].tolist()}
 
 
-def _as_whole_scenes(said: Sequence[Statement], clicks: Sequence[Click]) -> Iterator[Statement]:
+def _as_whole_scenes(
+    said: Sequence[Statement], clicks: Sequence[Click], *, known_model: bool
+) -> Iterator[Statement]:
     """One statement in place of several that all are about one scene and a large share of its keypoints.
 
     With few clicks a scene that was marked wrongly as a whole can always be turned so that most of them fit;
@@ -161,7 +170,8 @@ def _as_whole_scenes(said: Sequence[Statement], clicks: Sequence[Click]) -> Iter
             whole.add(scene)
             clicked = tuple(c for c in clicks if c.scene == scene)
             evidence = round(sum(s.evidence for s in own), 1)
-            yield Statement("whole scene", clicked, whole_scene_text(scene, len(clicked)), evidence)
+            text = whole_scene_text(scene, len(clicked), known_model=known_model)
+            yield Statement("whole scene", clicked, text, evidence)
     yield from (s for s in said if not whole or {c.scene for c in s.clicks} not in [{w} for w in whole])
 
 

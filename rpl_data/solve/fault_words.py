@@ -10,10 +10,11 @@ from rpl_data.solve.trial import Explanation, Fault, Trial
 from rpl_data.types import Click
 
 
-def whole_scene_text(scene: str, clicks: int) -> str:
-    """What is said of a scene whose clicks contradict those of all others."""
+def whole_scene_text(scene: str, clicks: int, *, known_model: bool) -> str:
+    """What is said of a scene whose clicks contradict those of all others, or the model that is known."""
+    others = "the model" if known_model else "those of the other scenes"
     return (
-        f"scene {scene}: its {clicks} clicks contradict those of the other scenes as a whole; check that it "
+        f"scene {scene}: its {clicks} clicks contradict {others} as a whole; check that it "
         "shows the same object and that left and right are not exchanged, then mark it again"
     )
 
@@ -54,11 +55,16 @@ class FaultWords:
         name = self.keypoints[best.keypoints[0]]
         return (
             f"{self._where(best)}: keypoint {name} was clicked {self._distance_px(best):.0f} px away from "
-            "where all other clicks put it; move it to its place"
+            f"where {'the model and ' * self._known_model}all other clicks put it; move it to its place"
         )
 
     def _whole_scene(self, best: Explanation) -> str:
-        return whole_scene_text(self.scenes[best.scene], len(best.clicks))
+        return whole_scene_text(self.scenes[best.scene], len(best.clicks), known_model=self._known_model)
+
+    @property
+    def _known_model(self) -> bool:
+        """The keypoints were not solved for, so there are no other scenes."""
+        return self.mended.fit.hold_points
 
     def _disagree(self, fault: Fault) -> str:
         """That one of several is wrong; what to click to find out which."""
@@ -69,8 +75,8 @@ class FaultWords:
             where = " and ".join(f"scene {self.scenes[s]}" for s in scenes)
             return (
                 f"keypoint {self.keypoints[names[0]]}: its clicks in {where} disagree by "
-                f"{self._distance_px(fault.best):.0f} px, and nothing tells which is wrong; mark it in a "
-                "third scene, or in one more frame of each"
+                f"{self._distance_px(fault.best):.0f} px, and nothing tells which is wrong; mark it in "
+                + ("one more frame" if self._known_model else "a third scene, or in one more frame of each")
             )
         listed = "; ".join(f"scene {self.scenes[s]}: {self._names(everyone, s)}" for s in scenes)
         return (

@@ -21,8 +21,7 @@ from functools import partial
 from typing import Literal, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float64
-from scipy.spatial.transform import Rotation
+from jaxtyping import Bool
 
 from rpl_data.clicks.rigidity import generic_points
 from rpl_data.geometry import invert, rigid, transform
@@ -30,7 +29,7 @@ from rpl_data.solve.bundle_adjustment import State
 from rpl_data.solve.click_rays import Noise, Rays, rays_of
 from rpl_data.solve.diagnosis import Placed, diagnose
 from rpl_data.solve.hypotheses import hypotheses_of_scene
-from rpl_data.solve.initial_guess import Hypotheses, Start, join_clean, join_scenes
+from rpl_data.solve.initial_guess import Start, join_clean, join_scenes
 from rpl_data.solve.near_ties import describe_near_ties, widened_for_near_ties
 from rpl_data.solve.noise import (
     adjust_with_noise,
@@ -39,12 +38,13 @@ from rpl_data.solve.noise import (
     points_in_scene_covariance,
     shape_covariance,
 )
-from rpl_data.solve.procrustes import Adjusted, Fragments, Loss, adjust_points, best_of_starts
+from rpl_data.solve.procrustes import Adjusted, Fragments, Loss, adjust_points
 from rpl_data.solve.refusals import refuse_bad, refuse_loose, refuse_untied
 from rpl_data.solve.register import register, register_scene
 from rpl_data.solve.residuals import click_fit, click_residuals, describe_keypoints
 from rpl_data.solve.search import Alternative, cheapest_of, search
 from rpl_data.solve.slsqp import adjust_points_slsqp, at_clicked_pixel, measured_fragments
+from rpl_data.solve.starts import complete, first_states
 from rpl_data.types import KeypointModel, Observation, Solution
 
 __all__ = ["Method", "Unchecked", "register", "register_scene", "solve", "solve_points", "solve_unchecked"]
@@ -60,7 +60,7 @@ class Unchecked(NamedTuple):
     """A first solution, whose clicks may not have been checked against one another yet.
 
     Attributes:
-        solution: while `check` is not None without statements and next clicks, and from the first start alone:
+        solution: while `check` is not None without statements and next clicks, and from the starts alone:
             where clicks are wrong, a scene may stand elsewhere once they are checked.
         check: gives the final solution; None when there is nothing left to do.
     """
@@ -71,10 +71,6 @@ class Unchecked(NamedTuple):
 
 def _undisturbed() -> None:
     """Go on."""
-
-
-STARTS = 2
-"""How many scenes the joining begins with in turn, best connected first."""
 
 
 def solve(
@@ -156,7 +152,7 @@ def solve_points(fragments: Fragments, *, method: Method = "robust", loss: Loss 
     if any(joined is None for joined in start.scene_from_model):  # scenes joined one by one are tied
         names = [str(s) for s in range(len(groups))]
         refuse_untied("object", groups, names, [str(k) for k in range(keypoints)])
-    return _in_first_scene(adjust_points(fragments, _complete(start), loss=loss))
+    return _in_first_scene(adjust_points(fragments, complete(start), loss=loss))
 
 
 # The two ways -------------------------------------------------------------------------------------
@@ -172,7 +168,7 @@ def _robust_answer(
     groups = [hypotheses_of_scene([o for o in observations if o.click.scene == s]) for s in scenes]
     refuse_untied(object_name, groups, scenes, keypoints)
     clicked = np.array([[k in group for k in range(len(keypoints))] for group in groups])
-    rays, starts = rays_of(observations, scenes), _starts(groups, len(keypoints))
+    rays, starts = rays_of(observations, scenes), first_states(groups, len(keypoints))
     refuse_loose(object_name, starts[0].points_model, clicked, scenes, keypoints)
     first = cheapest_of(rays, groups, starts)
     known = np.asarray(clicked.any(axis=0))
@@ -199,41 +195,6 @@ def _papers_answer(
     state, rays = State(adjusted.scene_from_model, adjusted.points_model), rays_of(observations, scenes)
     noise = estimate_noise(rays, state, noise=Noise())
     return _Answer(scenes, rays, state, noise, np.asarray(clicked.any(axis=0)), ())
-
-
-# The start ----------------------------------------------------------------------------------------
-
-
-def _starts(groups: Sequence[Hypotheses], keypoints: int) -> list[State]:
-    """Starts that differ in the scene with which the joining begins; those that end the same only once."""
-    found: list[tuple[Fragments, State]] = []
-    for rank in range(min(STARTS, len(groups))):
-        start = join_scenes(groups, keypoints, first_rank=rank)
-        if any(np.array_equal(start.fragments.points_scene, other.points_scene) for other, _ in found):
-            continue
-        adjusted = adjust_points(start.fragments, _complete(start))
-        found.append((start.fragments, State(adjusted.scene_from_model, adjusted.points_model)))
-    return [state for _, state in found]
-
-
-def _complete(start: Start) -> Float64[np.ndarray, "s 4 4"]:
-    """Transforms of all scenes; those that could not be joined one by one start from many turns.
-
-    Such scenes are tied only by the graph as a whole. Eq. 2 has a wide basin (the original code
-    starts from the identity), so a few random starts and the lowest cost will do.
-    """
-    if all(found is not None for found in start.scene_from_model):
-        return np.stack([found for found in start.scene_from_model if found is not None])
-    random = np.random.default_rng(0)
-    tries = [
-        np.stack([_random_turn(random) if t is None else t for t in start.scene_from_model])
-        for _ in range(30)
-    ]
-    return best_of_starts(start.fragments, np.stack(tries))
-
-
-def _random_turn(random: np.random.Generator) -> Float64[np.ndarray, "4 4"]:
-    return rigid(Rotation.random(rng=random).as_matrix(), np.zeros(3))
 
 
 def _in_first_scene(adjusted: Adjusted) -> Adjusted:

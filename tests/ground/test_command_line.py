@@ -36,7 +36,9 @@ def test_an_option_may_be_named_without_its_group() -> None:
     options = ["--learning.epochs", "--learning.batch", "--seed"]
     said = one_line("unrecognized arguments: --epoch 5", options)
     assert said == "there is no option --epoch; did you mean --learning.epochs?"
-    assert one_line("unrecognized arguments: --nothing.like=1", options) == "there is no option --nothing.like"
+    assert (
+        one_line("unrecognized arguments: --nothing.like=1", options) == "there is no option --nothing.like"
+    )
 
 
 def test_the_recipe_in_the_help_is_one(tmp_path, capsys: pytest.CaptureFixture[str]) -> None:

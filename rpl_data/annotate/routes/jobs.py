@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import asdict
+from functools import partial
 
 from fastapi import APIRouter
 from pydantic import BaseModel
 
-from rpl_data.annotate.jobs import Jobs
+from rpl_data.annotate.jobs import FIND, Jobs
 from rpl_data.annotate.session import Session
 from rpl_data.annotate.work import Tell
 from rpl_data.json_arrays import Json
 
 
 class Wanted(BaseModel):
-    """A job that the user requested."""
+    """A job that the user requested: a stage, or to find an object in a scene."""
 
     stage: str
+    object: str = ""
+    scene: str = ""
 
 
 def job_routes(session: Session) -> APIRouter:
@@ -45,7 +48,13 @@ def job_routes(session: Session) -> APIRouter:
 
     @routes.post("/api/jobs")
     def start(wanted: Wanted) -> Json:
-        jobs.start(wanted.stage)
+        if wanted.stage == FIND:
+            session.log(wanted.object)
+            session.scenes.get(wanted.scene)
+            find = partial(session.find, wanted.object, wanted.scene)
+            jobs.start_work(FIND, find, scene=wanted.scene)
+        else:
+            jobs.start(wanted.stage)
         return state()
 
     @routes.delete("/api/jobs")

@@ -6,10 +6,10 @@ import * as dense from "../solid/dense.js";
 import { element } from "./dom.js";
 import { openScene } from "../image/frames.js";
 import { addKeys } from "./keys.js";
-import { alertOnce } from "../state/log.js";
+import { alertOnce, load as loadObject } from "../state/log.js";
 import { onNews } from "../state/news.js";
 import { onAction } from "./next.js";
-import { app, change, onChange } from "../state/store.js";
+import { app, change, clicksIn, onChange } from "../state/store.js";
 
 const panel = document.getElementById("jobs");
 const STEPS = [
@@ -30,6 +30,16 @@ export function setUp() {
   onChange(draw);
 }
 
+// A known object, found in the scene on the screen without clicks, or with the one that was asked for.
+export async function find() {
+  if (atWork()) return alertOnce("A job is running; wait until it ends, or stop it.");
+  try {
+    change(await post("/api/jobs", { stage: "find", object: app.state.object, scene: app.scene }));
+  } catch (error) {
+    alertOnce(error.message);
+  }
+}
+
 export const atWork = () => ["running", "stopping"].includes(app.job?.state);
 
 async function heard(job) {
@@ -40,6 +50,7 @@ async function heard(job) {
   const workspace = await get("/api/workspace").catch(() => app.workspace); // a build may cut a scene that drifts
   change({ workspace, built: (app.built || 0) + 1 });
   if (!workspace.scenes.includes(app.scene)) await openScene(workspace.scenes[0]);
+  if (job.stage === "find" && job.state === "done" && app.state) await loadObject(app.state.object);
   await load();
 }
 
@@ -89,13 +100,29 @@ function afterClicks() {
   return { text: "done: the dataset is exported. Add clicks or scenes whenever you like, and make it again" };
 }
 
-const signature = () => JSON.stringify([app.job, app.fresh]);
+// With fewer clicks than place a scene, the object may be found there by its shape and colours.
+function findable() {
+  if (!app.state || !app.result || app.scene === null || app.result.scene_from_object[app.scene]) return false;
+  return Boolean(app.fresh?.segment) && new Set(clicksIn(app.scene).map((c) => c.keypoint)).size < 3;
+}
+
+const signature = () => JSON.stringify([app.job, app.fresh, app.scene, findable()]);
 let drawn = "";
 
 function draw() {
   if (drawn === signature()) return;
   drawn = signature();
-  panel.replaceChildren(element("h2", { textContent: "Build" }), ...STEPS.map(row), ...progress(), ...ending());
+  panel.replaceChildren(element("h2", { textContent: "Build" }), ...STEPS.map(row), ...finding(), ...progress(), ...ending());
+}
+
+function finding() {
+  if (!findable()) return [];
+  const button = element("button", { textContent: "Find", id: "job-find", disabled: atWork(),
+    title: "by the shape and colours of its dense model; nothing is placed where that is not sure" });
+  button.addEventListener("click", find);
+  return [element("div", { className: "job row" },
+    element("span", { className: "name", textContent: `${app.state.object} in scene ${app.scene}` }),
+    element("span", { className: "small quiet", textContent: "without clicks" }), button)];
 }
 
 function row([stage, title, verb, note]) {
@@ -114,12 +141,17 @@ function progress() {
   if (total) bar.value = done; // otherwise it shows only that it is running
   const button = element("button", { textContent: state === "stopping" ? "stopping …" : "Stop", disabled: state === "stopping", id: "job-stop" });
   button.addEventListener("click", stop);
-  return [element("p", { className: "note", textContent: `${what || stage}${total ? ` · ${done} of ${total} frames` : " …"}` }),
+  return [element("p", { className: "note", textContent: `${what || stage}${total ? ` · ${done} of ${total}${stage === "find" ? "" : " frames"}` : " …"}` }),
     element("div", { className: "job row" }, bar, button)];
 }
 
 function ending() {
-  const { state, error, lines = [], seconds, stage } = app.job || {};
+  const { state, error, lines = [], seconds, stage, scene, frame, keypoint } = app.job || {};
+  if (state === "unsure") {
+    const go = element("button", { textContent: "Take me to that click", id: "job-ask", hidden: frame == null });
+    go.addEventListener("click", () => openScene(scene, frame, { keypoint, view: "mark" }));
+    return [element("p", { className: "note warn", role: "alert", textContent: `Not sure: ${error}` }), go];
+  }
   if (state === "failed") return [element("p", { className: "note bad", role: "alert", textContent: error })];
   if (state === "stopped") return [element("p", { className: "note warn", textContent: `${stage} was stopped; what was finished stays` })];
   if (state !== "done") return [];

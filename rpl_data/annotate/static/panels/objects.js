@@ -8,8 +8,12 @@ import { app, change } from "../state/store.js";
 
 export async function openObject(name) {
   change({ state: null, result: null, next: null, dense: null, mask: null, suggestions: {}, keypoint: 0 });
-  await log.load(name);
-  keypoints.selectOpen();
+  try {
+    await log.load(name);
+    keypoints.selectOpen();
+  } catch (error) {
+    log.alertOnce(error.message);
+  }
 }
 
 export async function newObject() {

@@ -51,10 +51,10 @@ function statements(result) {
 
 function ofScenes(result) {
   const rows = Object.entries(result.scenes).map(([name, s]) =>
-    [name, s.clicked, s.error_mm?.toFixed(1) ?? "—", s.error_px?.toFixed(1) ?? "—", s.expected_mm?.toFixed(1) ?? "—"]);
+    [name, s.clicked, s.error_mm?.toFixed(1) ?? "—", s.error_px?.toFixed(1) ?? "—", s.expected_mm?.toFixed(1) ?? "—", s.expected_px?.toFixed(1) ?? "—"]);
   const problem = result.problem ? [element("p", { className: "note bad", textContent: result.problem })] : [];
   return [element("h2", { textContent: "Errors by scene" }), ...problem,
-    table(["scene", "keypoints", "mm", "px", "± mm"], rows, (i) => openScene(rows[i][0], null, { view: "mark" }))];
+    table(["scene", "clicked", "mm", "px", "± mm", "± px"], rows, (i) => openScene(rows[i][0], null, { view: "mark" }))];
 }
 
 function missing(result) {

@@ -8,7 +8,7 @@ import { element, refill } from "./dom.js";
 const list = document.getElementById("scenes");
 const WORDS = {
   checking: ["quiet", "checking …"], tied: ["good", "placed"], bad: ["bad", "wrong click"],
-  doubt: ["warn", "doubtful"], loose: ["warn", "not placed"], few: ["warn", "too few"],
+  doubt: ["warn", "doubtful"], found: ["good", "found without clicks"], loose: ["warn", "not placed"], few: ["warn", "too few"],
 };
 
 export function setUp() {
@@ -50,7 +50,7 @@ function row(name) {
   const done = new Set(clicksIn(name).map((c) => c.keypoint)).size;
   const skipped = app.state.keypoints.filter((_, k) => isSkipped(k, name)).length;
   const found = app.result?.scenes?.[name];
-  const [kind, word] = done ? WORDS[found?.state] || ["quiet", "…"] : ["quiet", "nothing yet"];
+  const [kind, word] = done || found ? WORDS[found?.state] || ["quiet", "…"] : ["quiet", "nothing yet"];
   const error = found?.error_mm != null ? ` ${found.error_mm.toFixed(1)} mm` : "";
   const button = element("button", { title: found?.text || "" },
     element("span", { className: "name", textContent: name }),

@@ -85,8 +85,11 @@ async function refused(error, object) {
   try {
     take(await get(objectPath(object)));
     return true;
-  } catch {
-    return lost();
+  } catch (again) {
+    if (!again.status) return lost();
+    alertOnce(again.message); // the object is gone: the workspace was replaced
+    queue.splice(0);
+    return false;
   }
 }
 

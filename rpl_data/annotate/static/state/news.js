@@ -5,6 +5,14 @@ import * as log from "./log.js";
 import { app, change } from "./store.js";
 
 const SILENCE_MS = 25000; // the server says something every 10 s
+const REPLACED = "The workspace was replaced while this page was open: reload the page.";
+const isAnother = (now) => now.name !== app.workspace.name || (app.state && !now.objects.includes(app.state.object))
+  || (app.scene !== null && !now.scenes.includes(app.scene));
+
+// What fails where there is no object any more says so, in place of a fault of the page.
+for (const kind of ["error", "unhandledrejection"])
+  window.addEventListener(kind, (event) => { if (app.workspace && !app.state) { event.preventDefault(); log.alertOnce(REPLACED); } });
+
 const hears = {
   object: async (name, revision) => {
     if (name === app.state?.object && revision > app.state.revision && !app.waiting) await log.load(name);
@@ -42,6 +50,8 @@ export function listen() {
 
 // After a lost connection: send waiting actions, and load what others did.
 async function caughtUp() {
+  const now = app.workspace && (await get("/api/workspace").catch(() => null));
+  if (now && isAnother(now)) return log.alertOnce(REPLACED);
   if (app.waiting) await log.sendAgain();
   else if (app.state) await log.load(app.state.object).catch((error) => log.alertOnce(error.message));
 }
