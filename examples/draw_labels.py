@@ -1,6 +1,6 @@
 """Every labelled frame as a picture with its masks, boxes and keypoints drawn on it.
 
-    python examples/draw_labels.py my-workspace pictures
+python examples/draw_labels.py my-workspace pictures
 """
 
 import sys

@@ -10,7 +10,7 @@ import numpy as np
 
 from rpl_data.annotate.live import FEWEST, Live
 from rpl_data.clicks.log import Annotation
-from rpl_data.types import Statement
+from rpl_data.types import HINTS, Statement
 from rpl_data.wording import counted
 
 ENOUGH = FEWEST + 1
@@ -62,6 +62,9 @@ def _settled(live: Live) -> str:
         return "every scene is placed; nothing checks the clicks against one another with this way to solve"
     weak = sorted({s.clicks[0].scene for s in _weak(live)})
     unsure = f", but scene {', '.join(weak)} not surely," if weak else ""
+    for statement in live.solution.statements if live.solution else ():
+        if statement.kind == "unjudged":
+            return f"every scene is placed{unsure}, but {statement.text}; or, as it is"
     return f"every scene is placed{unsure} and {_checked(live)}"
 
 
@@ -81,7 +84,7 @@ def _checked(live: Live) -> str:
 def _contradiction(annotation: Annotation, live: Live) -> Advice | None:
     """Mend a click that is wrong; where only some disagree, mark one more to find out which of them is."""
     said = live.solution.statements if live.solution else ()
-    statements = [s for s in said if s.kind not in ("unchecked", "weak scene")]
+    statements = [s for s in said if s.kind not in HINTS]
     if not statements:
         return None
     worst = statements[0]

@@ -16,6 +16,7 @@ from rpl_data.solve.fault_words import FaultWords, whole_scene_text
 from rpl_data.solve.precision import next_clicks
 from rpl_data.solve.refit import HAND_SIGMA_PX
 from rpl_data.solve.trial import Fault, Trial
+from rpl_data.solve.unnoticed import unjudged
 from rpl_data.solve.wrong_names import FEW_IN_SCENE
 from rpl_data.types import Click, NextClick, Observation, Statement, StatementKind
 
@@ -99,7 +100,8 @@ def diagnose(
     )
     weak = _weak(clicks, placed, contradicted, helpful, keypoints)
     unchecked = () if hold_points else _unchecked(clicks, keypoints)
-    return Diagnosis((*contradictions, *weak, *unchecked), helpful)
+    open_ = () if hold_points else unjudged(mended.fit, clicks, keypoints)
+    return Diagnosis((*contradictions, *weak, *unchecked, *open_), helpful)
 
 
 def left_out(

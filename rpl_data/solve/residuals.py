@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float64
 
 from rpl_data.solve.bundle_adjustment import State, points_in_cameras
 from rpl_data.solve.click_rays import KERNEL_SCALE_SIGMAS, Noise, Rays, misfit
-from rpl_data.types import Click, ClickResidual, DepthState, Observation, Statement
+from rpl_data.types import HINTS, Click, ClickResidual, DepthState, Observation, Statement
 
 
 class ClickFit(NamedTuple):
@@ -53,7 +53,7 @@ def click_residuals(
     """What became of every click, and what is said of it."""
     said: dict[Click, Statement] = {}
     for statement in sorted(statements, key=lambda s: s.blames):
-        if statement.kind not in ("unchecked", "weak scene"):
+        if statement.kind not in HINTS:
             said |= dict.fromkeys(statement.clicks, statement)
     return tuple(_residual(o, n, fit, said.get(o.click)) for n, o in enumerate(observations))
 

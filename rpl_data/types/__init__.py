@@ -22,6 +22,7 @@ from rpl_data.types.recording import (
     Trajectory,
 )
 from rpl_data.types.solution import (
+    HINTS,
     ClickResidual,
     DepthState,
     KeypointModel,
@@ -35,6 +36,7 @@ from rpl_data.types.solution import (
 from rpl_data.types.surfaces import Mesh, PointCloud
 
 __all__ = [
+    "HINTS",
     "Box",
     "Click",
     "ClickResidual",

@@ -66,12 +66,14 @@ PlacedHow = Literal["clicks", "aligned", "automatic"]
 
 StatementKind = Literal[
     "swapped", "wrong name", "wrong place", "disagree", "whole scene", "everything", "unchecked",
-    "weak scene",
+    "weak scene", "unjudged",
 ]  # fmt: skip
 """What is wrong with clicks: two keypoints of a scene exchanged; a keypoint marked where another one is;
 marked somewhere else; clicks of which one is wrong and nothing tells which; a scene that contradicts all
 others; so many contradictions that none can be trusted; a click that no other click checks; a scene that
-its clicks place badly."""
+its clicks place badly; clicks that would hardly be contradicted if they were wrong."""
+HINTS: tuple[StatementKind, ...] = ("unchecked", "weak scene", "unjudged")
+"""What is said of clicks that are missing; the others are about clicks that may be wrong."""
 
 
 @dataclass(frozen=True)

@@ -41,11 +41,10 @@ from rpl_data.solve.explanations import RIVAL, contradiction
 from rpl_data.solve.refit import read_as_named, refit
 from rpl_data.solve.solve import solve
 from rpl_data.twin.annotator import click
-from rpl_data.types import Click, DataError, Observation, Solution
+from rpl_data.types import HINTS, Click, DataError, Observation, Solution
 from rpl_data.workspace.workspace import Workspace
 
 NOISE_PX = 2.0
-HINTS = ("unchecked", "weak scene")
 FAR_MM = 10.0
 """A scene whose keypoints are no farther off needs no warning, however its clicks lie."""
 

@@ -92,7 +92,7 @@ function afterClicks() {
   const other = (app.unmarked || []).find((name) => name !== app.state.object);
   if (other) return { text: `${app.state.object} is marked in every scene; now mark ${other}`, action: "object", object: other };
   if (!app.fresh?.label)
-    return { text: "every scene is placed and every keypoint known: make the dense model and the labels", action: "label", label: "Make them " };
+    return { text: app.result?.next.text ?? "make the dense model and the labels", action: "label", label: "Make them " };
   if (!app.fresh.export)
     return app.view === "labels"
       ? { text: "look through the labels, click a frame to mend it; when they are good, export the dataset", action: "export", label: "Export " }
@@ -112,7 +112,8 @@ let drawn = "";
 function draw() {
   if (drawn === signature()) return;
   drawn = signature();
-  panel.replaceChildren(element("h2", { textContent: "Build" }), ...STEPS.map(row), ...finding(), ...progress(), ...ending());
+  document.getElementById("find").replaceChildren(...finding());
+  panel.replaceChildren(element("h2", { textContent: "Build" }), ...STEPS.map(row), ...progress(), ...ending());
 }
 
 function finding() {
@@ -120,9 +121,8 @@ function finding() {
   const button = element("button", { textContent: "Find", id: "job-find", disabled: atWork(),
     title: "by the shape and colours of its dense model; nothing is placed where that is not sure" });
   button.addEventListener("click", find);
-  return [element("div", { className: "job row" },
-    element("span", { className: "name", textContent: `${app.state.object} in scene ${app.scene}` }),
-    element("span", { className: "small quiet", textContent: "without clicks" }), button)];
+  const what = `scene ${app.scene} without clicks`;
+  return [element("div", { className: "job row" }, element("span", { className: "name", textContent: what }), button)];
 }
 
 function row([stage, title, verb, note]) {

@@ -14,7 +14,7 @@ const STEPS = [
 ];
 const DEPTH_WORDS = { agrees: "", "other surface": "other surface", rejected: "depth not used", none: "no depth" };
 
-const MISSING = ["unchecked", "weak scene"]; // statements about what is missing, not about what is wrong
+const MISSING = ["unchecked", "weak scene", "unjudged"]; // statements about what is missing, not about what is wrong
 
 export function setUp() {
   onChange(draw, () => [app.state, app.result, app.scene, app.row, app.keypoint]);

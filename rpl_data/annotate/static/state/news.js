@@ -49,7 +49,7 @@ export function listen() {
 }
 
 // After a lost connection: send waiting actions, and load what others did.
-async function caughtUp() {
+export async function caughtUp() {
   const now = app.workspace && (await get("/api/workspace").catch(() => null));
   if (now && isAnother(now)) return log.alertOnce(REPLACED);
   if (app.waiting) await log.sendAgain();

@@ -1,0 +1,85 @@
+"""A known object found on the page without clicks, and a page whose workspace was replaced."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from driving import SHOWN, ServerHere
+from playwright.sync_api import Browser, Page, Route, expect
+
+from rpl_data.pipeline.build import build
+from rpl_data.pipeline.recipe_file import load_recipe
+from rpl_data.workspace.workspace import Workspace
+
+RECIPE = """
+name: tiny
+scenes: [{path: RECORDING, metres_per_unit: 0.001}]
+objects: [{name: carton, keypoints: [KEYPOINTS], clicks: clicks.csv}]
+"""
+
+
+@pytest.fixture
+def known(tiny_workspace: Workspace, tmp_path: Path) -> Workspace:
+    """A workspace in which the carton has its dense model, and no click in scene 02."""
+    recording, names = tiny_workspace.recording, tiny_workspace.load_solution("carton").model.keypoints
+    rows = (recording / "clicks.csv").read_text().splitlines(keepends=True)
+    (tmp_path / "clicks.csv").write_text("".join(row for row in rows if ",02," not in row))
+    text = RECIPE.replace("RECORDING", str(recording)).replace("KEYPOINTS", ", ".join(names))
+    (tmp_path / "recipe.yaml").write_text(text)
+    workspace = Workspace(tmp_path / "ws")
+    build(load_recipe(tmp_path / "recipe.yaml"), workspace, until="segment", workers=1)
+    return workspace
+
+
+def test_a_known_object_is_found_without_clicks(browser: Browser, known: Workspace) -> None:
+    server = ServerHere(known.root)
+    page = browser.new_page()
+    try:
+        page.goto(f"{server.url}#scene=02")
+        page.wait_for_selector(SHOWN)
+        page.locator("#job-find").click()
+        expect(page.locator("#scenes")).to_contain_text("found without clicks", timeout=120_000)
+        expect(page.locator("#jobs")).to_contain_text("carton was placed automatically in scene 02")
+        expect(page.locator("#jobs")).to_contain_text(" px) off")
+        row = page.locator("#result table tr").filter(has_text="02").first
+        expect(row.locator("td").last).to_have_text(_px(known))
+        expect(page.locator("#job-find")).to_have_count(0)
+    finally:
+        page.close()
+        server.kill()
+
+
+def _px(workspace: Workspace) -> str:
+    """The px that the message of the placement states, to a digit."""
+    entry = json.loads(workspace.stages_file.read_text())["solve/carton"]
+    (line,) = [line for line in entry["outcome"]["messages"] if "placed automatically" in line]
+    return line.split("(")[-1].split(" px")[0]
+
+
+def test_where_it_is_unsure_one_click_is_asked_for(page: Page) -> None:
+    job = {
+        "number": 1, "stage": "find", "state": "unsure", "what": "", "done": 0, "total": 0, "lines": [],
+        "error": "two poses are nearly as good", "seconds": 1, "scene": "01", "frame": 3, "keypoint": 2,
+    }  # fmt: skip
+    page.evaluate("async (job) => (await import('/static/state/store.js')).change({ job })", job)
+    expect(page.locator("#jobs")).to_contain_text("Not sure: two poses are nearly as good")
+    page.locator("#job-ask").click()
+    expect(page.locator("#frame-text")).to_contain_text("scene 01 · frame 3")
+    selected = "async () => (await import('/static/state/store.js')).app.keypoint"
+    assert page.evaluate(selected) == 2
+
+
+def test_a_page_whose_workspace_was_replaced_says_reload(page: Page) -> None:
+    def another(route: Route) -> None:
+        route.fulfill(json={"name": "ws", "scenes": ["00"], "objects": ["bowl"]})
+
+    page.route("**/api/workspace", another)
+    page.evaluate("async () => (await import('/static/state/news.js')).caughtUp()")
+    said = "The workspace was replaced while this page was open: reload the page."
+    expect(page.locator("#alert")).to_contain_text(said)
+    open_object = "async () => (await import('/static/panels/objects.js')).openObject('bowl')"
+    page.evaluate(open_object)
+    page.keyboard.press("5")
+    expect(page.locator("#alert")).to_contain_text("reload the page")
