@@ -56,7 +56,8 @@ def load_recipe(path: str | Path, *, root: str | Path | None = None) -> Recipe:
     if not path.exists() or path.is_dir():
         found = "is a folder" if path.is_dir() else "does not exist"
         raise DataError(
-            f"{path} {found}; give the recipe, a YAML file, which `rpl init` writes; `rpl build --help` shows the smallest one"
+            f"{path} {found}; give the recipe, a YAML file, which `rpl init` writes; "
+            "`rpl build --help` shows the smallest one"
         )
     try:
         data = yaml.load(read_text(path), _OnceLoader)
