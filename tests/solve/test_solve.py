@@ -131,7 +131,7 @@ def test_a_swapped_pair_is_named():
     assert error_mm(solution.model.points_object).max() < 6
     blamed = [r for r in solution.residuals if r.outlier]
     assert {(r.click.scene, r.click.keypoint) for r in blamed} == {("02", 1), ("02", 6)}
-    assert [s.kind for s in solution.statements] == ["swapped"]
+    assert [s.kind for s in solution.statements if s.kind != "unjudged"] == ["swapped"]
     assert all("keypoints b and g are swapped" in r.reason for r in blamed)
 
 
@@ -142,9 +142,11 @@ def test_keypoints_clicked_once_or_never_are_said():
     solution = solve("cube", NAMES, observations)
     assert list(solution.model.known) == [True] * 7 + [False]
     assert "keypoint h was never clicked" in solution.warnings[0]
-    assert not solution.statements  # the two frames of scene 00 check keypoint g
+    assert {s.kind for s in solution.statements} <= {
+        "unjudged"
+    }  # the two frames of scene 00 check keypoint g
     once = [o for o in observations if o.click.keypoint != 6 or o.click.frame == 0]
-    (said,) = solve("cube", NAMES, once).statements
+    (said,) = (s for s in solve("cube", NAMES, once).statements if s.kind != "unjudged")
     assert (said.kind, said.clicks[0].keypoint) == ("unchecked", 6)
     assert "keypoint g was clicked in one frame only (scene 00, frame 0): nothing checks it" in said.text
 
