@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import json
 import os
 import re
@@ -145,18 +146,27 @@ def read_bytes(path: Path) -> bytes:
         raise _unreadable(path, error) from error
 
 
+MARKS = {codecs.BOM_UTF8: "utf-8", codecs.BOM_UTF16_LE: "utf-16-le", codecs.BOM_UTF16_BE: "utf-16-be"}
+"""Bytes at the start of a text that say how it is encoded; without any it is UTF-8."""
+
+
 def read_text(path: Path, *, errors: Literal["strict", "replace"] = "strict") -> str:
-    """Read a text file; DataError when it is missing or not text.
+    """Read a text file: UTF-8, or what its mark says; DataError when it is missing or not text.
 
     Bytes that are not text may be replaced instead, if the caller checks every line.
     """
-    refuse_special(path)
+    content = read_bytes(path)
     try:
-        return path.read_text(encoding="utf-8", errors=errors)
-    except FileNotFoundError as error:
-        raise DataError(f"{path} does not exist") from error
-    except (OSError, ValueError) as error:  # ValueError: not UTF-8, or a path with a zero byte
+        return text_of(content, errors=errors)
+    except ValueError as error:
         raise _unreadable(path, error) from error
+
+
+def text_of(content: bytes, *, errors: Literal["strict", "replace"] = "strict") -> str:
+    """Decode text by its mark, and end its lines with a newline; UnicodeError where it is not text."""
+    mark = next((mark for mark in MARKS if content.startswith(mark)), b"")
+    text = content[len(mark) :].decode(MARKS.get(mark, "utf-8"), errors)
+    return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 def _unreadable(path: Path, error: OSError | ValueError) -> DataError:

@@ -165,7 +165,20 @@ def test_the_camera_beside_the_log(log: Path) -> None:
     log.with_name("camera.txt").write_text("50 51 31.5 23.5")
     assert read(log, camera=None).scene.intrinsics.fy == 51
     log.with_name("cup.cal").write_text("50 52 31.5 23.5")
+    with pytest.raises(
+        DataError, match=r"cup.cal says .* 52 .*camera.txt says .* 51 .*correct or delete one"
+    ):
+        read(log, camera=None)
+    log.with_name("camera.txt").unlink()
     assert read(log, camera=None).scene.intrinsics.fy == 52
+
+
+def test_the_unit_of_depth_beside_the_log(log: Path) -> None:
+    """By the format millimetres; but a log has what its recorder wrote, and camera.txt may know better."""
+    log.with_name("camera.txt").write_text("50 51 31.5 23.5\nmetres_per_unit 0.002\n")
+    assert read(log, camera=None).scene.metres_per_unit == 0.002
+    with pytest.raises(DataError, match=r"camera.txt says 0.002 m per unit"):
+        read(log, metres_per_unit=0.001)
 
 
 def test_wrong_files_are_refused(tmp_path: Path) -> None:

@@ -162,8 +162,8 @@ def test_repeated_timestamps_are_left_out(tree: Path) -> None:
         ("camera.txt", "600 600 320 240", r"principal point at .* 64 x 48 px.*Write fx fy cx cy"),
         ("00/camera.poses", "", r"camera.poses is empty.*track the scene again"),
         ("00/camera.poses", "10.0 0 0 0 0 0 0\n", r"camera.poses line 1: expected 't tx ty tz qx qy qz qw'"),
-        ("00/camera.poses", "# t\n10.0 0 nan 0 0 0 0 1\n", r"camera.poses line 2: numbers must be finite"),
-        ("00/camera.poses", "10.0 0 0 0 0 0 0 0\n", r"camera.poses line 1: .* no unit quaternion"),
+        ("00/camera.poses", "# t\n10.0 0 nan 0 0 0 0 1\n", r"holds no pose, only lines of a lost tracker"),
+        ("00/camera.poses", "10.0 0 0 0 0 0 0 0.5\n", r"camera.poses line 1: .* no unit quaternion"),
         ("00/camera.poses", "10000000 0 0 0 0 0 0 1\n", r"no pose .* is at the time of a frame"),
         ("00/associations.txt", None, r"associations.txt does not exist"),
         ("00/associations.txt", "", r"associations.txt is empty"),
@@ -232,9 +232,11 @@ def test_camera_txt_also_holds_distortion_and_the_depth_unit(tree: Path) -> None
     scene = read_rpl(tree)[0].scene
     assert (scene.intrinsics.distortion, scene.metres_per_unit) == (lens, 0.0005)
     assert not any("metres_per_unit" in note for note in read_rpl(tree)[0].notes)
-    given = read_rpl(tree, camera=LENS, metres_per_unit=0.001)[0].scene
-    assert (given.intrinsics.distortion, given.metres_per_unit) == ((), 0.001)
+    given = read_rpl(tree, camera=LENS, metres_per_unit=0.0005)[0].scene
+    assert (given.intrinsics.distortion, given.metres_per_unit) == ((), 0.0005)
     assert read_rpl(tree, camera=LENS)[0].scene.metres_per_unit == 0.0005
+    with pytest.raises(DataError, match=r"camera.txt says 0.0005 m per unit .* the command says 0.001"):
+        read_rpl(tree, metres_per_unit=0.001)
 
 
 @pytest.mark.parametrize(
@@ -248,6 +250,44 @@ def test_what_camera_txt_says_wrongly(tree: Path, line: str, message: str) -> No
     (tree / "camera.txt").write_text(f"50 51 31.5 23.5\na line of another tool\n{line}\n")
     with pytest.raises(DataError, match=message):
         read_rpl(tree)
+
+
+def _retimed(path: Path, columns: tuple[int, ...], factor: float) -> None:
+    rows = [line.split() for line in path.read_text().splitlines()]
+    for row in rows:
+        for column in columns:
+            row[column] = f"{float(row[column]) * factor:.4f}"
+    path.write_text("".join(" ".join(row) + "\n" for row in rows))
+
+
+@pytest.mark.parametrize(("images", "tracker"), [(1e3, 1e3), (1e9, 1.0), (1.0, 1e6)])
+def test_the_unit_of_times_is_found_and_said(tree: Path, images: float, tracker: float) -> None:
+    _retimed(tree / "00/associations.txt", (0, 2), images)
+    _retimed(tree / "00/camera.poses", (0,), tracker)
+    (recording,) = read_rpl(tree)
+    np.testing.assert_allclose([frame.timestamp_s for frame in recording.scene.frames], TIMES, atol=1e-3)
+    assert recording.trajectory is not None and len(recording.trajectory.frames) == 6
+    assert any(note.startswith("the times of ") for note in recording.notes)
+
+
+def test_how_long_frames_took_is_no_time(tree: Path) -> None:
+    lines = [line.split() for line in (tree / "00/associations.txt").read_text().splitlines()]
+    took = (0.033, 0.036, 0.030, 0.037, 0.031, 0.035)
+    rows = (f"{t} {one} {t} {two}\n" for t, (_, one, _, two) in zip(took, lines, strict=True))
+    (tree / "00/associations.txt").write_text("".join(rows))
+    with pytest.raises(DataError, match=r"associations.txt: its times jump back and forth"):
+        read_rpl(tree)
+
+
+def test_two_camera_files_must_agree(tree: Path) -> None:
+    (tree / "00/camera.txt").write_text("50 51 31.5 23.5\nmetres_per_unit 0.0005\n")
+    assert read_rpl(tree)[0].scene.metres_per_unit == 0.0005
+    (tree / "00/camera.txt").write_text("75 76 31.5 23.5\n")
+    with pytest.raises(
+        DataError, match=r"camera.txt says .* = 75 76 .*camera.txt says 50 51 .*correct or delete"
+    ):
+        read_rpl(tree)
+    assert read_rpl(tree, camera=LENS)[0].scene.intrinsics.fx == 50
 
 
 def test_probe_agrees_with_the_decoder(tmp_path: Path) -> None:

@@ -174,3 +174,51 @@ def test_bad_files_are_refused(folder: Path, file: str, content: str, message: s
 def test_no_sequence(tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"has no rgb.txt and depth.txt"):
         read_tum(tmp_path / "nowhere")
+
+
+def test_camera_txt_says_the_unit_of_depth(folder: Path) -> None:
+    """The layout's own 1/5000 m would make a scene in millimetres five times too small."""
+    for i in range(5):
+        write_depth(folder / f"depth/{i}.png", i, unit=800)
+    (folder / "camera.txt").write_text("50 51 31.5 23.5\nmetres_per_unit 0.001\n")
+    (recording,) = read_tum(folder)
+    assert recording.scene.metres_per_unit == 0.001
+    assert not any("metres_per_unit" in note for note in recording.notes)
+    with pytest.raises(DataError, match=r"camera.txt says 0.001 m .* the command says 0.0002; correct"):
+        read_tum(folder, metres_per_unit=1 / 5000)
+    (folder.parent / "camera.txt").write_text("50 51 31.5 23.5\nmetres_per_unit 0.0002\n")
+    with pytest.raises(DataError, match=r"camera.txt says 0.001 m .*camera.txt says 0.0002; correct"):
+        read_tum(folder)
+
+
+def _retimed(path: Path, factor: float) -> None:
+    rows = [line.split(" ", 1) for line in path.read_text().splitlines() if not line.startswith("#")]
+    path.write_text("".join(f"{float(t) * factor:.6f} {rest}\n" for t, rest in rows))
+
+
+@pytest.mark.parametrize("factors", [(1e3, 1e3, 1e3), (1e6, 1e6, 1.0), (1.0, 1e9, 1e3)])
+def test_each_list_has_its_own_unit_of_time(folder: Path, factors: tuple[float, float, float]) -> None:
+    for name, factor in zip(("rgb.txt", "depth.txt", "groundtruth.txt"), factors, strict=True):
+        _retimed(folder / name, factor)
+    (recording,) = read_tum(folder)
+    np.testing.assert_allclose([f.timestamp_s for f in recording.scene.frames], TIMES, atol=1e-5)
+    assert recording.trajectory is not None
+    np.testing.assert_allclose(recording.trajectory.scene_from_camera, poses(5), atol=1e-3)
+    assert any("the times of " in note for note in recording.notes)
+
+
+def test_how_long_frames_took_is_no_time(folder: Path) -> None:
+    took = (0.033, 0.035, 0.031, 0.036, 0.030)
+    for kind in ("rgb", "depth"):
+        lines = [f"{t} {kind}/{i}.png" for i, t in enumerate(took)]
+        (folder / f"{kind}.txt").write_text("\n".join(lines) + "\n")
+    with pytest.raises(DataError, match=r"rgb.txt: its times jump back and forth.*how long each frame took"):
+        read_tum(folder)
+
+
+def test_lost_rows_of_the_poses_are_counted(folder: Path) -> None:
+    lines = (folder / "groundtruth.txt").read_text().splitlines()
+    lines[2] = f"{lines[2].split()[0]} nan nan nan nan nan nan nan"
+    (folder / "groundtruth.txt").write_text("\n".join(lines) + "\n")
+    (recording,) = read_tum(folder)
+    assert "1 line of groundtruth.txt left out: not finite, or a quaternion of zeros" in recording.skipped

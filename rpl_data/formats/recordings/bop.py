@@ -27,6 +27,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from rpl_data.files import read_json, read_text, write_json
+from rpl_data.formats.recordings.camera_file import CameraFile, told_of
 from rpl_data.formats.recordings.frame_files import (
     Camera,
     Listing,
@@ -96,14 +97,18 @@ def _read_scene(name: str, folder: Path, unit_m: float | None, camera: Camera | 
     if not cameras:
         raise DataError(f"{folder / 'scene_camera.json'} lists no images")
     source = folder / "scene_camera.json"
+    own = CameraFile(
+        camera or _one_camera(cameras, source), _one_unit_m(cameras, source) if unit_m is None else unit_m
+    )
+    told = told_of(folder, camera=camera, metres_per_unit=unit_m, own=own, own_source=source)
     listing = Listing(
         name,
         folder,
         "bop",
         [Pair(i, i / RATE_HZ, _color(folder, i), folder / "depth" / f"{i:06d}.png") for i in cameras],
-        camera or _one_camera(cameras, source),
+        told.camera or own.camera,
         source,
-        _one_unit_m(cameras, source) if unit_m is None else unit_m,
+        told.metres_per_unit or 0.001,
         notes=(f"no timestamps: {RATE_HZ:g} image ids per second assumed",),
         skipped=lost,
     )

@@ -15,6 +15,7 @@ killed is empty.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import BinaryIO
 
@@ -29,7 +30,7 @@ from rpl_data.formats.containers.klg import (
     klg_depth_mm,
     klg_image_size,
 )
-from rpl_data.formats.recordings.camera_file import read_camera
+from rpl_data.formats.recordings.camera_file import Told, read_camera, told_of
 from rpl_data.formats.recordings.frame_files import (
     Camera,
     Listing,
@@ -41,13 +42,11 @@ from rpl_data.formats.recordings.frame_files import (
     with_poses,
     without_poses,
 )
-from rpl_data.formats.recordings.pose_lines import nearest, read_pose_lines
+from rpl_data.formats.recordings.pose_lines import PoseRows, nearest, read_pose_rows
 from rpl_data.formats.recordings.saved_images import write_images
+from rpl_data.formats.recordings.times import USUAL_STEPS_S, refuse_jumping
 from rpl_data.geometry import Transform
 from rpl_data.types import DataError, Frame, Recording
-
-USUAL_STEPS_S = (1 / 250, 2.0)
-"""Usual times between frames; a log whose numbers are not microseconds lies outside."""
 
 
 def read_klg(
@@ -67,7 +66,7 @@ def read_klg(
         path: a .klg file, or a folder of them.
         unpack: returns the folder for the images of a scene, given its name.
         names: which logs to read, without .klg.
-        metres_per_unit: unit of the depth; 0.001 by the format.
+        metres_per_unit: unit of the depth; that of <name>.cal or camera.txt when not given, else 0.001.
         camera: used instead of <name>.cal or camera.txt beside the log.
         bgr: order of the colours, see `klg_color`.
 
@@ -79,25 +78,34 @@ def read_klg(
     found = chosen({log.stem: log for log in logs}, names, path)
     if not found:
         raise DataError(f"{path} holds no .klg file")
-    unit_m = METRES_PER_UNIT if metres_per_unit is None else metres_per_unit
-    return [_read_log(name, log, unpack(name), unit_m, camera, bgr) for name, log in found.items()]
+    return [_read_log(name, log, unpack(name), metres_per_unit, camera, bgr) for name, log in found.items()]
 
 
 def _read_log(
-    name: str, log: Path, folder: Path, unit_m: float, camera: Camera | None, bgr: bool
+    name: str, log: Path, folder: Path, unit_m: float | None, camera: Camera | None, bgr: bool
 ) -> Recording:
     index = index_klg(log)
-    times_s, notes = _times_s(index)
-    lens, lens_source = _camera_of(log, camera)
+    times_s, notes = _times_s(log, index)
+    told = _told_of(log, camera, unit_m)
     pairs, broken = _unpack(log, index, times_s, folder, bgr)
     listing = Listing(
-        name, log, "klg", pairs, lens, lens_source, unit_m, notes=notes, skipped=(*_loss(index), *broken)
+        name,
+        log,
+        "klg",
+        pairs,
+        told.camera or (),
+        told.source,
+        METRES_PER_UNIT if told.metres_per_unit is None else told.metres_per_unit,
+        notes=notes,
+        skipped=(*_loss(index), *broken),
     )
     recording = examine(listing)
     poses = log.with_name(f"{log.name}.freiburg")
     if not poses.exists():
         return without_poses(recording, poses.name)
-    matched = _match(poses, index, recording.scene.frames)
+    rows = read_pose_rows(poses)
+    recording = replace(recording, skipped=(*recording.skipped, *rows.lost))
+    matched = _match(poses, rows, index, recording.scene.frames)
     return with_poses(recording, matched, without=f"without a pose in {poses.name} at their time")
 
 
@@ -111,13 +119,14 @@ def _loss(index: KlgIndex) -> list[str]:
     return []
 
 
-def _times_s(index: KlgIndex) -> tuple[Float64[np.ndarray, " n"], tuple[str, ...]]:
+def _times_s(log: Path, index: KlgIndex) -> tuple[Float64[np.ndarray, " n"], tuple[str, ...]]:
     """Time of every frame in seconds.
 
     png_to_klg stores the digits of the time it read, without the point: seconds that do not have six decimals
     are then not microseconds, and are scaled by the power of ten that comes nearest to 30 frames per second.
     """
     stored = np.array([entry.time for entry in index.entries], dtype=float)
+    refuse_jumping(stored.tolist(), log)
     step = float(np.median(np.abs(np.diff(stored)))) if len(stored) > 1 else 0.0
     if step == 0 or USUAL_STEPS_S[0] <= step * 1e-6 <= USUAL_STEPS_S[1]:
         return stored * 1e-6, ()
@@ -128,16 +137,17 @@ def _times_s(index: KlgIndex) -> tuple[Float64[np.ndarray, " n"], tuple[str, ...
     return stored * unit_s, (note,)
 
 
-def _camera_of(log: Path, camera: Camera | None) -> tuple[Camera, Path]:
-    if camera is not None:
-        return camera, log
-    for path in (log.with_suffix(".cal"), log.with_name("camera.txt")):
-        if path.exists():
-            return read_camera(path).camera, path
-    raise DataError(
-        f"{log}: a log does not hold its camera; give `camera: [fx, fy, cx, cy]` in pixels, "
-        f"or write these four numbers into {log.with_suffix('.cal').name} beside it"
-    )
+def _told_of(log: Path, camera: Camera | None, unit_m: float | None) -> Told:
+    """Camera and depth unit of a log, by <name>.cal and camera.txt beside it; DataError without a camera."""
+    path = log.with_suffix(".cal")
+    own = read_camera(path) if path.exists() else None
+    told = told_of(log.parent, camera=camera, metres_per_unit=unit_m, own=own, own_source=path)
+    if told.camera is None:
+        raise DataError(
+            f"{log}: a log does not hold its camera; give `camera: [fx, fy, cx, cy]` in pixels, "
+            f"or write these four numbers into {path.name} beside it"
+        )
+    return told
 
 
 def _unpack(
@@ -167,11 +177,10 @@ def _unpack_frame(
     return write_images(folder, number, color, depth, lossless=True)
 
 
-def _match(poses: Path, index: KlgIndex, frames: Sequence[Frame]) -> dict[int, Transform]:
+def _match(poses: Path, rows: PoseRows, index: KlgIndex, frames: Sequence[Frame]) -> dict[int, Transform]:
     """Match a pose to each frame by time, on the clock that fits: microseconds, or the log's own numbers."""
-    times, found = read_pose_lines(poses)
     numbers = [frame.index for frame in frames]
     stored = np.array([index.entries[number].time for number in numbers], dtype=float)
-    apart = [float(np.median(nearest(times * unit, stored)[1])) for unit in (1e6, 1.0)]
+    apart = [float(np.median(nearest(rows.times * unit, stored)[1])) for unit in (1e6, 1.0)]
     unit = (1e6, 1.0)[int(np.argmin(apart))]
-    return match_poses(times * unit * 1e-6, found, numbers, stored * 1e-6, source=str(poses))
+    return match_poses(rows.times * unit * 1e-6, rows.poses, numbers, stored * 1e-6, source=str(poses))

@@ -21,6 +21,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from rpl_data.files import read_text, write_text
+from rpl_data.formats.recordings.camera_file import read_camera, told_of
 from rpl_data.formats.recordings.frame_files import (
     Camera,
     Listing,
@@ -31,7 +32,6 @@ from rpl_data.formats.recordings.frame_files import (
     with_poses,
     without_poses,
 )
-from rpl_data.formats.recordings.pose_lines import finite_numbers
 from rpl_data.geometry import Transform
 from rpl_data.types import DataError, Intrinsics, Recording
 
@@ -82,15 +82,22 @@ def _read_scene(name: str, folder: Path, unit_m: float | None, camera: Camera | 
     camera_file = folder / "camera-intrinsics.txt"
     if not camera_file.exists():
         camera_file = folder.parent / "camera-intrinsics.txt"
+    own = read_camera(camera_file) if camera_file.exists() else None
+    told = told_of(folder, camera=camera, metres_per_unit=unit_m, own=own, own_source=camera_file)
+    if told.camera is None:
+        raise DataError(
+            f"{folder} has no camera-intrinsics.txt with the 3x3 matrix K, nor has the folder above; "
+            "write it, or give `camera: [fx, fy, cx, cy]`"
+        )
     listing = Listing(
         name,
         folder,
         "frames",
         sorted(pairs, key=lambda pair: pair.index),
-        camera or _read_matrix_camera(camera_file),
-        camera_file,
-        0.001 if unit_m is None else unit_m,
-        assumed_unit=unit_m is None,
+        told.camera,
+        told.source,
+        0.001 if told.metres_per_unit is None else told.metres_per_unit,
+        assumed_unit=told.metres_per_unit is None,
         registered=False,
         notes=(
             f"no timestamps: {RATE_HZ:g} frames per second assumed",
@@ -116,19 +123,6 @@ def _pose_file(color: Path) -> Path:
     return color.with_name(f"{color.name.split('.')[0]}.pose.txt")
 
 
-def _read_matrix_camera(path: Path) -> Camera:
-    if not path.exists():
-        raise DataError(
-            f"{path.parent} has no camera-intrinsics.txt with the 3x3 matrix K; "
-            "write it, or give `camera: [fx, fy, cx, cy]`"
-        )
-    matrix = _numbers(path)
-    if matrix.shape != (9,) or not matrix[[0, 4, 8]].all():
-        raise DataError(f"{path}: expected the 9 numbers of the 3x3 matrix K, found {len(matrix)}")
-    fx, _, cx, _, fy, cy = (float(value) for value in matrix[:6])
-    return fx, fy, cx, cy
-
-
 def _read_pose(path: Path) -> Transform | None:
     """Read scene_from_camera; None where a lost tracker left no rigid transform."""
     try:
@@ -141,10 +135,6 @@ def _read_pose(path: Path) -> Transform | None:
     rotation = pose[:3, :3]
     rigid = np.allclose(rotation @ rotation.T, np.eye(3), atol=0.01) and np.linalg.det(rotation) > 0
     return pose if rigid and np.allclose(pose[3], [0, 0, 0, 1]) else None
-
-
-def _numbers(path: Path) -> Float64[np.ndarray, " n"]:
-    return np.array(finite_numbers(read_text(path).split(), path, 1))
 
 
 # Writing ------------------------------------------------------------------------------------------

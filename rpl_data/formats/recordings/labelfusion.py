@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,7 @@ import numpy as np
 import yaml
 
 from rpl_data.files import read_text
+from rpl_data.formats.recordings.camera_file import told_of
 from rpl_data.formats.recordings.frame_files import (
     Camera,
     Listing,
@@ -41,7 +43,8 @@ from rpl_data.formats.recordings.frame_files import (
     without_poses,
 )
 from rpl_data.formats.recordings.image_headers import probe
-from rpl_data.formats.recordings.pose_lines import read_pose_lines
+from rpl_data.formats.recordings.pose_lines import read_pose_rows
+from rpl_data.formats.recordings.times import Clock, clock_beside, clock_of
 from rpl_data.formats.recordings.true_poses import with_true_poses
 from rpl_data.geometry import Transform, from_quaternion_xyzw
 from rpl_data.types import DataError, Recording
@@ -99,20 +102,28 @@ def _read_log(name: str, folder: Path, unit_m: float | None, camera: Camera | No
         raise DataError(
             f"{folder / 'images'} holds no depth images; extract them again with depth (run_create_data -d)"
         )
-    times_s = {number: _time_s(_beside(color, "utime.txt")) for number, color in colors.items()}
-    timed = {number: time_s for number, time_s in times_s.items() if time_s is not None}
+    stored = {number: _time(_beside(color, "utime.txt")) for number, color in colors.items()}
+    timed = {number: time for number, time in stored.items() if time is not None}
     if not timed:
         raise DataError(f"{folder / 'images'}: no frame has a readable utime.txt; extract the images again")
+    told = told_of(folder, camera=camera, metres_per_unit=unit_m)
+    clock = _clock(folder, list(timed.values()))
     listing = Listing(
         name,
         folder,
         "labelfusion",
-        [Pair(n, time_s, colors[n], _beside(colors[n], "depth.png")) for n, time_s in timed.items()],
-        camera or _usual_camera(folder, colors),
-        folder,
-        METRES_PER_UNIT if unit_m is None else unit_m,
-        notes=() if camera else ("no camera stored: LabelFusion's own f = 528 px assumed",),
-        skipped=tuple(grouped(sorted(times_s.keys() - timed.keys()), "without a readable utime.txt")),
+        [
+            Pair(n, time * clock.unit_s, colors[n], _beside(colors[n], "depth.png"))
+            for n, time in timed.items()
+        ],
+        told.camera or _usual_camera(folder, colors),
+        told.source if told.camera else folder,
+        METRES_PER_UNIT if told.metres_per_unit is None else told.metres_per_unit,
+        notes=(
+            *(() if told.camera else ("no camera stored: LabelFusion's own f = 528 px assumed",)),
+            *((clock.note,) if clock.note else ()),
+        ),
+        skipped=tuple(grouped(sorted(stored.keys() - timed.keys()), "without a readable utime.txt")),
     )
     recording = _with_trajectory(examine(listing), folder)
     return with_true_poses(recording, _object_poses(colors))
@@ -134,10 +145,17 @@ def _beside(color: Path, ending: str) -> Path:
     return color.with_name(color.name.replace("rgb.png", ending))
 
 
-def _time_s(path: Path) -> float | None:
-    """Read a file with microseconds, in seconds; None where it is missing or cut off."""
+def _clock(folder: Path, times: Sequence[float]) -> Clock:
+    """Microseconds, as the format says, unless the frames' usual step says otherwise."""
+    source = folder / "images" / "*_utime.txt"
+    found = clock_of(times, source)
+    return replace(found, note="") if found.unit_s == 1e-6 else found if found.note else Clock(1e-6)
+
+
+def _time(path: Path) -> float | None:
+    """Read the time of a frame as it is stored; None where it is missing or cut off."""
     try:
-        return int(read_text(path).strip()) * 1e-6
+        return float(int(read_text(path).strip()))
     except (DataError, ValueError):
         return None
 
@@ -146,11 +164,14 @@ def _with_trajectory(recording: Recording, folder: Path) -> Recording:
     graph = next((folder / name for name in POSE_GRAPHS if (folder / name).exists()), None)
     if graph is None:
         return without_poses(recording, "posegraph.posegraph")
-    times_s, poses = read_pose_lines(graph)
-    frames = recording.scene.frames
+    rows, frames = read_pose_rows(graph), recording.scene.frames
     stamps_s = np.array([frame.timestamp_s for frame in frames])
-    matched = match_poses(times_s, poses, [frame.index for frame in frames], stamps_s, source=str(graph))
-    return with_poses(recording, matched, without=f"without a pose in {graph.name} at their time")
+    clock = clock_beside(rows.times.tolist(), stamps_s.tolist(), Clock(1.0), graph)
+    matched = match_poses(
+        rows.times * clock.unit_s, rows.poses, [frame.index for frame in frames], stamps_s, source=str(graph)
+    )
+    known = replace(recording, skipped=(*recording.skipped, *rows.lost))
+    return with_poses(known, matched, without=f"without a pose in {graph.name} at their time")
 
 
 def _object_poses(colors: Mapping[int, Path]) -> dict[str, dict[int, Transform]]:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +15,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from rpl_data.files import read_text, write_text
 from rpl_data.geometry import Transform, from_quaternion_xyzw, rigid, to_quaternion_xyzw
 from rpl_data.types import DataError
+from rpl_data.wording import counted
 
 
 def data_lines(path: Path) -> Iterator[tuple[int, str]]:
@@ -26,20 +29,20 @@ def whole_lines(path: Path, words: int) -> tuple[list[tuple[int, str]], tuple[st
     """Read `data_lines`, without a last line that was cut off in its middle; also what was lost.
 
     A writer that was killed, or a copy that was interrupted, leaves an incomplete last line: with fewer
-        words,
-    or with fewer decimals than all lines before it.
+    words, or with fewer decimals than all lines before it.
 
     Args:
         path: the file.
-        words: number of words on a complete line.
+        words: least number of words on a complete line.
     """
     lines = list(data_lines(path))
     if not lines or read_text(path, errors="replace").endswith("\n"):
         return lines, ()
-    last, before = lines[-1][1].split(), [line.split() for _, line in lines[-4:-1]]
+    last, before = split_words(lines[-1][1]), [split_words(line) for _, line in lines[-4:-1]]
     usual = {_decimals(tokens[-1]) for tokens in before}
     fewer = len(usual) == 1 and _decimals(last[-1]) < max(usual)
-    if len(last) == words and not fewer and "\0" not in last[-1]:
+    words = max(words, min(map(len, before), default=words))
+    if len(last) >= words and not fewer and "\0" not in last[-1]:
         return lines, ()
     return lines[:-1], (f"{path.name} was cut off in the middle of line {lines[-1][0]}, which is lost",)
 
@@ -50,10 +53,7 @@ def _decimals(token: str) -> int:
 
 def finite_numbers(tokens: Sequence[str], path: Path, number: int) -> list[float]:
     """Convert the words of a line to numbers; DataError naming the line when one is not a finite number."""
-    try:
-        values = [float(token) for token in tokens]
-    except ValueError as error:
-        raise DataError(f"{path} line {number}: {error}; repair or delete the line") from error
+    values = numbers(tokens, path, number)
     if not all(map(math.isfinite, values)):
         found = " ".join(tokens)
         raise DataError(
@@ -62,30 +62,91 @@ def finite_numbers(tokens: Sequence[str], path: Path, number: int) -> list[float
     return values
 
 
-def read_pose_lines(path: Path) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, "n 4 4"]]:
-    """Read the lines ``t tx ty tz qx qy qz qw``: times in seconds, sorted, and poses.
+def numbers(tokens: Sequence[str], path: Path, number: int) -> list[float]:
+    """Convert the words of a line to numbers, NaN and infinity too; DataError naming the line for others."""
+    try:
+        return [float(token) for token in tokens]
+    except ValueError as error:
+        raise DataError(f"{path} line {number}: {error}; repair or delete the line") from error
+
+
+def split_words(line: str) -> list[str]:
+    """Split a line into words, at white space or at semicolons.
+
+    Where semicolons separate, a comma within a number is the decimal comma of a table program. Commas between
+    words are left: nobody can tell `1,5` from two numbers, and the caller refuses it as no number.
+    """
+    if ";" not in line:
+        return line.split()
+    fields = [field.strip() for field in line.rstrip(";").split(";")]
+    return [field.replace(",", ".") if _DECIMAL_COMMA.fullmatch(field) else field for field in fields]
+
+
+_DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?")
+
+
+@dataclass(frozen=True)
+class PoseRows:
+    """The poses of a file, sorted by time.
+
+    Attributes:
+        times: as they are stored, in the unit of the file.
+        poses: a rigid transform per time.
+        lost: what was left out, a line per reason with its number.
+    """
+
+    times: Float64[np.ndarray, " n"]
+    poses: Float64[np.ndarray, "n 4 4"]
+    lost: tuple[str, ...]
+
+
+def read_pose_rows(path: Path) -> PoseRows:
+    """Read the lines ``t tx ty tz qx qy qz qw``, which RTAB-Map follows by the number of a node.
+
+    A tracker that was lost writes NaN, infinity or a quaternion of zeros: they are left out and counted.
 
     Raises:
-        DataError: a line does not have 8 finite numbers or a unit quaternion, or there are no lines.
+        DataError: a line has another number of columns or a quaternion that is not of unit length, or there
+            is no pose.
     """
     times: list[float] = []
     poses: list[np.ndarray] = []
+    lost: list[int] = []
     for number, line in whole_lines(path, 8)[0]:  # a frame whose pose was lost is reported as such
-        tokens = line.split()
-        if len(tokens) != 8:
-            raise DataError(f"{path} line {number}: expected 't tx ty tz qx qy qz qw', found {line!r}")
-        values = np.array(finite_numbers(tokens, path, number))
-        if not 0.9 < np.linalg.norm(values[4:]) < 1.1:
+        values = np.array(numbers(_pose_words(path, number, line), path, number))
+        length = float(np.linalg.norm(values[4:]))
+        if not np.isfinite(values).all() or length == 0:
+            lost.append(number)
+            continue
+        if not 0.9 < length < 1.1:
             raise DataError(f"{path} line {number}: qx qy qz qw is no unit quaternion in {line!r}; delete it")
         times.append(float(values[0]))
         poses.append(from_quaternion_xyzw(values[4:], values[1:4]))
     if not times:
+        why = "holds no pose, only lines of a lost tracker" if lost else "is empty (as ElasticFusion leaves "
+        why += "" if lost else "it when it is killed)"
         raise DataError(
-            f"{path} is empty (as ElasticFusion leaves it when it is killed); track the scene again, "
-            "or delete the file to have the camera tracked here"
+            f"{path} {why}; track the scene again, or delete the file to have the camera tracked here"
         )
     order = np.argsort(times, kind="stable")
-    return np.array(times)[order], np.array(poses)[order]
+    said = f"{counted(len(lost), 'line')} of {path.name} left out: not finite, or a quaternion of zeros"
+    return PoseRows(np.array(times)[order], np.array(poses)[order], (said,) if lost else ())
+
+
+def _pose_words(path: Path, number: int, line: str) -> list[str]:
+    """The 8 words of a pose; DataError for any others, except a whole number after them."""
+    words = split_words(line)
+    if len(words) == 9 and words[8].isdecimal():
+        return words[:8]
+    if len(words) != 8:
+        raise DataError(f"{path} line {number}: expected 't tx ty tz qx qy qz qw', found {line!r}")
+    return words
+
+
+def read_pose_lines(path: Path) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, "n 4 4"]]:
+    """Read times and poses as `read_pose_rows`, where nobody counts what was left out."""
+    rows = read_pose_rows(path)
+    return rows.times, rows.poses
 
 
 def write_pose_lines(path: Path, times_s: Iterable[float], poses: Float64[np.ndarray, "n 4 4"]) -> None:

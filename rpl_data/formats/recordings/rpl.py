@@ -14,14 +14,14 @@ every later pose is then shifted, so here they are matched by time.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float64
 
 from rpl_data.files import write_text
-from rpl_data.formats.recordings.camera_file import CameraFile, read_camera
+from rpl_data.formats.recordings.camera_file import read_camera, told_of
 from rpl_data.formats.recordings.frame_files import (
     Camera,
     Listing,
@@ -39,11 +39,12 @@ from rpl_data.formats.recordings.image_headers import probe
 from rpl_data.formats.recordings.pose_lines import (
     finite_numbers,
     nearest,
-    read_pose_lines,
+    read_pose_rows,
+    split_words,
     whole_lines,
     write_pose_lines,
 )
-from rpl_data.geometry import Transform
+from rpl_data.formats.recordings.times import Clock, clock_beside, clock_of, refuse_jumping
 from rpl_data.types import DataError, Recording
 
 DEFAULT_METRES_PER_UNIT = 0.001
@@ -82,8 +83,9 @@ def read_rpl(
         camera: used instead of camera.txt.
 
     Raises:
-        DataError: a file is missing or broken, a scene has no usable frame, the images do not fit
-            the camera, or depths are outside 0.1-10 m, so the depth unit must be wrong.
+        DataError: a file is missing or broken, or contradicts another or `metres_per_unit`; a scene has no
+            usable frame, its times are none, the images do not fit the camera, or depths are outside
+            0.1-10 m, so the depth unit must be wrong.
     """
     path = path.absolute()
     if not path.is_dir():
@@ -96,14 +98,8 @@ def read_rpl(
             f"{path} holds no recording: neither camera.txt nor a folder with associations.txt; check the "
             "path, and --root, where the relative paths of a recipe start"
         )
-    camera_file = (path.parent if single and not (path / "camera.txt").exists() else path) / "camera.txt"
-    said = CameraFile(camera) if camera and not camera_file.exists() else read_camera(camera_file)
-    unit_m = said.metres_per_unit if metres_per_unit is None else metres_per_unit
     folders = _single_scene(path, names) if single else _scene_folders(path, names)
-    return [
-        _read_scene(folder, name, camera or said.camera, camera_file, unit_m)
-        for name, folder in folders.items()
-    ]
+    return [_read_scene(folder, name, camera, metres_per_unit) for name, folder in folders.items()]
 
 
 def is_rpl_scene(folder: Path) -> bool:
@@ -130,51 +126,58 @@ def _scene_folders(path: Path, names: Sequence[str] | None) -> dict[str, Path]:
     return chosen(found, names, path)
 
 
-def _read_scene(
-    folder: Path, name: str, camera: Camera, camera_file: Path, metres_per_unit: float | None
-) -> Recording:
-    rows, lost = _read_associations(folder)
+def _read_scene(folder: Path, name: str, camera: Camera | None, metres_per_unit: float | None) -> Recording:
+    told = told_of(folder, camera=camera, metres_per_unit=metres_per_unit)
+    lens = told.camera or read_camera(folder.parent / "camera.txt").camera  # which says what to write
+    rows, clock, lost = _read_associations(folder)
     depth = _depth_column(folder, rows)
-    unit_m = DEFAULT_METRES_PER_UNIT if metres_per_unit is None else metres_per_unit
+    unit_m = DEFAULT_METRES_PER_UNIT if told.metres_per_unit is None else told.metres_per_unit
     pairs = [Pair(row.index, row.times_s[1 - depth], row.pair[1 - depth], row.pair[depth]) for row in rows]
     listing = Listing(
         name,
         folder,
         "rpl",
         pairs,
-        camera,
-        camera_file,
+        lens,
+        told.source,
         unit_m,
-        assumed_unit=metres_per_unit is None,
-        notes=unlisted(folder / "associations.txt", [pair.color for pair in pairs]),
+        assumed_unit=told.metres_per_unit is None,
+        notes=(
+            *((clock.note,) if clock.note else ()),
+            *unlisted(folder / "associations.txt", [pair.color for pair in pairs]),
+        ),
         skipped=lost,
     )
     recording = examine(listing)
     if not (folder / "camera.poses").exists():
         return without_poses(recording, "camera.poses")
-    poses = _match_poses(folder, rows, [frame.index for frame in recording.scene.frames])
-    return with_poses(recording, poses, without="without a pose in camera.poses at their time")
+    return _with_poses(recording, folder, rows, clock)
 
 
-def _read_associations(folder: Path) -> tuple[list[_Row], tuple[str, ...]]:
-    """Read the rows, and what was lost of them."""
+def _read_associations(folder: Path) -> tuple[list[_Row], Clock, tuple[str, ...]]:
+    """Read the rows, with times in seconds; also their clock, and what was lost of them."""
     path = folder / "associations.txt"
     rows: list[_Row] = []
     lines, lost = whole_lines(path, 4)
     for number, line in lines:
-        tokens = line.split()
+        tokens = split_words(line)
         if len(tokens) != 4:
             raise DataError(f"{path} line {number}: expected <t> depth/<file> <t> rgb/<file>, found {line!r}")
         times = finite_numbers([tokens[0], tokens[2]], path, number)
-        if rows and max(times) < min(rows[-1].times_s):
+        rows.append(_Row(len(rows), (times[0], times[1]), (folder / tokens[1], folder / tokens[3])))
+    if not rows:
+        raise DataError(f"{path} is empty; expected one line per frame: <t> depth/<file> <t> rgb/<file>")
+    refuse_jumping([row.times_s[0] for row in rows], path)
+    for (number, _), one, two in zip(lines[1:], rows, rows[1:], strict=False):
+        if max(two.times_s) < min(one.times_s):
             raise DataError(
                 f"{path} line {number} is earlier than the line before it; frames are counted by line, so "
                 "clicks would be taken for those of other frames. Sort the lines by time"
             )
-        rows.append(_Row(len(rows), (times[0], times[1]), (folder / tokens[1], folder / tokens[3])))
-    if not rows:
-        raise DataError(f"{path} is empty; expected one line per frame: <t> depth/<file> <t> rgb/<file>")
-    return rows, lost
+    clock = clock_of([row.times_s[0] for row in rows], path)
+    first_s, second_s = ([row.times_s[column] * clock.unit_s for row in rows] for column in (0, 1))
+    timed = zip(rows, first_s, second_s, strict=True)
+    return [replace(row, times_s=(one, two)) for row, one, two in timed], clock, lost
 
 
 def _depth_column(folder: Path, rows: Sequence[_Row]) -> int:
@@ -195,17 +198,23 @@ def _depth_column(folder: Path, rows: Sequence[_Row]) -> int:
     )
 
 
-def _match_poses(folder: Path, rows: Sequence[_Row], indices: Sequence[int]) -> dict[int, Transform]:
+def _with_poses(recording: Recording, folder: Path, rows: Sequence[_Row], clock: Clock) -> Recording:
     """Match the pose nearest in time to each frame, by its row.
 
     Trackers stamp a pose with the time of colour or of depth; the one that fits better is used.
     """
-    times_s, poses = read_pose_lines(folder / "camera.poses")
+    path = folder / "camera.poses"
+    found = read_pose_rows(path)
+    indices = [frame.index for frame in recording.scene.frames]
     stamps_s = np.array([rows[index].times_s for index in indices])
+    own = clock_beside(found.times.tolist(), stamps_s[:, 0].tolist(), clock, path)
+    times_s = found.times * own.unit_s
     apart_s = [float(np.median(nearest(times_s, stamps_s[:, column])[1])) for column in (0, 1)]
     column = int(np.argmin(apart_s))
-    source = f"{folder / 'camera.poses'}"
-    return match_poses(times_s, poses, indices, stamps_s[:, column], source=source)
+    poses = match_poses(times_s, found.poses, indices, stamps_s[:, column], source=str(path))
+    notes = (own.note,) if own.note not in ("", clock.note) else ()
+    known = replace(recording, notes=(*recording.notes, *notes), skipped=(*recording.skipped, *found.lost))
+    return with_poses(known, poses, without="without a pose in camera.poses at their time")
 
 
 # Writing ------------------------------------------------------------------------------------------

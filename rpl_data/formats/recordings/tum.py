@@ -17,13 +17,14 @@ scene is then mirrored (y -> -y), the only way to a right-handed scene with Open
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float64
 
 from rpl_data.files import write_text
-from rpl_data.formats.recordings.camera_file import read_camera
+from rpl_data.formats.recordings.camera_file import told_of
 from rpl_data.formats.recordings.frame_files import (
     Camera,
     Listing,
@@ -40,11 +41,12 @@ from rpl_data.formats.recordings.pose_lines import (
     finite_numbers,
     interpolated,
     nearest,
-    read_pose_lines,
+    read_pose_rows,
+    split_words,
     whole_lines,
     write_pose_lines,
 )
-from rpl_data.geometry import Transform
+from rpl_data.formats.recordings.times import Clock, clock_beside, clock_of, refuse_jumping
 from rpl_data.types import DataError, Recording
 from rpl_data.wording import counted
 
@@ -54,9 +56,6 @@ MAX_APART_S = 0.02
 
 MAX_POSE_GAP_S = 0.1
 """Poses farther apart are not interpolated: the motion capture had lost the camera."""
-
-FRAME_RATE_HZ = 30.0
-"""Assumed frame rate of recordings that count frames instead of seconds."""
 
 CAMERAS: dict[str, Camera] = {
     "freiburg1": (517.3, 516.5, 318.6, 255.3, 0.2624, -0.9531, -0.0054, 0.0026, 1.1633),
@@ -85,8 +84,9 @@ def read_tum(
     Args:
         path: a sequence, or a folder of sequences.
         names: which sequences to read, by folder name.
-        metres_per_unit: unit of the depth images; 1/5000 when not given, which `Recording.notes` says.
-        camera: camera of the colour images; when not given, camera.txt ("fx fy cx cy") of the sequence, or
+        metres_per_unit: unit of the depth images; when not given, that of camera.txt, else 1/5000, which
+            `Recording.notes` says.
+        camera: camera of the colour images; when not given, camera.txt of the sequence, or
             the benchmark's own for a folder called ...freiburg1..., 2 or 3. A negative fy means y up.
 
     Raises:
@@ -110,35 +110,44 @@ def is_sequence(folder: Path) -> bool:
 
 
 def _read_sequence(name: str, folder: Path, unit_m: float | None, camera: Camera | None) -> Recording:
-    lens, lens_source = _camera_of(folder, camera)
-    (colors, depths), lost = _lists(folder)
+    told = told_of(folder, camera=camera, metres_per_unit=unit_m)
+    lens = told.camera or _benchmark_camera(folder)
+    lists, lost = _lists(folder)
+    clock, (colors, depths), notes = _timed(folder, lists)
     pairs, skipped = _associate(colors, depths)
     if not pairs:
         raise DataError(f"{folder}: no image of rgb.txt is within {MAX_APART_S:g} s of one of depth.txt")
-    counted = _counts_frames([time for time, _ in colors])
-    unit_s = 1 / FRAME_RATE_HZ if counted else 1.0
-    assumed = (f"frames are counted, not timed: {FRAME_RATE_HZ:g} per second assumed",) if counted else ()
     listing = Listing(
         name,
         folder,
         "tum",
-        [Pair(row, time * unit_s, color, depth) for row, time, color, depth in pairs],
+        [Pair(*pair) for pair in pairs],
         (lens[0], abs(lens[1]), *lens[2:]),
-        lens_source,
-        METRES_PER_UNIT if unit_m is None else unit_m,
-        assumed_unit=unit_m is None,
-        notes=(*assumed, *unlisted(_list_file(folder), [color for _, color in colors])),
+        told.source,
+        METRES_PER_UNIT if told.metres_per_unit is None else told.metres_per_unit,
+        assumed_unit=told.metres_per_unit is None,
+        notes=(*notes, *unlisted(_list_file(folder), [color for _, color in colors])),
         skipped=(*lost, *skipped),
     )
     recording = examine(listing)
     truth = _truth_file(folder)
     if truth is None:
         return without_poses(recording, "groundtruth.txt")
-    times = {row: time for row, time, _, _ in pairs}
-    poses = _poses_at(truth, {frame.index: times[frame.index] for frame in recording.scene.frames})
-    if lens[1] < 0:
-        poses = {index: _MIRROR @ pose @ _MIRROR for index, pose in poses.items()}
-    return with_poses(recording, poses, without=f"outside the time or in a gap of {truth.name}")
+    return _with_poses(recording, truth, clock, mirrored=lens[1] < 0)
+
+
+def _timed(folder: Path, lists: tuple[Stamped, Stamped]) -> tuple[Clock, list[Stamped], tuple[str, ...]]:
+    """Both lists in seconds, each by its own clock; the clock of the colour images, and what was found."""
+    names = ("rgb.txt", "depth.txt") if (folder / "rgb.txt").exists() else ("associations.txt",) * 2
+    clocks = [
+        clock_of([time for time, _ in images], folder / name)
+        for name, images in zip(names, lists, strict=True)
+    ]
+    timed = [
+        [(time * clock.unit_s, path) for time, path in images]
+        for clock, images in zip(clocks, lists, strict=True)
+    ]
+    return clocks[0], timed, tuple(dict.fromkeys(clock.note for clock in clocks if clock.note))
 
 
 def _truth_file(folder: Path) -> Path | None:
@@ -146,14 +155,11 @@ def _truth_file(folder: Path) -> Path | None:
     return next((path for path in found if path.exists()), None)
 
 
-def _camera_of(folder: Path, camera: Camera | None) -> tuple[Camera, Path]:
-    if camera is not None:
-        return camera, folder
-    if (folder / "camera.txt").exists():
-        return read_camera(folder / "camera.txt").camera, folder / "camera.txt"
+def _benchmark_camera(folder: Path) -> Camera:
+    """The benchmark's own camera, by the name of the folder; DataError for any other."""
     for name, known in CAMERAS.items():
         if name in folder.name:
-            return known, folder
+            return known
     raise DataError(
         f"{folder}: a TUM sequence does not hold its camera; give `camera: [fx, fy, cx, cy]` in pixels, "
         "or write these four numbers into camera.txt beside rgb.txt"
@@ -185,7 +191,7 @@ def _read_list(path: Path, width: int) -> tuple[list[Stamped], tuple[str, ...]]:
     rows: list[list[tuple[float, Path]]] = []
     lines, lost = whole_lines(path, width)
     for number, line in lines:
-        tokens = line.split()
+        tokens = split_words(line)
         if len(tokens) != width:
             expected = " ".join(["<t> <file>"] * (width // 2))
             raise DataError(f"{path} line {number}: expected {expected}, found {line!r}")
@@ -193,13 +199,9 @@ def _read_list(path: Path, width: int) -> tuple[list[Stamped], tuple[str, ...]]:
         rows.append([(t, path.parent / file) for t, file in zip(times, tokens[1::2], strict=True)])
     if not rows:
         raise DataError(f"{path} is empty; expected one line per image")
+    refuse_jumping([row[0][0] for row in rows], path)
     rows.sort(key=lambda row: row[0][0])
     return [list(column) for column in zip(*rows, strict=True)], lost
-
-
-def _counts_frames(times: Sequence[float]) -> bool:
-    """Whether the times are frame numbers: whole, and one apart."""
-    return len(times) > 1 and all(t.is_integer() for t in times) and float(np.median(np.diff(times))) == 1
 
 
 def _associate(
@@ -218,12 +220,18 @@ def _associate(
     return pairs, lines if alone else ()
 
 
-def _poses_at(truth: Path, times: dict[int, float]) -> dict[int, Transform]:
-    """Interpolate the poses of a file at these times, by the same keys; times far from any are left out."""
-    pose_times, poses = read_pose_lines(truth)
-    wanted = np.array(list(times.values()))
-    found = interpolated(pose_times, poses, wanted, max_gap_s=MAX_POSE_GAP_S)
-    return {index: pose for index, pose in zip(times, found, strict=True) if pose is not None}
+def _with_poses(recording: Recording, truth: Path, clock: Clock, *, mirrored: bool) -> Recording:
+    """Interpolate the poses of a file at the times of the frames; frames far from any pose are left out."""
+    frames, rows = recording.scene.frames, read_pose_rows(truth)
+    wanted_s = np.array([frame.timestamp_s for frame in frames])
+    own = clock_beside(rows.times.tolist(), wanted_s.tolist(), clock, truth)
+    found = interpolated(rows.times * own.unit_s, rows.poses, wanted_s, max_gap_s=MAX_POSE_GAP_S)
+    poses = {frame.index: pose for frame, pose in zip(frames, found, strict=True) if pose is not None}
+    if mirrored:
+        poses = {index: _MIRROR @ pose @ _MIRROR for index, pose in poses.items()}
+    notes = (own.note,) if own.note not in ("", clock.note) else ()
+    known = replace(recording, notes=(*recording.notes, *notes), skipped=(*recording.skipped, *rows.lost))
+    return with_poses(known, poses, without=f"outside the time or in a gap of {truth.name}")
 
 
 # Writing ------------------------------------------------------------------------------------------

@@ -25,6 +25,7 @@ import numpy as np
 
 from rpl_data.files import read_text
 from rpl_data.formats.containers.mat import read_mat
+from rpl_data.formats.recordings.camera_file import CameraFile, told_of
 from rpl_data.formats.recordings.frame_files import (
     Camera,
     Listing,
@@ -40,6 +41,7 @@ from rpl_data.formats.recordings.true_poses import with_true_poses
 from rpl_data.geometry import Transform, invert, rigid
 from rpl_data.types import DataError, Recording
 
+METRES_PER_UNIT = 1e-4
 RATE_HZ = 30.0
 """Assumed frame rate of the camera; the layout has no timestamps."""
 
@@ -98,14 +100,19 @@ def _read_sequence(name: str, folder: Path, unit_m: float | None, camera: Camera
     if not whole:
         raise DataError(f"{folder}: none of {len(metas)} frames has a readable meta.mat; copy them again")
     source, first = folder / f"{min(whole):06d}-meta.mat", whole[min(whole)]
+    own = CameraFile(
+        camera or _camera(first, source),
+        1 / float(_array(first, "factor_depth", source).item()) if unit_m is None else unit_m,
+    )
+    told = told_of(folder, camera=camera, metres_per_unit=unit_m, own=own, own_source=source)
     listing = Listing(
         name,
         folder,
         "ycb_video",
         [Pair(n, n / RATE_HZ, colors[n], folder / f"{n:06d}-depth.png") for n in whole],
-        camera or _camera(first, source),
+        told.camera or own.camera,
         source,
-        1 / float(_array(first, "factor_depth", source).item()) if unit_m is None else unit_m,
+        told.metres_per_unit or METRES_PER_UNIT,
         notes=(f"no timestamps: {RATE_HZ:g} frames per second assumed",),
         skipped=tuple(grouped(sorted(metas.keys() - whole.keys()), "without a readable meta.mat")),
     )
