@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from functools import partial
+from pathlib import Path
 
 import cv2
 import numpy as np
 from jaxtyping import UInt16
 
+from rpl_data.files import read_bytes
+from rpl_data.orientation import without_orientation
 from rpl_data.types import (
     ColorImage,
     DataError,
@@ -20,6 +23,9 @@ from rpl_data.types import (
     Scene,
 )
 
+AS_STORED = cv2.IMREAD_IGNORE_ORIENTATION
+"""A tag may ask viewers to turn an image; depth has no such tag, so pixels stay where they are stored."""
+
 REDUCED_GREY = {
     1: cv2.IMREAD_GRAYSCALE,
     2: cv2.IMREAD_REDUCED_GRAYSCALE_2,
@@ -27,10 +33,42 @@ REDUCED_GREY = {
     8: cv2.IMREAD_REDUCED_GRAYSCALE_8,
 }
 
+REDUCED_RGB = {
+    1: cv2.IMREAD_COLOR_RGB,
+    2: cv2.IMREAD_REDUCED_GRAYSCALE_2 | cv2.IMREAD_COLOR_RGB,
+    4: cv2.IMREAD_REDUCED_GRAYSCALE_4 | cv2.IMREAD_COLOR_RGB,
+    8: cv2.IMREAD_REDUCED_GRAYSCALE_8 | cv2.IMREAD_COLOR_RGB,
+}
+"""The colours come from the RGB flag, the size from the other."""
+
+
+def read_pixels(path: str | Path, *, reduce: int = 1) -> ColorImage | None:
+    """Decode an image file as RGB at `1 / reduce` (1, 2, 4, 8) of its size; None where it cannot be read.
+
+    The one decoder of colour: whatever looks at an image of a recording or an export sees these pixels.
+    """
+    return _decoded(Path(path), REDUCED_RGB[reduce])
+
+
+def _decoded(path: Path, flags: int) -> np.ndarray | None:
+    if not path.is_file():
+        return None
+    if path.suffix.lower() in (".tif", ".tiff"):  # whose decoder turns them, whatever the flags say
+        content = np.frombuffer(without_orientation(read_bytes(path)), np.uint8)
+        return cv2.imdecode(content, flags | AS_STORED) if len(content) else None
+    return cv2.imread(str(path), flags | AS_STORED)
+
+
+def decode_pixels(content: bytes) -> ColorImage | None:
+    """Decode the bytes of an image file as `read_pixels` does."""
+    flags = cv2.IMREAD_COLOR_RGB | AS_STORED
+    image: ColorImage | None = cv2.imdecode(np.frombuffer(without_orientation(content), np.uint8), flags)
+    return image
+
 
 def read_color(frame: Frame) -> ColorImage:
     """Read the colour image as RGB; DataError when it is missing or damaged."""
-    image = cv2.imread(str(frame.color), cv2.IMREAD_COLOR_RGB) if frame.color.is_file() else None
+    image = read_pixels(frame.color)
     if image is None:
         raise _no_color(frame)
     return image
@@ -42,7 +80,7 @@ def read_grey(frame: Frame, *, reduce: int) -> GreyImage:
     DataError when it is missing or broken. A JPEG is decoded at the small size, which takes a fraction of
     the time.
     """
-    image = cv2.imread(str(frame.color), REDUCED_GREY[reduce]) if frame.color.is_file() else None
+    image = _decoded(frame.color, REDUCED_GREY[reduce])
     if image is None:
         raise _no_color(frame)
     return image

@@ -15,7 +15,7 @@ LAYERS = [
     {"version", "wording"},
     {"types"},
     {"command_line", "files", "geometry"},
-    {"json_arrays", "untrusted"},
+    {"json_arrays", "orientation", "untrusted"},
     {"images", "meshes", "raycast", "overlay", "drift"},
     {"formats", "clicks", "pose", "reconstruct", "workspace"},
     {"capture", "solve", "refine", "segment", "label", "export", "torch"},
@@ -31,7 +31,7 @@ WITHIN_A_LAYER = {("clicks", "workspace"), ("workspace", "clicks")}
 
 LEARNING = {
     "rpl_data.command_line", "rpl_data.files", "rpl_data.formats.datasets", "rpl_data.geometry",
-    "rpl_data.images", "rpl_data.json_arrays", "rpl_data.meshes", "rpl_data.pose",
+    "rpl_data.images", "rpl_data.json_arrays", "rpl_data.meshes", "rpl_data.orientation", "rpl_data.pose",
     "rpl_data.torch", "rpl_data.types", "rpl_data.wording",
 }  # fmt: skip
 """What rpl_data.torch and training may know: a trained pipeline does not depend on the labelling tool."""

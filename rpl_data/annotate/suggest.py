@@ -10,6 +10,8 @@ from jaxtyping import Float64
 
 from rpl_data.annotate.stores.scenes import PosedScene
 from rpl_data.geometry import inside_image, invert, project
+from rpl_data.images import read_grey
+from rpl_data.types import DataError
 
 MOST, LEAST = 6, 3
 """Number of suggestions per scene; from the same side if there is no other."""
@@ -127,5 +129,8 @@ def _sharpest_near(
 
 def _detail(posed: PosedScene, frame: int) -> float:
     """Variance of the Laplacian of the picture at half its size; 0 if it cannot be read."""
-    image = cv2.imread(str(posed.frame(frame).color), cv2.IMREAD_REDUCED_GRAYSCALE_2)
-    return 0.0 if image is None else float(cv2.Laplacian(image, cv2.CV_32F).var())
+    try:
+        image = read_grey(posed.frame(frame), reduce=2)
+    except DataError:
+        return 0.0
+    return float(cv2.Laplacian(image, cv2.CV_32F).var())

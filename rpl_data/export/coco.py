@@ -18,12 +18,13 @@ from typing import IO
 from rpl_data.export.folder import link, replacing
 from rpl_data.export.split import FrameKey, SplitName, SplitRule, choose_splits
 from rpl_data.export.view_distances import ViewDirection, ViewDistance, view_direction, view_distances
-from rpl_data.files import read_json, write_bytes
+from rpl_data.files import read_bytes, read_json, write_bytes
 from rpl_data.formats.datasets.coco import CocoObject, image_to_coco, instance_to_coco, writing_coco
 from rpl_data.formats.recordings.saved_images import encoded
 from rpl_data.geometry import Transform
 from rpl_data.images import read_depth_units
 from rpl_data.json_arrays import Json
+from rpl_data.orientation import orientation_of, without_orientation
 from rpl_data.types import DataError, Frame, FrameLabel, KeypointModel, Scene, Trajectory
 from rpl_data.wording import counted
 
@@ -182,7 +183,7 @@ def _image(building: Path, item: ExportScene, frame: Frame, image_id: int, links
     """Make the entry of an image, and link its files into the folder."""
     scene = item.scene
     name = f"images/{scene.name}/{frame.index:06d}{frame.color.suffix}"
-    links[link(frame.color, building / name)] += 1
+    links[_link_color(frame, building / name)] += 1
     depth_name = None
     if frame.depth is not None:
         suffix = frame.depth.suffix if scene.depth_warp is None else ".png"
@@ -197,6 +198,14 @@ def _image(building: Path, item: ExportScene, frame: Frame, image_id: int, links
         file_name=name,
         depth_file_name=depth_name,
     )
+
+
+def _link_color(frame: Frame, target: Path) -> str:
+    """Link the colour image, or write it without a tag that would turn it in other readers; returns which."""
+    if orientation_of(frame.color) == 1:
+        return link(frame.color, target)
+    write_bytes(target, without_orientation(read_bytes(frame.color)))
+    return "copy"
 
 
 def _link_depth(scene: Scene, frame: Frame, target: Path) -> str:

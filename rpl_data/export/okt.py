@@ -20,7 +20,6 @@ from __future__ import annotations
 from collections import Counter
 from pathlib import Path
 
-import cv2
 import numpy as np
 from jaxtyping import Bool
 
@@ -30,6 +29,7 @@ from rpl_data.files import write_bytes, write_text, writing
 from rpl_data.formats.datasets.coco import intrinsics_from_coco, objects_from_coco
 from rpl_data.formats.datasets.yolo import detect_line
 from rpl_data.formats.recordings.saved_images import encoded
+from rpl_data.images import read_pixels
 from rpl_data.json_arrays import Json
 from rpl_data.types import DataError, KeypointModel
 
@@ -122,7 +122,7 @@ def _link_jpeg(source: Path, target: Path) -> None:
     if source.suffix.lower() in (".jpg", ".jpeg"):
         link(source, target)
         return
-    image = cv2.imread(str(source), cv2.IMREAD_COLOR)
+    image = read_pixels(source)
     if image is None:
         raise DataError(f"{source} is missing or damaged; put it back and export again")
-    write_bytes(target, encoded(image, "jpg"))
+    write_bytes(target, encoded(image[..., ::-1], "jpg"))

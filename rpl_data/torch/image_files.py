@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import os
-
 import cv2
 import numpy as np
 import torch
 from jaxtyping import Float32
 from torch import Tensor
 
+from rpl_data.images import read_pixels
 from rpl_data.torch.transforms import Image
 from rpl_data.types import DataError
 
@@ -21,8 +20,7 @@ def read_image(path: str, *, halved: bool = False) -> Image:
         halved: halve width and height, each pixel being the mean of four (an odd last row or column may be
             lost). A JPEG is then decoded at half resolution, in less than half the time.
     """
-    size = cv2.IMREAD_REDUCED_GRAYSCALE_2 if halved else 0  # the colours come from the RGB flag
-    image = cv2.imread(path, size | cv2.IMREAD_COLOR_RGB) if os.path.exists(path) else None
+    image = read_pixels(path, reduce=2 if halved else 1)
     if image is None:
         raise DataError(f"cannot read the image {path}: it is missing or damaged; export the dataset again")
     return image

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from labelled_scenes import BOX, CAN, instance, labelled_scene
+from PIL import Image, ImageOps
 
 from rpl_data.export import ExportScene, export_coco
 from rpl_data.export.split import SplitRule, choose_splits
@@ -205,3 +206,18 @@ def test_distances_worked_by_hand():
     )
     assert val.time_median_s == pytest.approx(0.1)
     assert test.angle_median_deg == pytest.approx(30) and test.time_median_s is None
+
+
+def test_an_image_that_asks_to_be_turned_is_exported_without_its_tag(tmp_path):
+    """The tag says "turn me"; every reader of the export then sees the pixels that were labelled."""
+    (one,) = scenes(tmp_path / "recording", 1)
+    sources = sorted((tmp_path / "recording" / "s0").glob("c*.png"))
+    pixels = [np.asarray(Image.open(path)).copy() for path in sources]
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    Image.fromarray(pixels[2]).save(sources[2], exif=exif)
+    export_coco(tmp_path / "coco", [one], [BOX, CAN], split=SplitRule())
+    exported = sorted((tmp_path / "coco" / "images" / "s0").glob("*.png"))
+    for path, stored in zip(exported, pixels, strict=True):
+        np.testing.assert_array_equal(ImageOps.exif_transpose(Image.open(path)), stored)
+    assert [path.samefile(source) for path, source in zip(exported, sources, strict=True)].count(False) == 1

@@ -11,7 +11,8 @@ import numpy as np
 from jaxtyping import UInt8
 
 from rpl_data.annotate.stores.scenes import SceneStore
-from rpl_data.images import read_color
+from rpl_data.images import read_color, read_pixels
+from rpl_data.orientation import without_orientation
 from rpl_data.types import ColorImage, DataError, DepthImage, Frame
 
 WIDTHS = (96, 160, 320, 640, 960, 1280, 1920)
@@ -23,7 +24,7 @@ TILE_PX, MARGIN_PX = 128, 16
 KEPT_BYTES = 48 * 2**20
 QUALITY = 90
 JPEG_SUFFIXES = (".jpg", ".jpeg")
-REDUCTIONS = {8: cv2.IMREAD_REDUCED_COLOR_8, 4: cv2.IMREAD_REDUCED_COLOR_4, 2: cv2.IMREAD_REDUCED_COLOR_2}
+REDUCTIONS = (8, 4, 2)
 
 
 class PictureStore:
@@ -68,7 +69,7 @@ class PictureStore:
         source, full_px = posed.frame(frame), posed.scene.intrinsics.width
         width = next((w for w in WIDTHS if w >= width_px), full_px) if width_px else full_px
         if width >= full_px and source.color.suffix.lower() in JPEG_SUFFIXES and source.color.is_file():
-            return source.color.read_bytes()
+            return without_orientation(source.color.read_bytes())
         return encoded(resized(_read(source, full_px, width), width))
 
     def stamp(self, scene: str, frame: int) -> str:
@@ -84,11 +85,11 @@ class PictureStore:
 def _read(source: Frame, full_px: int, width_px: int) -> ColorImage:
     """Read the image; a JPEG is decoded at 1/2, 1/4 or 1/8 of its size if that is still wide enough."""
     if source.color.suffix.lower() in JPEG_SUFFIXES:
-        for reduction, flag in REDUCTIONS.items():
+        for reduction in REDUCTIONS:
             if full_px // reduction >= width_px:
-                image = cv2.imread(str(source.color), flag)
+                image = read_pixels(source.color, reduce=reduction)
                 if image is not None:
-                    return np.ascontiguousarray(image[:, :, ::-1])
+                    return image
     return read_color(source)
 
 

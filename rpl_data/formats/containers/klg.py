@@ -27,6 +27,7 @@ import numpy as np
 from jaxtyping import UInt8, UInt16
 
 from rpl_data.files import refuse_special, writing
+from rpl_data.images import decode_pixels
 from rpl_data.types import DataError
 
 METRES_PER_UNIT = 0.001
@@ -153,8 +154,7 @@ def _depth_bytes(file: BinaryIO, entry: KlgEntry, pixels: int | None) -> bytes |
 
 
 def _jpeg(stored: bytes) -> np.ndarray | None:
-    image: np.ndarray | None = cv2.imdecode(np.frombuffer(stored, np.uint8), cv2.IMREAD_COLOR_RGB)
-    return image
+    return decode_pixels(stored)
 
 
 def klg_image_size(path: Path, index: KlgIndex) -> tuple[int, int]:
