@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from rpl_data.annotate.surfaces import packed
 from rpl_data.clicks.log import Annotation, Event
-from rpl_data.formats.models.meshlab import read_picked_points
+from rpl_data.formats.models.meshlab import PickedPoints, picked_in_order, read_picked_points
 from rpl_data.formats.models.sparse_model import read_sparse_model
 from rpl_data.geometry import Points
 from rpl_data.json_arrays import Json, rows_to_json
@@ -38,7 +39,7 @@ def read_known_points(
         try:
             if path.suffix == ".pp":
                 picked = read_picked_points(path, metres_per_unit=metres_per_unit)
-                names, points = list(picked.names), picked.points_mesh
+                names, points = _by_name(picked, annotation.keypoints, file_name)
             else:
                 points = read_sparse_model(path) * metres_per_unit
                 names = [str(number) for number in range(len(points))]
@@ -50,6 +51,15 @@ def read_known_points(
         names = list(annotation.keypoints)
     named: list[Event] = [] if names == list(annotation.keypoints) else [{"op": "keypoints", "names": names}]
     return [*named, {"op": "model", "points": rows_to_json(points, 7), "source": file_name}]
+
+
+def _by_name(picked: PickedPoints, keypoints: Sequence[str], file_name: str) -> tuple[list[str], Points]:
+    """Picked points in the order of the object's keypoints where it has those; else as they were picked."""
+    fewer = all(name.isdecimal() for name in picked.names) and len(picked.names) <= len(keypoints)
+    if keypoints and (fewer or set(picked.names) <= set(keypoints)):
+        points = picked_in_order(picked.names, picked.points_mesh, keypoints, source=file_name)
+        return list(keypoints), points
+    return list(picked.names), picked.points_mesh
 
 
 def keep_mesh(

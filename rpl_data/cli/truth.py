@@ -50,6 +50,7 @@ def write_true_poses(
         content[f"points_{name}"] = [
             row.tolist() if np.isfinite(row).all() else [None] * 3 for row in cad.picked
         ]
+        content[f"keypoints_{name}"] = list(wanted[name])
         content[f"mesh_{name}"] = {"file": str(file.resolve()), "metres_per_unit": metres_per_unit}
         content[f"camera_from_{name}"] = _rows(recordings, name)
     write_json(out, content, indent=None)

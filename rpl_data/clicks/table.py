@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TypeVar
 
 from rpl_data.types import Click, DataError
+from rpl_data.types.keypoint_names import keypoint_rows
 
 Number = TypeVar("Number", int, float)
 
@@ -41,12 +42,14 @@ def keypoints_in_csv(text: str, *, source: str) -> dict[str, list[str]]:
 def clicks_from_csv(text: str, *, source: str, object_name: str, keypoints: Sequence[str]) -> list[Click]:
     """Read the clicks of one object from CSV text; keypoints are given by name, or by number from 0.
 
+    Table programs of some countries write semicolons between values and a comma in numbers; it is read too.
+
     Raises:
         DataError: a column is missing, a line has more or fewer values than columns, a keypoint is unknown,
             a value is not a finite number, two different clicks are on one keypoint in one frame, or no line
             is about this object; the message names the line.
     """
-    numbers = {str(i): i for i in range(len(keypoints))} | {name: i for i, name in enumerate(keypoints)}
+    numbers = keypoint_rows(keypoints)
     clicks, others = [], set()
     first_lines: dict[tuple[int, str, int], tuple[int, Click]] = {}
     for line, row in _rows(text, source):
@@ -91,7 +94,9 @@ def clicks_from_csv(text: str, *, source: str, object_name: str, keypoints: Sequ
 
 def _rows(text: str, source: str) -> Iterator[tuple[int, dict[str, str]]]:
     """Line number and values of each line that is not empty; DataError where a line does not fit."""
-    reader = csv.DictReader(io.StringIO(text))
+    text = text.removeprefix("\ufeff")
+    semicolons = ";" in text.partition("\n")[0]
+    reader = csv.DictReader(io.StringIO(text), delimiter=";" if semicolons else ",")
     try:
         missing = [column for column in CSV_COLUMNS if column not in (reader.fieldnames or [])]
         if missing:
@@ -106,6 +111,8 @@ def _rows(text: str, source: str) -> Iterator[tuple[int, dict[str, str]]]:
                     f"{source} line {reader.line_num}: expected {len(reader.fieldnames or ())} values, found "
                     f"{'more' if more else 'fewer'}; numbers have a decimal point, not a comma"
                 )
+            if semicolons:
+                row |= {column: row[column].replace(",", ".") for column in ("u_px", "v_px")}
             yield reader.line_num, row
     except csv.Error as error:
         raise DataError(f"{source} line {reader.line_num}: {error}; repair or delete the line") from error

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float64
 from scipy.spatial.transform import Rotation
 
-from rpl_data.formats.models.meshlab import read_picked_points
+from rpl_data.formats.models.meshlab import picked_in_order, read_picked_points
 from rpl_data.geometry import Points, Transform, fit_rigid, invert, rigid, transform
 from rpl_data.meshes import load_mesh, oriented_points, select, thinned
 from rpl_data.raycast import RayScene
@@ -221,27 +221,6 @@ def cads_in(folder: Path, objects: Mapping[str, Sequence[str]], *, metres_per_un
 def mesh_of(folder: Path, name: str) -> Path | None:
     """The CAD file of an object; None where there is none."""
     return next((path for path in (folder / f"{name}{suffix}" for suffix in MESHES) if path.exists()), None)
-
-
-def picked_in_order(
-    names: Sequence[str], points: Points, keypoints: Sequence[str], *, source: str
-) -> Float64[np.ndarray, "k 3"]:
-    """Sort picked points: one row per keypoint, NaN where not picked; matched by name, or number from 0.
-
-    Raises:
-        DataError: a picked point has neither the name nor the number of a keypoint.
-    """
-    ordered = np.full((len(keypoints), 3), np.nan)
-    rows = {name: k for k, name in enumerate(keypoints)}
-    for name, point in zip(names, points, strict=True):
-        row = rows.get(name, int(name) if name.isdecimal() else -1)
-        if not 0 <= row < len(keypoints):
-            raise DataError(
-                f"{source}: picked point {name!r} is not a keypoint; name the points like the keypoints "
-                f"({', '.join(keypoints)}) or number them from 0"
-            )
-        ordered[row] = point
-    return ordered
 
 
 def scaled(mesh: Mesh, metres_per_unit: float) -> Mesh:

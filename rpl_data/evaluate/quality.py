@@ -1,6 +1,6 @@
 """Compare labels and models with the ground truth, in mm, px and IoU.
 
-In the strict protocol, keypoint i of the model is compared with keypoint i of the truth, and a label with the
+In the strict protocol, a keypoint is compared with that of the same name in the truth, and a label with the
 truth of the same frame; nothing is aligned in the image. Only the 3D model, which has its own frame, is first
 moved onto the truth by one rigid transform. Another protocol means another truth: the paper's (GT-SPARSE as
 the closest points of a CAD aligned by ICP) passes its own model and labels to the same functions.
@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
+from rpl_data.evaluate.matching import in_order_of_model, rows_in_truth
 from rpl_data.geometry import Transform, fit_rigid, invert, rotation_angle_rad, transform
 from rpl_data.types import DataError, FrameLabel, InstanceLabel, KeypointModel, QualityRow, Rle
 from rpl_data.wording import counted
@@ -70,16 +71,18 @@ def model_error(model: KeypointModel, truth: KeypointModel) -> ModelError:
     """Measure 3D keypoint errors after a rigid fit (no scale, no reflection) over the keypoints both know.
 
     Raises:
-        DataError: the models differ in the number of keypoints, or share fewer than three.
+        DataError: the models differ in their keypoints, or share fewer than three.
     """
     if len(model.keypoints) != len(truth.keypoints):
         raise DataError(
             f"object {model.name} has {counted(len(model.keypoints), 'keypoint')} and its truth "
-            f"{len(truth.keypoints)}; keypoint i is compared with keypoint i: correct the recipe"
+            f"{len(truth.keypoints)}: correct the recipe"
         )
-    both = model.known & truth.known
-    truth_from_object = fit_rigid(truth.points_object[both], model.points_object[both])
-    offsets = transform(truth_from_object, model.points_object) - truth.points_object
+    rows = rows_in_truth(model, truth)
+    true_points = truth.points_object[rows]
+    both = model.known & truth.known[rows]
+    truth_from_object = fit_rigid(true_points[both], model.points_object[both])
+    offsets = transform(truth_from_object, model.points_object) - true_points
     return ModelError(np.linalg.norm(offsets, axis=1), truth_from_object)
 
 
@@ -221,12 +224,14 @@ def compare_workspaces(workspace: Workspace, truth: Workspace) -> list[QualityRo
             f"it has {', '.join(truth.object_names()) or 'no objects'}; objects must have the same names"
         )
     models = {name: workspace.load_placed(name).model for name in shared}
-    errors = {name: model_error(models[name], truth.load_solution(name).model) for name in shared}
+    true_models = {name: truth.load_solution(name).model for name in shared}
+    errors = {name: model_error(models[name], true_models[name]) for name in shared}
+    rows = {name: rows_in_truth(models[name], true_models[name]) for name in shared}
     alignments = {name: error.truth_from_object for name, error in errors.items()}
     by_scene = [
         label_errors(
             workspace.load_labels(scene) if workspace.labels_file(scene).exists() else (),
-            truth.load_labels(scene),
+            in_order_of_model(truth.load_labels(scene), rows),
             alignments,
         )
         for scene in truth.labelled_scene_names()

@@ -1,6 +1,7 @@
 """Make a truth workspace from true poses: projected keypoints and ray-cast silhouettes.
 
-The poses come as JSON: `points_<object>` (one row per keypoint, metres, object frame; null where unknown) and
+The poses come as JSON: `points_<object>` (one row per keypoint, metres, object frame; null where unknown),
+`keypoints_<object>` (their names, by which they are matched; numbers from 0 where it is left out) and
 `camera_from_<object>`: {scene: [one 4x4 matrix per frame, by `Frame.index`]}, with null for a frame whose
 pose is unknown. `mesh_<object>`: {file, metres_per_unit} is its mesh in the object frame, with the file
 relative to the JSON; an object without one is assumed to be the bounding box of its points.
@@ -85,14 +86,20 @@ def truth_from_poses(workspace: Workspace, truth: Workspace, poses: Path) -> Non
 def true_objects(
     content: Mapping[str, Any], *, source: str, meshes: Mapping[str, Mesh]
 ) -> tuple[TrueObject, ...]:
-    """Read the objects of the JSON, in its order; keypoints are named by their number."""
+    """Read the objects of the JSON, in its order; keypoints without names are named by their number."""
     names = [key.removeprefix("points_") for key in content if key.startswith("points_")]
     if not names:
         raise DataError(f"{source} has no points_<object>; it has {', '.join(content) or 'nothing'}")
     objects = []
     for name in names:
         points = np.array(content[f"points_{name}"], dtype=float)
-        model = KeypointModel(name, tuple(str(i) for i in range(len(points))), points)
+        keypoints = tuple(map(str, content.get(f"keypoints_{name}", range(len(points)))))
+        if len(set(keypoints)) != len(points):
+            raise DataError(
+                f"{source}: keypoints_{name} should give {len(points)} different names, one per row of "
+                f"points_{name}, found {', '.join(keypoints)}"
+            )
+        model = KeypointModel(name, keypoints, points)
         poses = {
             (scene, frame): _matrix(values, f"{source}: camera_from_{name}, scene {scene}, frame {frame}")
             for scene, rows in content.get(f"camera_from_{name}", {}).items()

@@ -60,6 +60,21 @@ def test_csv_takes_numbers_and_only_its_object() -> None:
     assert clicks_from_csv(text, source="c.csv", object_name="cube", keypoints=NAMES) == [B]
 
 
+def test_csv_of_a_table_program_with_decimal_commas() -> None:
+    text = "\ufeffobject;keypoint;scene;frame;u_px;v_px\ncube;2;01;7;-0,5;479,25\n"
+    assert clicks_from_csv(text, source="c.csv", object_name="cube", keypoints=NAMES) == [B]
+
+
+def test_keypoints_called_by_numbers_are_matched_by_name_only() -> None:
+    text = HEADER + "cube,3,00,1,1,1\n"
+    (click,) = clicks_from_csv(text, source="c.csv", object_name="cube", keypoints=("3", "2", "1"))
+    assert click.keypoint == 0
+    with pytest.raises(DataError, match="cube has no keypoint '0'; it has 3, 2, 1"):
+        clicks_from_csv(
+            HEADER + "cube,0,00,1,1,1\n", source="c.csv", object_name="cube", keypoints=("3", "2", "1")
+        )
+
+
 HEADER = "object,keypoint,scene,frame,u_px,v_px\n"
 
 
@@ -76,6 +91,8 @@ HEADER = "object,keypoint,scene,frame,u_px,v_px\n"
         (HEADER + "cube,3,00,1,1,1\n", "c.csv line 2: cube has no keypoint '3'; it has corner, edge, knob"),
         (HEADER + "cube,0,00,1.5,1,1\n", "c.csv line 2: frame must be a whole number"),
         (HEADER + "cube,0,00,1,x,1\n", "c.csv line 2: frame must be a whole number and u_px, v_px numbers"),
+        (HEADER + "cube,0,00,1,57,3017,41,25\n", "c.csv line 2: expected 6 values, found more; numbers have"),
+        (HEADER + 'cube,0,00,1,"57,3017",41\n', "c.csv line 2: frame must be a whole number and u_px, v_px"),
         (HEADER + "cube,0,00,1,1\n", "c.csv line 2: expected 6 values, found fewer"),
         (HEADER + "cube,0,00,1,nan,1\n", "c.csv line 2: u_px and v_px must be finite, got nan"),
     ],

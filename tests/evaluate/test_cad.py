@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rpl_data.evaluate.cad import Cad, align_scene, align_sparse, picked_in_order, scaled
+from rpl_data.evaluate.cad import Cad, align_scene, align_sparse, scaled
 from rpl_data.evaluate.truth import box_mesh
+from rpl_data.formats.models.meshlab import picked_in_order
 from rpl_data.geometry import from_rotvec, invert, rotation_angle_rad, transform
 from rpl_data.types import DataError, KeypointModel, Mesh
 
@@ -139,3 +140,16 @@ def test_picked_points_find_their_keypoints_by_name_or_number() -> None:
 def test_a_point_of_another_name_is_refused() -> None:
     with pytest.raises(DataError, match="'nose' is not a keypoint"):
         picked_in_order(("nose",), np.zeros((1, 3)), ("a", "b"), source="x.pp")
+
+
+@pytest.mark.parametrize("names", [("1", "2", "3"), ("1", "2", "3", "4"), ("2",)])
+@pytest.mark.parametrize("keypoints", [("0", "1", "2", "3"), ("base", "lid", "cap", "knob")])
+def test_points_numbered_from_one_are_refused(names: tuple[str, ...], keypoints: tuple[str, ...]) -> None:
+    """Point 1 of a file without point 0 may be keypoint 0 or 1."""
+    with pytest.raises(DataError, match=r"a.pp: its points are numbered from .*or number them from 0"):
+        picked_in_order(names, np.zeros((len(names), 3)), keypoints, source="a.pp")
+
+
+def test_keypoints_that_are_called_by_numbers_are_matched_by_name() -> None:
+    found = picked_in_order(("1", "3"), np.array([[1.0] * 3, [3.0] * 3]), ("3", "2", "1"), source="a.pp")
+    np.testing.assert_array_equal(found[:, 0], [3, np.nan, 1])

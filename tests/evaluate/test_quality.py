@@ -173,3 +173,25 @@ def test_the_fit_agrees_with_the_error_it_reports() -> None:
     error = model_error(KeypointModel("cube", NAMES, noisy), KeypointModel("cube", NAMES, POINTS))
     moved = transform(fit_rigid(POINTS, noisy), noisy)
     np.testing.assert_allclose(error.keypoints_m, np.linalg.norm(moved - POINTS, axis=1))
+
+
+def test_a_truth_in_another_order_is_matched_by_name(tmp_path: Path) -> None:
+    """The same names in another order: nothing is off, in space or in the image."""
+    pixels = np.array([[1.0, 2.0], [30.0, 4.0], [5.0, 25.0], [40.0, 30.0]])
+    order = [2, 0, 3, 1]
+    workspaces = [Workspace(tmp_path / name) for name in ("labels", "truth")]
+    for workspace, rows in zip(workspaces, ([0, 1, 2, 3], order), strict=True):
+        names = tuple(NAMES[row] for row in rows)
+        model = KeypointModel("cube", names, POINTS[rows])
+        workspace.save_solution(Solution(model, np.zeros((4, 3, 3)), {}))
+        one = instance(pixels[rows], rectangle(0, 0, 20, 10), visibility=(2, 2, 2, 2))
+        workspace.save_labels("00", iter([FrameLabel("00", 0, 0.0, (one,))]))
+    (row,) = compare_workspaces(*workspaces)
+    assert (row.error_3d_max_mm, row.error_2d_mean_px) == pytest.approx((0.0, 0.0), abs=1e-6)
+
+
+def test_a_truth_of_other_names_is_refused_and_one_of_numbers_goes_by_row() -> None:
+    model = KeypointModel("cube", NAMES, POINTS)
+    with pytest.raises(DataError, match=r"matched by name, and d of a, b, c, d is not among a, b, c, x"):
+        model_error(model, KeypointModel("cube", ("a", "b", "c", "x"), POINTS))
+    assert model_error(model, KeypointModel("cube", tuple("0123"), POINTS)).keypoints_m.max() < 1e-9

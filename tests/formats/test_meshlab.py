@@ -58,3 +58,10 @@ def test_bad_files_are_refused(tmp_path: Path, content: str, message: str) -> No
     (tmp_path / "a.pp").write_text(content)
     with pytest.raises(DataError, match=message):
         read_picked_points(tmp_path / "a.pp")
+
+
+def test_no_point_is_made_up_in_front_of_the_first(tmp_path: Path) -> None:
+    (tmp_path / "a.pp").write_text(pp('x="1" y="0" z="0" name="3"', 'x="2" y="0" z="0" name="1"'))
+    read = read_picked_points(tmp_path / "a.pp")
+    assert read.names == ("1", "2", "3")
+    np.testing.assert_array_equal(read.points_mesh[:, 0], [2, np.nan, 1])

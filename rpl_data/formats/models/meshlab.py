@@ -25,6 +25,7 @@ from jaxtyping import Float64
 
 from rpl_data.files import decoding, read_text, write_text
 from rpl_data.types import DataError
+from rpl_data.types.keypoint_names import are_numbers, keypoint_rows
 
 
 @dataclass(frozen=True)
@@ -44,8 +45,7 @@ def read_picked_points(path: Path, *, metres_per_unit: float = 1.0) -> PickedPoi
     """Read the points of a .pp file.
 
     Where all names are whole numbers, as MeshLab assigns them, they are the numbers of the keypoints: rows
-        follow
-    them, and a missing number becomes a row of NaN. Other names keep the file's order.
+    follow them, and a number missing between two becomes a row of NaN. Other names keep the file's order.
 
     Args:
         path: the file.
@@ -67,9 +67,35 @@ def _numbered(path: Path, points: dict[str, np.ndarray], metres_per_unit: float)
         numbered = {int(name): point for name, point in points.items()}
         if len(numbered) < len(names) or max(numbered) >= 10_000:
             raise DataError(f"{path}: the numbers of the points are {', '.join(names)}; give each its own")
-        names = [str(number) for number in range(max(numbered) + 1)]
+        names = [str(number) for number in range(min(numbered), max(numbered) + 1)]
         points = {name: numbered.get(int(name), np.full(3, np.nan)) for name in names}
     return PickedPoints(tuple(names), np.array(list(points.values())) * metres_per_unit)
+
+
+def picked_in_order(
+    names: Sequence[str], points: Float64[np.ndarray, "n 3"], keypoints: Sequence[str], *, source: str
+) -> Float64[np.ndarray, "k 3"]:
+    """Sort picked points: one row per keypoint, NaN where not picked; matched by name, or number from 0.
+
+    Raises:
+        DataError: a picked point has neither the name nor the number of a keypoint, or the numbers do not
+            begin at 0, so that nobody can tell whether the first is keypoint 0 or 1.
+    """
+    rows = keypoint_rows(keypoints)
+    explained = f"name the points like the keypoints ({', '.join(keypoints)}) or number them from 0"
+    counted_rows = are_numbers(keypoints) or not set(names) <= set(keypoints)
+    if counted_rows and all(name.isdecimal() for name in names) and "0" not in names:
+        raise DataError(
+            f"{source}: its points are numbered from {names[0]}, keypoints from 0, so each may be the one "
+            f"before; {explained}, with a point 0 that is not active where it was not picked"
+        )
+    ordered = np.full((len(keypoints), 3), np.nan)
+    for name, point in zip(names, points, strict=True):
+        row = rows.get(name)
+        if row is None:
+            raise DataError(f"{source}: picked point {name!r} is not a keypoint; {explained}")
+        ordered[row] = point
+    return ordered
 
 
 def _points(path: Path) -> dict[str, np.ndarray]:
