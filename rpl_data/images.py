@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 
 import cv2
 import numpy as np
-from jaxtyping import UInt16
+from jaxtyping import Float64, UInt16
 
 from rpl_data.files import read_bytes
+from rpl_data.geometry import rays
 from rpl_data.orientation import without_orientation
 from rpl_data.types import (
     ColorImage,
@@ -19,6 +20,7 @@ from rpl_data.types import (
     DepthWarp,
     Frame,
     GreyImage,
+    Intrinsics,
     ReadDepth,
     Scene,
 )
@@ -122,7 +124,25 @@ def read_depth_units(scene: Scene, frame: Frame) -> UInt16[np.ndarray, "height w
     units = raw.astype(np.uint16, copy=False)
     for value in scene.no_depth_units:
         units[units == value] = 0
+    if scene.depth_coding.bits_turned:
+        units = turned_back(units)
+    if scene.depth_coding.along_ray:
+        units = np.rint(units / _ray_lengths(scene.intrinsics)).astype(np.uint16)
     return units if scene.depth_warp is None else _warped(units, scene.depth_warp)
+
+
+def turned_back(units: DepthUnits) -> DepthUnits:
+    """Turn the 16 bits of each number right by 3, as SUN3D's own reader does."""
+    return (units >> 3) | (units << 13)
+
+
+@lru_cache(maxsize=4)
+def _ray_lengths(camera: Intrinsics) -> Float64[np.ndarray, "height width"]:
+    """Length of the ray through each pixel up to 1 m along the optical axis."""
+    v, u = np.mgrid[: camera.height, : camera.width]
+    directions = rays(camera, np.column_stack([u.ravel(), v.ravel()]).astype(float))
+    lengths: Float64[np.ndarray, "height width"] = np.linalg.norm(directions, axis=1).reshape(u.shape)
+    return lengths
 
 
 def _warped(raw: UInt16[np.ndarray, "height width"], warp: DepthWarp) -> UInt16[np.ndarray, "height width"]:

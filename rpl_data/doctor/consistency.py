@@ -30,11 +30,13 @@ class Geometry:
         intrinsics: intrinsics of the depth images.
         scene_from_camera: one pose per depth image; NaN where there is none.
         metres_factor: factor that corrects the depths.
+        along_ray: whether depth is the distance along the ray of each pixel, not along the optical axis.
     """
 
     intrinsics: Intrinsics
     scene_from_camera: Float64[np.ndarray, "n 4 4"]
     metres_factor: float = 1.0
+    along_ray: bool = False
 
 
 @dataclass(frozen=True)
@@ -86,7 +88,10 @@ def differences(compared: ComparedImages, geometry: Geometry) -> Float64[np.ndar
     u, v = compared.grid_px.astype(int).T
     depth_m = compared.depths_m[i[:, None], v, u].astype(float) * geometry.metres_factor
     j_from_i = invert(geometry.scene_from_camera[j]) @ geometry.scene_from_camera[i]
-    points_i = rays(geometry.intrinsics, compared.grid_px) * depth_m[..., None]
+    directions = rays(geometry.intrinsics, compared.grid_px)
+    if geometry.along_ray:
+        depth_m /= np.linalg.norm(directions, axis=1)
+    points_i = directions * depth_m[..., None]
     points_j = points_i @ j_from_i[:, :3, :3].transpose(0, 2, 1) + j_from_i[:, None, :3, 3]
     found_m, inside = _looked_up(compared, j, geometry, points_j)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -122,4 +127,7 @@ def _looked_up(
     inside = np.isfinite(ahead) & (u > 0) & (u < width - 1) & (v > 0) & (v < height - 1)
     column, row = (np.rint(np.where(inside, number, 0)).astype(int) for number in (u, v))
     found_m = np.where(inside, compared.depths_m[rows[:, None], row, column].astype(float), 0.0)
+    if geometry.along_ray:
+        x, y = (column - camera.cx) / camera.fx, (row - camera.cy) / camera.fy
+        found_m /= np.sqrt(1 + x**2 + y**2)
     return found_m * geometry.metres_factor, inside

@@ -29,10 +29,24 @@ the rest is depth noise, which does not move the optimum. Calibrations are right
 SURE = 0.9
 """Share of resamples in which a correction must pass."""
 
+RAY_SHARE = 0.9
+"""Depth along the ray has no factor that could be fitted to noise, and makes a sound recording worse by half;
+this gain is enough for it."""
+
 FEWEST_PAIRS = 5
 
 LAGS = tuple(lag for lag in range(-5, 6) if lag)
-DEPTH_FACTORS = (0.1, 0.2, 0.25, 0.5, 0.7, 0.8, 0.9, 1.1, 1.25, 1.4, 2.0, 4.0, 5.0, 10.0)
+DEPTH_FACTORS = (0.1, 0.125, 0.2, 0.25, 0.5, 0.7, 0.8, 0.9, 1.1, 1.25, 1.4, 2.0, 4.0, 5.0, 8.0, 10.0)
+USUAL_FACTORS = (0.1, 0.2, 0.25, 0.4, 2.5, 4.0, 5.0, 10.0)
+"""Between depth units in use: 1, 1/4, 1/5 and 1/10 mm."""
+
+NEAR_FACTOR = 1.04
+"""A factor this close to a usual one is that: poses and intrinsics are seldom better."""
+
+CLEARLY_BETTER = 0.9
+"""The differences of depth under the best correction, as a share of those under the next of another kind:
+above it, the two cannot be told apart."""
+
 FOCAL_FACTORS = (0.5, 0.6, 0.7, 0.8, 0.87, 0.93, 1.07, 1.15, 1.25, 1.4, 1.7, 2.0)
 SIZE_FACTORS = (1 / 3, 0.5, 2 / 3, 0.75, 4 / 3, 1.5, 2.0, 3.0)
 
@@ -48,6 +62,7 @@ class Correction:
         geometry: the corrected geometry.
         mend: the recipe option that corrects it, where there is one.
         sure: for a factor, share of resamples that find it farther from 1 than `LEAST_FACTOR`.
+        enough: share of the differences of depth that may remain under it.
     """
 
     kind: Kind
@@ -56,6 +71,7 @@ class Correction:
     geometry: Geometry
     mend: Mend | None = None
     sure: float = 0.0
+    enough: float = MUCH_BETTER_SHARE
 
 
 def faults(compared: ComparedImages, geometry: Geometry, *, most: int = 3) -> list[Finding]:
@@ -65,11 +81,17 @@ def faults(compared: ComparedImages, geometry: Geometry, *, most: int = 3) -> li
     while len(findings) < most:
         tried = [(found, differences(compared, found.geometry)) for found in _corrections(compared, geometry)]
         best, then = min(tried, key=lambda pair: _mean(now, pair[1]))
-        sure = max(_sure(now, then, MUCH_BETTER_SHARE), min(best.sure, _sure(now, then, BETTER_SHARE)))
+        sure = max(_sure(now, then, best.enough), min(best.sure, _sure(now, then, BETTER_SHARE)))
         if sure < SURE:
             break
         share = f"depth images then agree {_mean(now, now) / _mean(now, then):.1f} times better"
-        findings.append(Finding(best.kind, f"{best.what} ({share})", sure, best.todo, best.mend))
+        others = [pair for pair in tried if pair[0].kind != best.kind]
+        next_best, otherwise = min(others, key=lambda pair: _mean(now, pair[1]))
+        clear = _sure(otherwise, then, CLEARLY_BETTER)
+        todo = best.todo
+        if clear < SURE:
+            todo += f"; hardly worse: {next_best.what}, and then {next_best.todo}"
+        findings.append(Finding(best.kind, f"{best.what} ({share})", min(sure, clear), todo, best.mend))
         geometry, now = best.geometry, then
     return findings
 
@@ -107,6 +129,8 @@ def _corrections(compared: ComparedImages, geometry: Geometry) -> Iterator[Corre
         compared, FOCAL_FACTORS, lambda factor: _other_focal_length(geometry, factor), with_sureness=True
     )
     yield from (_other_size(geometry, factor) for factor in SIZE_FACTORS)
+    if not geometry.along_ray:
+        yield _along_ray(geometry)
 
 
 def _readings(geometry: Geometry) -> Iterator[Correction]:
@@ -179,10 +203,23 @@ def _sure_of_factor(tried: Mapping[float, Float64[np.ndarray, " pairs"]]) -> flo
 
 def _other_depth_unit(geometry: Geometry, factor: float) -> Correction:
     what = f"depths are {_times(factor)} what the poses say"
-    todo = f"set metres_per_unit of the scene to {factor:.3g} times what it is"
-    return Correction(
-        "depth scale", what, todo, replace(geometry, metres_factor=geometry.metres_factor * factor)
-    )
+    mend = Mend(depth_factor=usual_factor(factor))
+    fitting = replace(geometry, metres_factor=geometry.metres_factor * factor)
+    todo = f"{option(mend)}, or metres_per_unit {mend.depth_factor:g} times what it is"
+    return Correction("depth scale", what, todo, fitting, mend)
+
+
+def usual_factor(factor: float) -> float:
+    """The factor between two depth units in use that is meant, else the measured one to three digits."""
+    nearest = min(USUAL_FACTORS, key=lambda usual: abs(np.log(factor / usual)))
+    return nearest if abs(np.log(factor / nearest)) < np.log(NEAR_FACTOR) else float(f"{factor:.3g}")
+
+
+def _along_ray(geometry: Geometry) -> Correction:
+    what = "depth is the distance along each pixel's ray, not along the optical axis, as in some simulators"
+    mend = Mend(depth_along_ray=True)
+    corrected = replace(geometry, along_ray=True)
+    return Correction("ray length", what, option(mend), corrected, mend, enough=RAY_SHARE)
 
 
 def _other_focal_length(geometry: Geometry, factor: float) -> Correction:

@@ -12,9 +12,11 @@ from rpl_data.doctor import image_faults, timing
 from rpl_data.doctor.alignment import Alignment, align
 from rpl_data.doctor.consistency import ComparedImages, Geometry, choose_pairs, differences
 from rpl_data.doctor.corrections import faults, shifted
+from rpl_data.doctor.depth_unit import by_the_numbers, with_turned_bits
 from rpl_data.doctor.edges import FrameEdges, edges_of
 from rpl_data.doctor.findings import Diagnosis, Finding
 from rpl_data.doctor.pairing import SURE, decide_what_lags, lag_findings, lag_of, misregistered
+from rpl_data.doctor.tags import orientation_tags
 from rpl_data.drift.drift import MAX_DRIFT_MM, cut, measure_drift
 from rpl_data.images import read_color, read_depth_m
 from rpl_data.types import DataError, DepthImage, Frame, Recording, Scene, Trajectory
@@ -55,7 +57,8 @@ def examine(recording: Recording, *, progress: Callable[[int, int], None] | None
     if unreadable:
         what = f"{len(unreadable)} of the images examined cannot be read; the first: {unreadable[0]}"
         findings.append(Finding("unreadable", what, 1.0, "record again, or remove them from the list"))
-    findings += timing.dropped_frames(scene, recording.left_out)
+    findings += timing.odd_times(scene) + timing.dropped_frames(scene, recording.left_out)
+    findings += orientation_tags(scene)
     facts = [_summary(scene, sample), *recording.notes]
     if not len(sample.depths_m):
         return Diagnosis(scene.name, tuple(facts), tuple(findings))
@@ -65,13 +68,17 @@ def examine(recording: Recording, *, progress: Callable[[int, int], None] | None
         [image_faults.missing_share(depth_m) for depth_m in sample.depths_m]
     )
     aligned = align(dict(zip(sample.positions, sample.edges, strict=True)))
+    unjudged = [] if _shows_alignment(aligned) else ["lag and registration (too few common edges)"]
     facts.append(_alignment_fact(aligned))
     lag = lag_of(aligned)
-    if trajectory is None:
+    why = _why_unjudged(scene, trajectory, sample)
+    found: list[Finding] = []
+    if trajectory is None or why:
+        unjudged.append(f"depth unit, intrinsics and poses ({why})")
         facts.append(
-            "no poses: depth unit, intrinsics and poses were not judged; let `rpl build` track first"
+            f"{why}: depth unit, intrinsics and poses could not be judged; let `rpl build` track first"
         )
-        found: list[Finding] = []
+        found = by_the_numbers(scene, sample.depths_m)
     else:
         said, found = _geometry(scene, trajectory, sample, lag.whole)
         facts.append(said)
@@ -79,9 +86,10 @@ def examine(recording: Recording, *, progress: Callable[[int, int], None] | None
         if not found and not lag.whole:  # otherwise disagreement is not the poses' fault
             said, found = _drift(scene, trajectory, progress)
             facts.append(said)
+    if trajectory is not None and not timing.odd_times(scene):
         found = timing.pose_jumps(scene, trajectory) + found
     findings += lag_findings(lag) + misregistered(scene, aligned) + found
-    return Diagnosis(scene.name, tuple(facts), tuple(findings))
+    return Diagnosis(scene.name, tuple(facts), tuple(findings), tuple(unjudged))
 
 
 # Reading ------------------------------------------------------------------------------------------
@@ -139,12 +147,19 @@ def _geometry(scene: Scene, trajectory: Trajectory, sample: _Sample, lag: int) -
     """Judge poses, depth unit and intrinsics, given that depth is `lag` frames late."""
     poses = _poses_of(scene, trajectory, sample)  # the depth image of frame t is at t + lag, its pose at t
     poses = shifted(poses, sample.runs, -lag)
-    if _still(poses, sample.runs):
-        return "the camera hardly moves: poses, depth unit and intrinsics could not be judged", []
     compared = choose_pairs(sample.depths_m, sample.runs)
     geometry = Geometry(scene.intrinsics, poses)
     fit = _agreement(compared, geometry)
-    return f"depth images agree to {fit:.1%} of the depth under the given poses", faults(compared, geometry)
+    found = with_turned_bits(scene, sample.depths_m, faults(compared, geometry))
+    return f"depth images agree to {fit:.1%} of the depth under the given poses", found
+
+
+def _why_unjudged(scene: Scene, trajectory: Trajectory | None, sample: _Sample) -> str:
+    """Why poses cannot judge the geometry; empty where they can."""
+    if trajectory is None:
+        return "no poses"
+    poses = _poses_of(scene, trajectory, sample)
+    return "the camera hardly moves" if _still(poses, sample.runs) else ""
 
 
 def _drift(
@@ -223,8 +238,12 @@ def _summary(scene: Scene, sample: _Sample) -> str:
     return f"{text}, depth {near:.2f} - {middle:.2f} - {far:.2f} m (2nd, 50th, 98th percentile)"
 
 
+def _shows_alignment(aligned: Alignment) -> bool:
+    return aligned.lag_sigma <= UNSURE_FRAMES and aligned.shift_sigma_px <= UNSURE_PX
+
+
 def _alignment_fact(aligned: Alignment) -> str:
-    if aligned.lag_sigma > UNSURE_FRAMES or aligned.shift_sigma_px > UNSURE_PX:
+    if not _shows_alignment(aligned):
         return "too few edges common to colour and depth: lag and registration could not be judged"
     du, dv = aligned.shift_px
     zoom = "" if aligned.zoom == 1 else f"zoom {aligned.zoom:.3f} +- {aligned.zoom_sigma:.3f}, "

@@ -10,7 +10,7 @@ from rpl_data.recordings.mend import Mend, in_recipe
 Kind = Literal[
     "unreadable", "left out", "dropped frames", "repeated frames", "depth lag", "registration",
     "pose convention", "pose lag", "pose jump", "depth scale", "intrinsics", "drift", "blur",
-    "missing depth",
+    "missing depth", "ray length", "turned bits", "orientation", "times",
 ]  # fmt: skip
 
 
@@ -40,11 +40,13 @@ class Diagnosis:
     Attributes:
         facts: properties of the scene (frames, rate, depths, motion), and what could not be judged, and why.
         findings: its faults; empty when all is well.
+        unjudged: what could not be judged, each with its reason in brackets.
     """
 
     scene: str
     facts: tuple[str, ...]
     findings: tuple[Finding, ...]
+    unjudged: tuple[str, ...] = ()
 
 
 def option(mend: Mend) -> str:

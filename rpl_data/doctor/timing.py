@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from rpl_data.doctor.findings import Finding
+from rpl_data.formats.recordings.times import USUAL_STEPS_S
 from rpl_data.types import Scene, Trajectory
 from rpl_data.wording import counted
 
@@ -27,6 +28,16 @@ def interval_s(scene: Scene) -> float:
 def times_s(scene: Scene) -> Float64[np.ndarray, " n"]:
     """Timestamps in the order of the frames."""
     return np.array([frame.timestamp_s for frame in scene.frames], dtype=float)
+
+
+def odd_times(scene: Scene) -> list[Finding]:
+    """Return a finding when the usual interval is none that a camera has."""
+    usual_s = interval_s(scene)
+    if not usual_s > 0 or USUAL_STEPS_S[0] <= usual_s <= USUAL_STEPS_S[1]:
+        return []
+    what = f"frames are {usual_s:.3g} s apart, which no usual camera is: their times are hardly in seconds"
+    todo = "write the times in seconds, milliseconds, microseconds or nanoseconds; the unit is then found"
+    return [Finding("times", what, 1.0, todo)]
 
 
 def dropped_frames(scene: Scene, left_out: Sequence[int] = ()) -> list[Finding]:

@@ -25,7 +25,7 @@ from rpl_data.geometry import Transform
 from rpl_data.images import read_depth_units
 from rpl_data.json_arrays import Json
 from rpl_data.orientation import orientation_of, without_orientation
-from rpl_data.types import DataError, Frame, FrameLabel, KeypointModel, Scene, Trajectory
+from rpl_data.types import DataError, DepthCoding, Frame, FrameLabel, KeypointModel, Scene, Trajectory
 from rpl_data.wording import counted
 
 
@@ -186,7 +186,7 @@ def _image(building: Path, item: ExportScene, frame: Frame, image_id: int, links
     links[_link_color(frame, building / name)] += 1
     depth_name = None
     if frame.depth is not None:
-        suffix = frame.depth.suffix if scene.depth_warp is None else ".png"
+        suffix = frame.depth.suffix if _is_as_stored(scene) else ".png"
         depth_name = f"depth/{scene.name}/{frame.index:06d}{suffix}"
         links[_link_depth(scene, frame, building / depth_name)] += 1
     return image_to_coco(
@@ -209,12 +209,17 @@ def _link_color(frame: Frame, target: Path) -> str:
 
 
 def _link_depth(scene: Scene, frame: Frame, target: Path) -> str:
-    """Link the depth image, or write it if it must be warped onto the colour image; returns which."""
+    """Link the depth image, or write it if it is mended while it is read; returns which."""
     assert frame.depth is not None
-    if scene.depth_warp is None:
+    if _is_as_stored(scene):
         return link(frame.depth, target)
     write_bytes(target, encoded(read_depth_units(scene, frame), "png"))
     return "copy"
+
+
+def _is_as_stored(scene: Scene) -> bool:
+    """Whether the numbers in the depth files are depth at the colour image's pixels, in the scene's unit."""
+    return scene.depth_warp is None and scene.depth_coding == DepthCoding()
 
 
 def _objects(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import filecmp
 import json
+import math
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from jaxtyping import Float64
 from scipy.spatial.transform import Rotation
 
 from rpl_data.geometry import invert
-from rpl_data.types import DataError, DepthWarp, Recording, Scene, Trajectory
+from rpl_data.types import DataError, DepthCoding, DepthWarp, Recording, Scene, Trajectory
 from rpl_data.wording import counted
 
 
@@ -30,6 +31,9 @@ class Mend:
         depth_shift_px: and then moved this far right and down, to coincide with the colour images. Right at
             one distance only, so it is for a recording that cannot be made again with registered depth.
         no_repeats: leave out frames whose depth image repeats the one before.
+        depth_factor: depths are multiplied by this.
+        depth_bits_turned: the 16 bits of stored depth are turned left by 3, as SUN3D's are.
+        depth_along_ray: stored depth is the distance along each pixel's ray, not along the optical axis.
     """
 
     wxyz_quaternions: bool = False
@@ -40,13 +44,17 @@ class Mend:
     depth_zoom: float = 1.0
     depth_shift_px: tuple[float, float] = (0.0, 0.0)
     no_repeats: bool = False
+    depth_factor: float = 1.0
+    depth_bits_turned: bool = False
+    depth_along_ray: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse a zoom that leaves no image."""
-        if self.depth_zoom <= 0:
-            raise DataError(
-                f"mend.depth_zoom is {self.depth_zoom}; expected a positive factor, 1 = unchanged"
-            )
+        """Refuse a factor that leaves nothing."""
+        for name in ("depth_zoom", "depth_factor"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise DataError(
+                    f"mend.{name} is {getattr(self, name)}; expected a positive factor, 1 = unchanged"
+                )
 
 
 def mended(recording: Recording, mend: Mend) -> Recording:
@@ -59,7 +67,8 @@ def mended(recording: Recording, mend: Mend) -> Recording:
     """
     if mend == Mend():
         return recording
-    scene, left_out = _with_depth_of(_on_color(recording.scene, mend), mend.depth_lag)
+    scene = _with_true_depth(_on_color(recording.scene, mend), mend)
+    scene, left_out = _with_depth_of(scene, mend.depth_lag)
     repeats = 0
     if mend.no_repeats:
         scene, repeats = _without_repeats(scene)
@@ -105,6 +114,13 @@ def _on_color(scene: Scene, mend: Mend) -> Scene:
     """Warp the scene's depth onto its colour images, which makes it registered."""
     warp = DepthWarp(mend.depth_zoom, mend.depth_shift_px)
     return scene if warp == DepthWarp() else replace(scene, depth_warp=warp, registered=True)
+
+
+def _with_true_depth(scene: Scene, mend: Mend) -> Scene:
+    """Read the scene's depth images in another unit, or from another coding."""
+    coding = DepthCoding(mend.depth_bits_turned, mend.depth_along_ray)
+    unit_m = scene.metres_per_unit * mend.depth_factor
+    return replace(scene, metres_per_unit=unit_m, depth_coding=coding)
 
 
 def _with_depth_of(scene: Scene, lag: int) -> tuple[Scene, int]:

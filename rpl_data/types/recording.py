@@ -70,6 +70,21 @@ class DepthWarp:
 
 
 @dataclass(frozen=True)
+class DepthCoding:
+    """How the numbers of depth images differ from depth along the optical axis in the scene's unit.
+
+    Attributes:
+        bits_turned: the 16 bits are turned left by 3, as SUN3D stores them (Xiao et al., ICCV 2013). Depth
+            below 8192 units is then simply multiplied by 8, as Kinect's own driver stores it.
+        along_ray: the distance is that from the camera's centre along the ray of the pixel, as many
+            simulators write it.
+    """
+
+    bits_turned: bool = False
+    along_ray: bool = False
+
+
+@dataclass(frozen=True)
 class Scene:
     """One RGB-D video (the paper's U_s); its images stay in their files.
 
@@ -79,6 +94,7 @@ class Scene:
         registered: whether depth pixels coincide with colour pixels; labelling refuses other scenes.
         no_depth_units: raw depth values that mean "no depth", besides 0.
         depth_warp: maps depth images to the colour images while they are read; None = not needed.
+        depth_coding: what is undone while depth images are read.
         source: what the scene was read from, for the report.
     """
 
@@ -90,6 +106,7 @@ class Scene:
     no_depth_units: tuple[int, ...] = ()
     source: str = ""
     depth_warp: DepthWarp | None = None
+    depth_coding: DepthCoding = DepthCoding()
 
     def frame(self, index: int) -> Frame:
         """The frame with this index in the recording; DataError when the scene has none."""

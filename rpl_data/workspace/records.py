@@ -31,6 +31,7 @@ from rpl_data.types import (
     Box,
     Click,
     ClickResidual,
+    DepthCoding,
     DepthWarp,
     Frame,
     FrameLabel,
@@ -60,6 +61,7 @@ def recording_to_json(recording: Recording) -> Json:
         "registered": scene.registered,
         "no_depth_units": list(scene.no_depth_units),
         "depth_warp": None if scene.depth_warp is None else asdict(scene.depth_warp),
+        "depth_coding": asdict(scene.depth_coding),
         "skipped": list(recording.skipped),
         "notes": list(recording.notes),
         "frames": [
@@ -85,6 +87,7 @@ def recording_from_json(data: Json) -> Recording:
         no_depth_units=taken(data, "no_depth_units", each(whole)),
         source=taken(data, "source", text),
         depth_warp=_warp_from_json(data.get("depth_warp")),
+        depth_coding=_coding_from_json(data.get("depth_coding", {})),
     )
     if not scene.frames:
         raise ValueError("frames: there are none")
@@ -97,6 +100,10 @@ def _intrinsics_from_json(data: Json) -> Intrinsics:
     if min(width, height, found["fx"], found["fy"]) <= 0:
         raise ValueError("width, height, fx and fy must be positive")
     return Intrinsics(**found, width=width, height=height, distortion=taken(data, "distortion", each(number)))
+
+
+def _coding_from_json(data: Json) -> DepthCoding:
+    return DepthCoding(**{name: taken(data, name, flag) for name in data})
 
 
 def _frame_from_json(data: Json) -> Frame:

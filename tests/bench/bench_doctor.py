@@ -10,7 +10,10 @@ are counted as extra. The baseline is the row of the sound recordings: its alarm
 from __future__ import annotations
 
 import os
+import struct
+import tempfile
 import time
+import zlib
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -145,9 +148,67 @@ def strayed(recording: Recording, rng: np.random.Generator) -> Recording:
     return poses(recording, lambda true: drifted(true, times_s, Drift(0.04, 2.4), rng=rng))
 
 
-def misregistered(recording: Recording, rng: np.random.Generator) -> Recording:
-    """The recording as it is; its depth images are moved when they are read, see `shifted_reader`."""
+def unposed_unit(recording: Recording, rng: np.random.Generator) -> Recording:
+    """1/4, 1/5 or 1/10 mm read as millimetres, or millimetres as 1/5 mm; nobody knows the poses."""
+    factor = float(rng.choice([0.2, 4.0, 5.0, 10.0]))
+    changed = replace(recording.scene, metres_per_unit=factor * recording.scene.metres_per_unit)
+    return replace(recording, scene=changed, trajectory=None)
+
+
+def unposed(recording: Recording, rng: np.random.Generator) -> Recording:
+    return replace(recording, trajectory=None)
+
+
+def turned_reader(seed: int) -> Callable[[Scene, Frame], DepthImage]:
+    """Depth whose 16 bits were turned left by 3, as SUN3D's."""
+
+    def read(scene: Scene, frame: Frame) -> DepthImage:
+        units = np.rint(read_depth_m(scene, frame) / scene.metres_per_unit).astype(np.uint16)
+        return ((units << 3) | (units >> 13)).astype(np.float32) * np.float32(scene.metres_per_unit)
+
+    return read
+
+
+def ray_reader(seed: int) -> Callable[[Scene, Frame], DepthImage]:
+    """Depth along the rays, rounded to stored units."""
+
+    def read(scene: Scene, frame: Frame) -> DepthImage:
+        camera = scene.intrinsics
+        v, u = np.mgrid[: camera.height, : camera.width]
+        lengths = np.sqrt(1 + ((u - camera.cx) / camera.fx) ** 2 + ((v - camera.cy) / camera.fy) ** 2)
+        stored = np.rint(read_depth_m(scene, frame) * lengths / scene.metres_per_unit)
+        return stored.astype(np.float32) * np.float32(scene.metres_per_unit)
+
+    return read
+
+
+def as_it_is(recording: Recording, rng: np.random.Generator) -> Recording:
+    """The recording as it is; only its depth images are other ones when they are read."""
     return recording
+
+
+def tagged(recording: Recording, rng: np.random.Generator) -> Recording:
+    """From some frame on, or in all, the colour images ask to be turned."""
+    first, tag = int(rng.choice([0, 0, 15])), int(rng.choice([2, 3, 6, 8]))
+    folder = Path(tempfile.mkdtemp())
+    exif = b"II*\0" + struct.pack("<IHHHIHHI", 8, 1, 0x0112, 3, 1, tag, 0, 0)
+    chunk = len(exif).to_bytes(4) + b"eXIf" + exif + zlib.crc32(b"eXIf" + exif).to_bytes(4)
+    segment = b"\xff\xe1" + (len(exif) + 8).to_bytes(2) + b"Exif\0\0" + exif
+    kept = []
+    for n, frame in enumerate(recording.scene.frames):
+        path, content = folder / frame.color.name, frame.color.read_bytes()
+        at = 2 if content.startswith(b"\xff\xd8") else 33
+        path.write_bytes(
+            content[:at] + (segment if at == 2 else chunk) + content[at:] if n >= first else content
+        )
+        kept.append(replace(frame, color=path))
+    return frames(recording, kept)
+
+
+def of_odd_times(recording: Recording, rng: np.random.Generator) -> Recording:
+    """Times in a unit that no reader could find out, such as ticks of a clock."""
+    factor = float(rng.choice([1e-4, 1e-5, 300.0]))
+    return frames(recording, [replace(f, timestamp_s=f.timestamp_s * factor) for f in recording.scene.frames])
 
 
 def shifted_reader(seed: int) -> Callable[[Scene, Frame], DepthImage]:
@@ -158,16 +219,31 @@ def shifted_reader(seed: int) -> Callable[[Scene, Frame], DepthImage]:
 
 FAULTS: dict[str, tuple[Fault, set[str]]] = {
     "sound": (lambda recording, rng: recording, set()),
+    "sound, no poses": (unposed, set()),
     "depth unit x5 or /5": (unit, {"depth scale"}),
     "depth 3 frames off": (late, {"depth lag"}),
-    "20 px mis-registered": (misregistered, {"registration"}),
+    "20 px mis-registered": (as_it_is, {"registration"}),
     "inverted poses": (inverted, {"pose convention"}),
     "wxyz quaternions": (wxyz, {"pose convention"}),
     "focal length x1.2": (focal, {"intrinsics"}),
     "intrinsics' size": (size, {"intrinsics"}),
     "3 dropped frames": (dropped, {"dropped frames"}),
     "drift of 40 mm": (strayed, {"drift"}),
+    "unit, no poses": (unposed_unit, {"depth scale"}),
+    "turned bits": (as_it_is, {"turned bits"}),
+    "turned, no poses": (unposed, {"turned bits"}),
+    "ray length": (as_it_is, {"ray length"}),
+    "EXIF orientation": (tagged, {"orientation"}),
+    "odd times": (of_odd_times, {"times"}),
 }
+
+READS: dict[str, Callable[[int], Callable[[Scene, Frame], DepthImage]]] = {
+    "20 px mis-registered": shifted_reader,
+    "turned bits": turned_reader,
+    "turned, no poses": turned_reader,
+    "ray length": ray_reader,
+}
+"""What reads the depth images of a fault that lies in them, by the fault."""
 
 
 @pytest.mark.timeout(1800)
@@ -176,7 +252,7 @@ def test_planted_fault(name: str, recordings: list[Recording], monkeypatch: pyte
     plant, wanted = FAULTS[name]
     kinds, begin = [], time.process_time()
     for seed, recording in enumerate(recordings, start=FIRST_SEED):
-        reader = shifted_reader(seed) if plant is misregistered else read_depth_m
+        reader = READS[name](seed) if name in READS else read_depth_m
         monkeypatch.setattr(doctor, "read_depth_m", reader)
         sick = plant(recording, np.random.default_rng([seed, 3]))
         kinds.append({finding.kind for finding in doctor.examine(sick).findings})

@@ -213,6 +213,27 @@ def test_an_impossible_depth_unit_is_refused(tmp_path: Path, raw: int, likely: s
         read_rpl(root, metres_per_unit=0.0)
 
 
+def _multiply_depth(root: Path, factor: int) -> None:
+    for path in root.glob("*/depth/*.png"):
+        slope = np.arange(64, dtype=np.uint16) - 32
+        cv2.imwrite(str(path), (cv2.imread(str(path), cv2.IMREAD_UNCHANGED) + slope) * factor)
+
+
+def test_depth_far_off_as_its_bits_are_turned_is_read_for_the_doctor(tmp_path: Path) -> None:
+    """21 m is no tabletop, but no unit would mend it: `mend: {depth_bits_turned: true}` does."""
+    root = make_tree(tmp_path, depth=2664)
+    _multiply_depth(root, 8)
+    (recording,) = read_rpl(root, metres_per_unit=0.001)
+    assert len(recording.scene.frames) == 6
+
+
+def test_depth_in_multiples_of_five_is_tums(tmp_path: Path) -> None:
+    root = make_tree(tmp_path, depth=2500)
+    _multiply_depth(root, 5)
+    with pytest.raises(DataError, match=r"Set metres_per_unit, probably to 0.0002"):
+        read_rpl(root, metres_per_unit=0.001)
+
+
 def test_depth_without_depth_is_refused(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="hold no depth"):
         read_rpl(make_tree(tmp_path, depth=0))

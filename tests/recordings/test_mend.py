@@ -118,3 +118,35 @@ def test_repeated_depth_is_left_out_with_its_pose(tmp_path: Path) -> None:
 def test_a_zoom_of_nothing_is_refused() -> None:
     with pytest.raises(DataError, match="depth_zoom is 0"):
         Mend(depth_zoom=0.0)
+
+
+def depth_of(tmp_path: Path, stored: np.ndarray, mend: Mend, unit_m: float = 0.001) -> np.ndarray:
+    cv2.imwrite(str(tmp_path / "d.png"), stored)
+    camera = Intrinsics(50.0, 50.0, 10.0, 10.0, 61, 41)
+    scene = Scene("a", camera, unit_m, (Frame(0, 0.0, tmp_path / "c.png", tmp_path / "d.png"),))
+    read = mended(Recording(scene, None), mend).scene
+    return read_depth_m(read, read.frames[0])
+
+
+def test_turned_bits_are_turned_back(tmp_path: Path) -> None:
+    """As SUN3D's reader: right by 3, with the low bits to the top; also beyond 8.192 m."""
+    depth_mm = np.full((41, 61), 1234, np.uint16)
+    depth_mm[0] = 9000
+    stored = (depth_mm << 3) | (depth_mm >> 13)
+    found = depth_of(tmp_path, stored, Mend(depth_bits_turned=True))
+    np.testing.assert_allclose(found, depth_mm * 0.001, atol=1e-6)
+
+
+def test_depth_along_the_ray_becomes_depth_along_the_axis(tmp_path: Path) -> None:
+    """A wall 1 m ahead: at (60, 10) the ray is sqrt(2) m long, at (10, 10) it is the axis."""
+    stored = np.full((41, 61), 1000, np.uint16)
+    stored[10, 60] = 1414
+    found = depth_of(tmp_path, stored, Mend(depth_along_ray=True))
+    assert (found[10, 10], found[10, 60]) == pytest.approx((1.0, 1.0), abs=1e-3)
+
+
+def test_a_factor_of_depth_is_one_of_its_unit(tmp_path: Path) -> None:
+    found = depth_of(tmp_path, np.full((41, 61), 3000, np.uint16), Mend(depth_factor=0.2))
+    np.testing.assert_allclose(found, 0.6, atol=1e-6)
+    with pytest.raises(DataError, match="mend.depth_factor is 0"):
+        Mend(depth_factor=0.0)

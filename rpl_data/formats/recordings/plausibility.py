@@ -17,6 +17,32 @@ USUAL_UNITS_M = (1e-3, 2e-4, 1e-4, 2.5e-4)
 """Common depth units: millimetres, TUM's 1/5000, YCB-Video's 1/10000, the RealSense L515's 1/4000 m."""
 
 
+PATTERN = 0.95
+"""Share of depths that are multiples of a number from which on that is no chance."""
+
+
+FEWEST_DEPTHS = 20
+
+
+def share_of_multiples(units: np.ndarray, divisor: int) -> float:
+    """Share of the measured depths that are multiples of a number; 1 / divisor by chance.
+
+    0 where there are too few different depths for a pattern, as in a made-up image.
+    """
+    measured = units[units > 0].astype(np.int64)
+    if len(np.unique(measured)) < FEWEST_DEPTHS:
+        return 0.0
+    return float((measured % divisor == 0).mean())
+
+
+def usual_units_m(units: np.ndarray) -> tuple[float, ...]:
+    """Common units that these numbers may have: multiples of n (10, 5, 4) are millimetres in 1/n mm."""
+    for parts in (10, 5, 4):
+        if share_of_multiples(units, parts) > PATTERN:
+            return (1e-3 / parts,)
+    return USUAL_UNITS_M
+
+
 def principal_point_notes(source: Path, intrinsics: Intrinsics) -> list[str]:
     """Note a principal point that is 10 % of the image off its centre; DataError at 20 %."""
     off = max(abs(intrinsics.cx / intrinsics.width - 0.5), abs(intrinsics.cy / intrinsics.height - 0.5))
@@ -30,7 +56,10 @@ def principal_point_notes(source: Path, intrinsics: Intrinsics) -> list[str]:
 
 
 def median_depth_m(scene: Scene, *, frames: int = 5) -> float:
-    """Median depth of a few frames; DataError when it does not suit a hand-held recording."""
+    """Median depth of a few frames; DataError when it does not suit a hand-held recording.
+
+    Depth that is too far because its bits are turned passes: its unit is right, and `mend:` puts it right.
+    """
     picked = [scene.frames[i] for i in np.unique(np.linspace(0, len(scene.frames) - 1, frames).astype(int))]
     images = [cv2.imread(str(frame.depth), cv2.IMREAD_UNCHANGED) for frame in picked]
     raw = np.concatenate([np.ravel(image) for image in images if image is not None] or [np.zeros(0)])
@@ -42,8 +71,8 @@ def median_depth_m(scene: Scene, *, frames: int = 5) -> float:
         )
     median_units = float(np.median(raw))
     median_m = median_units * scene.metres_per_unit
-    if not 0.1 <= median_m <= 10:
-        likely = min(USUAL_UNITS_M, key=lambda unit: abs(math.log(median_units * unit / 0.8)))
+    if not 0.1 <= median_m <= 10 and not (median_m > 10 and share_of_multiples(raw, 8) > PATTERN):
+        likely = min(usual_units_m(raw), key=lambda unit: abs(math.log(median_units * unit / 0.8)))
         raise DataError(
             f"scene {scene.name}: with {scene.metres_per_unit:g} m per depth unit, the median depth is "
             f"{median_m:.3g} m; expected 0.1 to 10 m. Set metres_per_unit, probably to {likely:g}"
