@@ -1,8 +1,10 @@
 """Export: files, links, splits, replacement as a whole, and how near test views are to training's."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from labelled_scenes import BOX, CAN, instance, labelled_scene
@@ -13,7 +15,7 @@ from rpl_data.export.split import SplitRule, choose_splits
 from rpl_data.export.view_distances import ViewDirection, view_direction, view_distances
 from rpl_data.formats.datasets.coco import read_coco
 from rpl_data.geometry import from_rotvec, invert
-from rpl_data.types import DataError, FrameLabel
+from rpl_data.types import DataError, DepthCoding, FrameLabel
 
 SPLITS = ("train", "val", "test")
 
@@ -221,3 +223,15 @@ def test_an_image_that_asks_to_be_turned_is_exported_without_its_tag(tmp_path):
     for path, stored in zip(exported, pixels, strict=True):
         np.testing.assert_array_equal(ImageOps.exif_transpose(Image.open(path)), stored)
     assert [path.samefile(source) for path, source in zip(exported, sources, strict=True)].count(False) == 1
+
+
+def test_depth_that_is_mended_while_it_is_read_is_exported_mended(tmp_path):
+    (one,) = scenes(tmp_path / "recording", 1)
+    stored = [cv2.imread(str(frame.depth), cv2.IMREAD_UNCHANGED) for frame in one.scene.frames]
+    for frame, units in zip(one.scene.frames, stored, strict=True):
+        cv2.imwrite(str(frame.depth), (units << 3) | (units >> 13))
+    turned = replace(one, scene=replace(one.scene, depth_coding=DepthCoding(bits_turned=True)))
+    export_coco(tmp_path / "coco", [turned], [BOX, CAN], split=SplitRule())
+    exported = sorted((tmp_path / "coco" / "depth" / "s0").glob("*.png"))
+    for path, units in zip(exported, stored, strict=True):
+        np.testing.assert_array_equal(cv2.imread(str(path), cv2.IMREAD_UNCHANGED), units)

@@ -12,6 +12,7 @@ from rpl_data.geometry import from_rotvec
 from rpl_data.types import (
     Click,
     ClickResidual,
+    DepthCoding,
     Frame,
     FrameLabel,
     InstanceLabel,
@@ -45,6 +46,7 @@ def test_recording_round_trip() -> None:
         registered=False,
         no_depth_units=(65535,),
         source="rpl: /a",
+        depth_coding=DepthCoding(bits_turned=True, along_ray=True),
     )
     recording = Recording(scene, None, ("1 frame left out: 0",), ("assumed",))
     assert records.recording_from_json(through_json(records.recording_to_json(recording))) == recording

@@ -11,7 +11,12 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from rpl_data.formats.recordings.image_headers import ImageHeader, probe
-from rpl_data.formats.recordings.plausibility import SATURATED, median_depth_m, principal_point_notes
+from rpl_data.formats.recordings.plausibility import (
+    MOST_DEPTH_M,
+    SATURATED,
+    median_depth_m,
+    principal_point_notes,
+)
 from rpl_data.formats.recordings.pose_lines import nearest
 from rpl_data.geometry import Transform
 from rpl_data.types import DataError, Frame, Intrinsics, Recording, Scene, Trajectory
@@ -172,6 +177,11 @@ def examine(listing: Listing) -> Recording:
         source=f"{listing.format}: {listing.folder}",
     )
     median_m = median_depth_m(scene)
+    if median_m > MOST_DEPTH_M:
+        notes.append(
+            f"WARNING: the median depth is {median_m:.1f} m and stored depths are multiples of 8: their bits "
+            "are turned; `mend: {depth_bits_turned: true}` turns them back"
+        )
     if listing.assumed_unit:
         notes.append(
             f"metres_per_unit not given, assumed {listing.metres_per_unit:g}: "

@@ -17,6 +17,9 @@ USUAL_UNITS_M = (1e-3, 2e-4, 1e-4, 2.5e-4)
 """Common depth units: millimetres, TUM's 1/5000, YCB-Video's 1/10000, the RealSense L515's 1/4000 m."""
 
 
+LEAST_DEPTH_M, MOST_DEPTH_M = 0.1, 10.0
+"""A median depth outside has the wrong unit, whatever was recorded."""
+
 PATTERN = 0.95
 """Share of depths that are multiples of a number from which on that is no chance."""
 
@@ -71,7 +74,8 @@ def median_depth_m(scene: Scene, *, frames: int = 5) -> float:
         )
     median_units = float(np.median(raw))
     median_m = median_units * scene.metres_per_unit
-    if not 0.1 <= median_m <= 10 and not (median_m > 10 and share_of_multiples(raw, 8) > PATTERN):
+    turned = median_m > MOST_DEPTH_M and share_of_multiples(raw, 8) > PATTERN
+    if not LEAST_DEPTH_M <= median_m <= MOST_DEPTH_M and not turned:
         likely = min(usual_units_m(raw), key=lambda unit: abs(math.log(median_units * unit / 0.8)))
         raise DataError(
             f"scene {scene.name}: with {scene.metres_per_unit:g} m per depth unit, the median depth is "

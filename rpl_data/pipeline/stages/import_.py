@@ -7,7 +7,8 @@ from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 
-from rpl_data.doctor.timing import pose_jumps
+from rpl_data.doctor.tags import orientation_tags
+from rpl_data.doctor.timing import odd_times, pose_jumps
 from rpl_data.files import remove
 from rpl_data.json_arrays import Json
 from rpl_data.pipeline.context import Context, step
@@ -67,9 +68,10 @@ def import_steps(context: Context) -> list[Step]:
 
 
 def _certain_faults(recording: Recording) -> list[str]:
-    """What times and poses alone prove, without looking at an image; `rpl check` looks closer."""
+    """What times, poses and tags alone prove, without decoding an image; `rpl check` looks closer."""
     scene, trajectory = recording.scene, recording.trajectory
-    found = [] if trajectory is None else pose_jumps(scene, trajectory, times_usual=STANDS_OUT)
+    found = orientation_tags(scene) + odd_times(scene)
+    found += [] if trajectory is None else pose_jumps(scene, trajectory, times_usual=STANDS_OUT)
     return [f"WARNING: {finding.what}; {finding.todo}" for finding in found]
 
 
