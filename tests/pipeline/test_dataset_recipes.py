@@ -64,7 +64,7 @@ def test_the_truth_is_a_file_of_its_own(dataset: Path, tmp_path: Path) -> None:
     arguments = ["truth", str(YCB), str(cads), str(out), "--root", str(dataset)]
     assert main([*arguments, "--metres_per_unit", "0.001"]) == 0
     assert list(json.loads(out.read_text())) == [
-        f"{key}_{MUSTARD}" for key in ("points", "mesh", "camera_from")
+        f"{key}_{MUSTARD}" for key in ("points", "keypoints", "mesh", "camera_from")
     ]
 
     workspace, truth = Workspace(tmp_path / "workspace"), Workspace(tmp_path / "truth")
