@@ -15,7 +15,7 @@ LAYERS = [
     {"version", "wording"},
     {"types"},
     {"command_line", "files", "geometry"},
-    {"json_arrays", "untrusted"},
+    {"json_arrays", "untrusted", "registered"},
     {"images", "meshes", "raycast", "overlay", "drift"},
     {"formats", "clicks", "pose", "reconstruct", "workspace"},
     {"capture", "solve", "refine", "segment", "label", "export", "torch"},

@@ -22,7 +22,7 @@ from rpl_data.files import read_json, write_bytes
 from rpl_data.formats.datasets.coco import CocoObject, image_to_coco, instance_to_coco, writing_coco
 from rpl_data.formats.recordings.saved_images import encoded
 from rpl_data.geometry import Transform
-from rpl_data.images import read_depth_units
+from rpl_data.images import registered_units
 from rpl_data.json_arrays import Json
 from rpl_data.types import DataError, Frame, FrameLabel, KeypointModel, Scene, Trajectory
 from rpl_data.wording import counted
@@ -185,7 +185,7 @@ def _image(building: Path, item: ExportScene, frame: Frame, image_id: int, links
     links[link(frame.color, building / name)] += 1
     depth_name = None
     if frame.depth is not None:
-        suffix = frame.depth.suffix if scene.depth_warp is None else ".png"
+        suffix = frame.depth.suffix if _is_aligned(scene) else ".png"
         depth_name = f"depth/{scene.name}/{frame.index:06d}{suffix}"
         links[_link_depth(scene, frame, building / depth_name)] += 1
     return image_to_coco(
@@ -200,12 +200,17 @@ def _image(building: Path, item: ExportScene, frame: Frame, image_id: int, links
 
 
 def _link_depth(scene: Scene, frame: Frame, target: Path) -> str:
-    """Link the depth image, or write it if it must be warped onto the colour image; returns which."""
+    """Link the depth image, or write it if it must be moved onto the colour image; returns which."""
     assert frame.depth is not None
-    if scene.depth_warp is None:
+    if _is_aligned(scene):
         return link(frame.depth, target)
-    write_bytes(target, encoded(read_depth_units(scene, frame), "png"))
+    write_bytes(target, encoded(registered_units(scene, frame), "png"))
     return "copy"
+
+
+def _is_aligned(scene: Scene) -> bool:
+    """Whether the stored depth images have the pixels of the colour images."""
+    return scene.depth_warp is None and scene.depth_camera is None
 
 
 def _objects(
