@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from jaxtyping import UInt16
 
-from rpl_data.registered import registered
+from rpl_data.registered import Registered, registered
 from rpl_data.types import (
     ColorImage,
     DataError,
@@ -65,9 +65,9 @@ def depth_reader(scene: Scene) -> ReadDepth:
     return partial(read_depth_m, scene)
 
 
-def in_metres(scene: Scene, units: DepthUnits) -> DepthImage:
+def in_metres(scene: Scene, units: DepthUnits) -> Registered:
     """Convert stored depth to float32 metres at the pixels of the colour image."""
-    depth_m: DepthImage = units.astype(np.float32) * np.float32(scene.metres_per_unit)
+    depth_m = units.astype(np.float32) * np.float32(scene.metres_per_unit)
     camera = scene.depth_camera
     if camera is None:
         return depth_m

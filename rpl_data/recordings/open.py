@@ -11,6 +11,7 @@ from rpl_data.capture.playback import is_recording, read_realsense
 from rpl_data.files import decoding
 from rpl_data.formats.recordings.bop import is_bop_scene, read_bop
 from rpl_data.formats.recordings.elasticfusion import read_klg
+from rpl_data.formats.recordings.folders import is_folder_scene, read_folders
 from rpl_data.formats.recordings.frame_files import Camera
 from rpl_data.formats.recordings.frames import has_frames, read_frames
 from rpl_data.formats.recordings.labelfusion import is_log, read_labelfusion
@@ -34,8 +35,10 @@ UNPACKERS: dict[str, Callable[..., list[Recording]]] = {
     "klg": read_klg,
     "klg_bgr": partial(read_klg, bgr=True),
     "realsense": read_realsense,
+    "folders": read_folders,
 }
-"""Readers of formats that keep all images in one file; they also take ``unpack(scene) -> folder``."""
+"""Readers that may have to write images of their own: of formats that keep all of them in one file, or depth
+in other files than 16-bit PNG. They also take ``unpack(scene) -> folder``."""
 
 SOUND = Mend()
 
@@ -51,7 +54,12 @@ _LOOKS_LIKE: dict[str, Callable[[Path], bool]] = {
     "klg": lambda path: path.suffix == ".klg" or any(path.glob("*.klg")),
     "realsense": lambda path: any(map(is_recording, (path, *path.glob("*")))),
 }
-"""Tests whether a path looks like a format, by format name; for the message about a wrong `format`."""
+"""Tests whether a path looks like a format, by format name."""
+
+_PLAIN: dict[str, Callable[[Path], bool]] = {
+    "folders": lambda folder: any(map(is_folder_scene, (folder, *folder.glob("*")))),
+}
+"""Layouts so plain that others contain them: only what looks like nothing else is one of these."""
 
 
 def open_recordings(
@@ -141,9 +149,8 @@ def open_scenes(
     known = READERS | UNPACKERS
     if format not in known:
         raise DataError(f"unknown format {format!r} for {path}; expected one of {', '.join(sorted(known))}")
-    if format in UNPACKERS and unpack is None:
-        raise DataError(f"{path}: recordings of format {format} are unpacked; say where to: `unpack`")
-    reader = partial(known[format], unpack=unpack) if format in UNPACKERS else known[format]
+    unpacked = unpack or partial(_refuse_to_unpack, path, format)
+    reader = partial(known[format], unpack=unpacked) if format in UNPACKERS else known[format]
     try:
         with decoding(path, f"repair it, or check that its format is {format}; `rpl check` may say more"):
             found = reader(path, names=names, metres_per_unit=metres_per_unit, camera=camera)
@@ -159,6 +166,13 @@ def open_scenes(
     return [mended(one, mend) for one in found]
 
 
+def _refuse_to_unpack(path: Path, format: str, scene: str) -> Path:
+    raise DataError(f"{path}: images of scene {scene} (format {format}) are unpacked; say where to: `unpack`")
+
+
 def likely_formats(path: Path) -> list[str]:
     """Formats whose characteristic files are found at a path; empty for anything unknown."""
-    return [name for name, looks_like_it in _LOOKS_LIKE.items() if looks_like_it(path)]
+    for tests in (_LOOKS_LIKE, _PLAIN):
+        if found := [name for name, looks_like_it in tests.items() if looks_like_it(path)]:
+            return found
+    return []
