@@ -15,7 +15,12 @@ from rpl_data.formats.recordings.folders import is_folder_scene, read_folders
 from rpl_data.formats.recordings.frame_files import Camera
 from rpl_data.formats.recordings.frames import has_frames, read_frames
 from rpl_data.formats.recordings.labelfusion import is_log, read_labelfusion
+from rpl_data.formats.recordings.nerfstudio import is_nerfstudio, read_nerfstudio
+from rpl_data.formats.recordings.polycam import is_polycam, read_polycam
+from rpl_data.formats.recordings.record3d import is_record3d, read_record3d
 from rpl_data.formats.recordings.rpl import is_rpl_scene, read_rpl
+from rpl_data.formats.recordings.scanner_app import is_scanner_app, read_scanner_app
+from rpl_data.formats.recordings.stray import is_stray, read_stray
 from rpl_data.formats.recordings.tum import is_sequence, read_tum
 from rpl_data.formats.recordings.ycb_video import is_ycb_sequence, read_ycb_video
 from rpl_data.recordings.mend import Mend, mended
@@ -35,6 +40,11 @@ UNPACKERS: dict[str, Callable[..., list[Recording]]] = {
     "klg": read_klg,
     "klg_bgr": partial(read_klg, bgr=True),
     "realsense": read_realsense,
+    "record3d": read_record3d,
+    "stray": read_stray,
+    "polycam": read_polycam,
+    "scanner_app": read_scanner_app,
+    "nerfstudio": read_nerfstudio,
     "folders": read_folders,
 }
 """Readers that may have to write images of their own: of formats that keep all of them in one file, or depth
@@ -53,6 +63,11 @@ _LOOKS_LIKE: dict[str, Callable[[Path], bool]] = {
     "labelfusion": lambda folder: any(map(is_log, (folder, *folder.glob("*")))),
     "klg": lambda path: path.suffix == ".klg" or any(path.glob("*.klg")),
     "realsense": lambda path: any(map(is_recording, (path, *path.glob("*")))),
+    "record3d": is_record3d,
+    "stray": lambda folder: any(map(is_stray, (folder, *folder.glob("*")))),
+    "polycam": lambda folder: any(map(is_polycam, (folder, *folder.glob("*")))),
+    "scanner_app": lambda folder: any(map(is_scanner_app, (folder, *folder.glob("*")))),
+    "nerfstudio": lambda folder: any(map(is_nerfstudio, (folder, *folder.glob("*")))),
 }
 """Tests whether a path looks like a format, by format name."""
 

@@ -41,12 +41,20 @@ class _Header:
 
 
 def read_exr(path: Path) -> Float32[np.ndarray, "height width"]:
-    """Read the channel of an image that holds depth: its only one, or Z, R, Y.
+    """Read the channel of an image that holds depth; errors as `decoded_exr`."""
+    return decoded_exr(read_bytes(path), path)
+
+
+def decoded_exr(data: bytes, path: Path) -> Float32[np.ndarray, "height width"]:
+    """Decode the channel that holds depth: its only one, or Z, R, Y.
+
+    Args:
+        data: content of the file.
+        path: the file, for messages.
 
     Raises:
         DataError: it is no such image, it was cut off, or it is stored in a way that is not read.
     """
-    data = read_bytes(path)
     try:
         return _decode(data)
     except (struct.error, zlib.error, IndexError, KeyError, ValueError, OverflowError) as error:
