@@ -124,13 +124,15 @@ def write_record3d_exr(folder: Path, film: Film) -> None:
         (folder / f"EXR_RGBD/depth/{number}.exr").write_bytes(exr_bytes(depth_m.astype(np.float32)))
 
 
-def write_polycam(folder: Path, film: Film, *, prefix: str = "corrected_") -> None:
+def write_polycam(
+    folder: Path, film: Film, *, prefix: str = "corrected_", start_us: int = 99_900_000
+) -> None:
     place = folder / "keyframes"
     for name in (f"{prefix}images", f"{prefix}cameras"):
         (place / name).mkdir(parents=True)
     fx, fy, cx, cy = film.lens
     for number, (color, depth_m, pose) in enumerate(zip(film.colors, film.depths_m, film.arkit, strict=True)):
-        stamp = 99_900_000 + 200_000 * number  # the names get one digit more on the way
+        stamp = start_us + 200_000 * number  # the names get one digit more on the way
         (place / f"{prefix}images/{stamp}.jpg").write_bytes(jpeg(color))
         said = {"fx": fx, "fy": fy, "cx": cx, "cy": cy, "width": film.size[0], "height": film.size[1],
                 "blur_score": 9.5}  # fmt: skip

@@ -34,7 +34,7 @@ LENS = (50.0, 51.0, 31.5, 23.5)
 
 
 def film(count: int = 6) -> Film:
-    """Colour 64 x 48, depth 32 x 24; each frame's depth says its number; the top rows are not to be trusted."""
+    """Colour 64 x 48, depth 32 x 24; depth says which frame it is; the top rows are not to be trusted."""
     level = np.full((24, 32), 2, np.uint8)
     level[:8], level[8:16] = 0, 1
     depths = [np.full((24, 32), 0.7 + 0.01 * number, np.float32) for number in range(count)]
@@ -65,7 +65,7 @@ def read(folder: Path, name: str) -> Recording:
 
 @pytest.mark.parametrize("name", WRITERS)
 def test_what_the_twin_filmed(name: str, tiny_workspace: Workspace, tmp_path: Path) -> None:
-    """Poses come back in OpenCV's axes, and depth of a fifth of the size agrees with them from frame to frame."""
+    """Poses come back in OpenCV's axes, and depth of a fifth of the size agrees with them."""
     source = open_recordings(tiny_workspace.recording / "00")[0]
     scene, given = source.scene, source.trajectory
     assert given is not None
@@ -129,7 +129,7 @@ def test_stray_columns_are_found_by_name_and_dropped_frames_said(tmp_path: Path)
     path = tmp_path / "a/odometry.csv"
     header, *rows = path.read_text().splitlines()
     newer = [f"{header}, fx, fy", *(f"{row}, 50, 51" for row in rows)]
-    path.write_text("\n".join([*newer[:4], *newer[5:]])[:-3])  # frame 3 is lost, the last line cut off
+    path.write_text("\n".join([*newer[:4], *newer[5:]])[:-30])  # frame 3 is lost, the last line cut off
     (tmp_path / "a/depth/000001.png").unlink()
     (tmp_path / "a/depth/000009.png").write_bytes((tmp_path / "a/depth/000002.png").read_bytes())
     (tmp_path / "a/confidence/000002.png").write_bytes(b"")
@@ -277,6 +277,7 @@ def test_what_nerfstudio_files_may_not_say(change: dict[str, object], message: s
 def test_a_camera_for_images_of_twice_the_size_is_halved(tmp_path: Path) -> None:
     write_nerfstudio(tmp_path / "a", film())
     path = tmp_path / "a/transforms.json"
-    path.write_text(json.dumps(json.loads(path.read_text()) | {"fl_x": 100, "cx": 63.5, "w": 128, "h": 96}))
+    bigger = {"fl_x": 100, "fl_y": 102, "cx": 63.5, "cy": 47.5, "w": 128, "h": 96}
+    path.write_text(json.dumps(json.loads(path.read_text()) | bigger))
     camera = read(tmp_path / "a", "nerfstudio").scene.intrinsics
     assert (camera.fx, camera.cx, camera.width) == (50, 31.5, 64)

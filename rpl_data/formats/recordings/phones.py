@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool
 
-from rpl_data.files import read_json
+from rpl_data.files import read_json, write_bytes
 from rpl_data.formats.recordings.color_lens import COLOR_LENS
 from rpl_data.formats.recordings.depth_files import (
     STORED_UNIT_M,
@@ -172,8 +172,9 @@ def _trusted(
     for row, frame in enumerate(phone.frames):
         try:
             depth, confident = read_depth_file(frame.depth), read_confidence(frame.confidence)
-        except DataError:  # the pair is left out as unreadable
+        except DataError:  # an empty file in its place: the frame is then left out as unreadable
             pairs[row] = replace(pairs[row], depth=folder / f"depth/{frame.index:06d}.png")
+            write_bytes(pairs[row].depth, b"")
             continue
         if depth.dtype.kind == "f" and decimal_m is None:
             decimal_m = unit_of_decimals(depth) if given_m is None else given_m
