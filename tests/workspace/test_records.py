@@ -47,7 +47,9 @@ def test_recording_round_trip() -> None:
         registered=False,
         no_depth_units=(65535,),
         source="rpl: /a",
-        depth_camera=DepthCamera(Intrinsics(200.0, 200.0, 79.5, 59.5, 160, 120), tuple(map(float, range(16)))),
+        depth_camera=DepthCamera(
+            Intrinsics(200.0, 200.0, 79.5, 59.5, 160, 120), tuple(map(float, range(16)))
+        ),
     )
     recording = Recording(scene, None, ("1 frame left out: 0",), ("assumed",))
     assert recording_from_json(through_json(recording_to_json(recording))) == recording

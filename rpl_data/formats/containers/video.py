@@ -36,8 +36,9 @@ def video_frames(path: Path) -> Iterator[tuple[float | None, UInt8[np.ndarray, "
         if not container.streams.video:
             raise DataError(f"{path} holds no video; copy it again")
         stream = container.streams.video[0]
-        if not 0 < stream.width * stream.height <= MOST_PIXELS:
-            raise DataError(f"{path} has frames of {stream.width} x {stream.height} px; expected a video")
+        width, height = getattr(stream, "width", 0), getattr(stream, "height", 0)  # none without a decoder
+        if not 0 < width * height <= MOST_PIXELS:
+            raise DataError(f"{path} has frames of {width} x {height} px; expected a video")
         try:
             for frame in container.decode(stream):
                 if frame.width * frame.height > MOST_PIXELS:

@@ -6,13 +6,14 @@ They are rewritten once as 16-bit PNG, which is what all stages, the export and 
 from __future__ import annotations
 
 from pathlib import Path
+from tokenize import TokenError
 from typing import Any
 
 import cv2
 import numpy as np
 from jaxtyping import Bool, UInt16
 
-from rpl_data.files import write_bytes
+from rpl_data.files import FAULTS, write_bytes
 from rpl_data.formats.containers.exr import MOST_PIXELS, read_exr
 from rpl_data.formats.recordings.saved_images import encoded
 from rpl_data.types import DataError
@@ -36,7 +37,7 @@ def read_depth_file(path: Path) -> np.ndarray:
     HO3D packs 16 bits into two channels of an 8-bit image: red + 256 green.
     """
     if path.suffix == ".npy":
-        return _plane(path, _read_npy(path))
+        return _plane(path, read_npy(path))
     if path.suffix == ".exr":
         return read_exr(path)
     image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED) if path.is_file() else None
@@ -53,13 +54,14 @@ def is_packed(path: Path) -> bool:
     return image is not None and image.ndim == 3 and image.dtype == np.uint8 and not image[..., 0].any()
 
 
-def _read_npy(path: Path) -> np.ndarray:
+def read_npy(path: Path) -> np.ndarray:
+    """Read an array of numbers that is no larger than an image; DataError when it is damaged."""
     try:
         shape = np.load(path, mmap_mode="r", allow_pickle=False).shape
         if int(np.prod(shape)) > MOST_PIXELS:
             raise ValueError(f"it holds {shape} numbers")
         content: np.ndarray = np.load(path, allow_pickle=False)
-    except (ValueError, OSError, EOFError, SyntaxError, TypeError, MemoryError) as error:
+    except (*FAULTS, OSError, SyntaxError, TokenError) as error:
         raise DataError(f"{path} is no array that can be read: {error}; copy it again") from error
     return content
 

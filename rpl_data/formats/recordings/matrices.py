@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from rpl_data.files import read_json, read_text
+from rpl_data.files import decoding, read_json, read_text
+from rpl_data.formats.recordings.depth_files import read_npy
 from rpl_data.formats.recordings.frame_files import Camera
 from rpl_data.geometry import Transform
 from rpl_data.types import DataError
@@ -46,7 +47,8 @@ def read_matrix_camera(path: Path) -> CameraSaid:
         DataError: the file holds no camera.
     """
     if path.suffix == ".json":
-        return _from_json(path, read_json(path))
+        with decoding(path, "correct it, or give `camera: [fx, fy, cx, cy]`"):
+            return _from_json(path, read_json(path))
     values = numbers_in(read_text(path, errors="replace"))
     return CameraSaid(camera_of(values, path))
 
@@ -155,8 +157,8 @@ def read_matrix_pose(path: Path) -> Transform | None:
     """Read a pose from a text or npy file; None where a lost tracker left no rigid transform."""
     if path.suffix == ".npy":
         try:
-            return rigid_or_none(np.load(path, allow_pickle=False).ravel().tolist())
-        except (ValueError, OSError, EOFError, TypeError, SyntaxError):
+            return rigid_or_none(read_npy(path).ravel().tolist())
+        except DataError:
             return None
     return rigid_or_none(numbers_in(read_text(path, errors="replace")))
 

@@ -88,7 +88,7 @@ def read_scan(
     name: str, folder: Path, out: Path, metres_per_unit: float | None, camera: Camera | None
 ) -> Recording:
     """Read a scan in this process; arguments as `read_stray`, errors too."""
-    rows = _odometry(folder / "odometry.csv")
+    rows = read_odometry(folder / "odometry.csv")
     depths = {int(path.stem): path for path in (folder / "depth").iterdir()
               if path.suffix in (".png", ".npy") and path.stem.isdigit()}  # fmt: skip
     frames: list[PhoneFrame] = []
@@ -98,7 +98,7 @@ def read_scan(
         if number not in depths:
             alone.append(number)
             continue
-        row = rows.get(number, _Row(number / RATE_HZ if time_s is None else time_s, None))
+        row = rows.get(number, Row(number / RATE_HZ if time_s is None else time_s, None))
         try:
             units = _depth(folder, depths[number])
         except DataError:
@@ -125,13 +125,24 @@ def _depth(folder: Path, path: Path) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class _Row:
+class Row:
+    """A row of the odometry.
+
+    Attributes:
+        timestamp_s: time of the frame.
+        pose: scene_from_camera in OpenCV's axes.
+    """
+
     timestamp_s: float
     pose: Transform | None
 
 
-def _odometry(path: Path) -> Mapping[int, _Row]:
-    """Time and pose by the number of the frame; rows that are not whole are left out."""
+def read_odometry(path: Path) -> Mapping[int, Row]:
+    """Time and pose by the number of the frame; rows that are not whole are left out.
+
+    Raises:
+        DataError: the first line does not name the columns.
+    """
     if not path.is_file():
         return {}
     lines = csv.reader(read_text(path, errors="replace").splitlines())
@@ -141,7 +152,7 @@ def _odometry(path: Path) -> Mapping[int, _Row]:
         named = ", ".join(names)[:200]
         raise DataError(f"{path}: expected a first line with {', '.join(wanted)}; found {named}")
     columns = [names.index(name) for name in wanted]
-    found: dict[int, _Row] = {}
+    found: dict[int, Row] = {}
     for line in lines:
         try:
             values = [float(line[column]) for column in columns]
@@ -150,5 +161,5 @@ def _odometry(path: Path) -> Mapping[int, _Row]:
         norm = math.hypot(*values[5:])
         if all(map(math.isfinite, values)) and len(line) == len(names) and 0.9 < norm < 1.1:
             pose = from_quaternion_xyzw(np.array(values[5:]), np.array(values[2:5]))
-            found[int(values[1])] = _Row(values[0], pose)
+            found[int(values[1])] = Row(values[0], pose)
     return found
