@@ -95,14 +95,14 @@ def open_recordings(
 
     Args:
         path: a folder of scenes, one scene, or a file (.klg, .bag, .db3).
-        format: how they are stored: rpl, frames, tum, bop, ycb_video, labelfusion, klg, klg_bgr or realsense;
+        format: how they are stored, a name in the README's table such as rpl, tum, folders or record3d;
             found out from the files when left out.
         names: only these scenes; all of them when left out.
         metres_per_unit: metres of one unit of the stored depth; what the format says when left out.
         camera: fx, fy, cx, cy in pixels, then 0, 4, 5 or 8 numbers of OpenCV's lens distortion; what the
             recording says when left out.
         registered: whether depth lies on the pixels of the colour image; what the format says when left out.
-        unpack: a folder for the images of klg, klg_bgr and realsense, which keep them in one file; each
+        unpack: a folder for images of formats that keep them in one file, or in files few can read; each
             scene gets a folder in it.
         mend: faults to put right while reading; `rpl check` names them.
 
