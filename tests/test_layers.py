@@ -37,7 +37,9 @@ LEARNING = {
 """What rpl_data.torch and training may know: a trained pipeline does not depend on the labelling tool."""
 
 CONFINED = {
+    "av": {"formats"},
     "fastapi": {"annotate", "capture"},
+    "imagecodecs": {"formats"},
     "uvicorn": {"capture", "cli"},
     "pyrealsense2": {"capture"},
     "open3d": {"export", "meshes", "raycast", "reconstruct", "segment", "twin"},
@@ -46,7 +48,7 @@ CONFINED = {
 """The rooms that need a package; no other imports it."""
 
 SLOW = {
-    "fastapi", "faster_coco_eval", "matplotlib", "open3d", "plotly", "pycocotools",
+    "av", "fastapi", "faster_coco_eval", "imagecodecs", "matplotlib", "open3d", "plotly", "pycocotools",
     "pyrealsense2", "small_gicp", "torch", "torchvision", "uvicorn",
 }  # fmt: skip
 """Imported inside the functions that need them, so that `rpl --help` is quick."""
