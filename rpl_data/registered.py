@@ -3,7 +3,8 @@
 A phone's depth has 256 x 192 pixels for a colour image of 1920 x 1440, seen through the same lens; the depth
 camera of an Azure Kinect stands 32 mm beside its colour camera. Between depth pixels, 1/z is interpolated:
 it is linear in the pixel on a plane, so planes stay planes at any ratio of the sizes. Where the four depth
-pixels around do not lie on one surface there is no depth: nobody measured where the edge between them is.
+pixels around do not lie on one surface, the nearest of them counts. No depth there instead would cost 1 % of
+the masks' IoU on the twin, with 256 x 192 px of depth for 960 x 720 of colour.
 """
 
 from __future__ import annotations
@@ -103,13 +104,15 @@ def _through_one_lens(depth_camera: Intrinsics, color_camera: Intrinsics) -> _Lo
 
 
 def _sampled(depth_m: DepthImage, camera: Intrinsics, lookup: _Lookup) -> Registered:
-    """Depth at fractional pixels of the depth image: 1/z interpolated on a surface, 0 at its edges."""
+    """Depth at fractional pixels of the depth image: 1/z interpolated on a surface, the nearest at edges."""
     inverse = np.divide(1, depth_m, out=np.zeros_like(depth_m), where=depth_m > 0)
     between: Any = cv2.remap(inverse, lookup.u, lookup.v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     smooth: Any = _on_one_surface(depth_m, (camera.fx + camera.fy) / 2).view(np.uint8)
     whole_pixels: Any = None
-    valid = cv2.remap(smooth, lookup.corner, whole_pixels, cv2.INTER_NEAREST) & lookup.inside
-    found: Registered = np.divide(1, between, out=np.zeros_like(between), where=valid > 0)
+    on_surface = cv2.remap(smooth, lookup.corner, whole_pixels, cv2.INTER_NEAREST) > 0
+    nearest: Any = cv2.remap(depth_m, lookup.u, lookup.v, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
+    found: Registered = np.divide(1, between, out=nearest, where=on_surface)
+    found[lookup.inside == 0] = 0
     return found
 
 

@@ -1,4 +1,4 @@
-"""Depth of another size or place than colour: planes stay planes, edges are unknown, hidden ground too."""
+"""Depth of another size or place than colour: planes stay planes, edges edges, hidden ground has no depth."""
 
 from __future__ import annotations
 
@@ -46,16 +46,16 @@ def test_the_image_of_the_same_camera_is_left_as_it_is() -> None:
     assert not found[10:20, 30:50].any()
 
 
-def test_between_two_surfaces_and_beside_a_hole_there_is_no_depth() -> None:
+def test_between_two_surfaces_the_nearer_pixel_counts_and_a_hole_stays_one() -> None:
+    """Never a mean of two surfaces; the edge runs between depth pixels 63 and 64, at colour pixel 479.5."""
     depth = np.full((96, 128), 0.7, np.float32)
     depth[:, 64:] = 0.9
     depth[40, 20] = 0
     found = registered(depth, SMALL, COLOR)
-    assert set(np.unique(np.round(found, 4)).tolist()) == {0.0, np.float32(0.7), np.float32(0.9)}
-    edge = np.flatnonzero(found[200] == 0)
-    assert len(edge) == 8 or len(edge) == 7  # one depth pixel is 7.5 colour pixels
-    assert (found[:, edge[0] - 1] > 0).mean() > 0.9
-    assert 14 * 14 <= (found[:, :400] == 0).sum() <= 16 * 16  # the two blocks around the hole
+    np.testing.assert_allclose(found[200, :480], 0.7, rtol=1e-5)
+    np.testing.assert_allclose(found[200, 480:], 0.9, rtol=1e-5)
+    hole = np.argwhere(found == 0)
+    assert hole.min(axis=0).tolist() == [300, 150] and hole.max(axis=0).tolist() == [307, 157]
 
 
 @pytest.mark.parametrize("distorted", [False, True])
@@ -72,7 +72,7 @@ def test_a_depth_camera_beside_the_colour_camera(distorted: bool) -> None:
     # Undistorting takes the nearest depth pixel: on this slope half a pixel is 1.2 mm.
     off_m = np.abs(found - true)[seen]
     assert np.percentile(off_m, 99) < 5e-5
-    assert off_m.max() < 0.01  # at the depth image's rim, where the slope is not known
+    assert off_m.max() < 0.02  # at the depth image's rim, where the slope is not known
 
 
 def test_what_the_depth_camera_cannot_see_has_no_depth() -> None:
