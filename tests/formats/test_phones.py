@@ -24,10 +24,11 @@ from recordings import color_image, poses
 from rpl_data.drift.reprojection import reprojection_over_gap
 from rpl_data.formats.recordings.record3d import read_capture
 from rpl_data.formats.recordings.stray import read_scan
-from rpl_data.images import depth_reader, read_color, read_depth_m
+from rpl_data.images import depth_reader, read_color, read_depth_m, read_depth_units, registered_units
 from rpl_data.recordings.mend import Mend, mended
 from rpl_data.recordings.open import likely_formats, open_recordings, open_scenes
 from rpl_data.types import DataError, Recording, Trajectory
+from rpl_data.workspace.depth_cache import cached_reader, pack
 from rpl_data.workspace.workspace import Workspace
 
 LENS = (50.0, 51.0, 31.5, 23.5)
@@ -120,6 +121,18 @@ def test_depth_of_low_confidence_is_left_out(name: str, tmp_path: Path) -> None:
     depth_m = read_depth_m(found.scene, found.scene.frames[0])
     assert not depth_m[:14].any() and (depth_m[18:-1, 1:-1] > 0).all()  # 0 is dropped, 1 and 2 stay
     assert "depth of low confidence is left out" in found.notes
+
+
+def test_coarse_depth_is_cached_as_it_is_and_exported_at_the_colour_pixels(tmp_path: Path) -> None:
+    write_scanner_app(tmp_path / "a", film())
+    scene = read(tmp_path / "a", "scanner_app").scene
+    frame, expected = scene.frames[3], read_depth_m(scene, scene.frames[3])
+    for _ in range(2):  # from the recording, then from the cache
+        np.testing.assert_array_equal(cached_reader(tmp_path / "cache", scene, keep=True)(frame), expected)
+    (cached,) = (tmp_path / "cache").iterdir()
+    assert cached.read_bytes() == pack(read_depth_units(scene, frame))
+    assert read_depth_units(scene, frame).shape == (24, 32)
+    np.testing.assert_array_equal(registered_units(scene, frame), np.rint(expected / 0.001))
 
 
 def test_times_are_those_of_the_app(tmp_path: Path) -> None:
