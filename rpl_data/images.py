@@ -12,6 +12,7 @@ from jaxtyping import Float64, UInt16
 from rpl_data.files import read_bytes
 from rpl_data.geometry import rays
 from rpl_data.orientation import without_orientation
+from rpl_data.registered import Registered, registered
 from rpl_data.types import (
     ColorImage,
     DataError,
@@ -104,17 +105,30 @@ def depth_reader(scene: Scene) -> ReadDepth:
     return partial(read_depth_m, scene)
 
 
-def in_metres(scene: Scene, units: DepthUnits) -> DepthImage:
-    """Convert stored depth to float32 metres."""
-    return units.astype(np.float32) * np.float32(scene.metres_per_unit)
+def in_metres(scene: Scene, units: DepthUnits) -> Registered:
+    """Convert stored depth to float32 metres at the pixels of the colour image."""
+    depth_m = units.astype(np.float32) * np.float32(scene.metres_per_unit)
+    camera = scene.depth_camera
+    if camera is None:
+        return depth_m
+    return registered(depth_m, camera.intrinsics, scene.intrinsics, camera.matrix)
+
+
+def registered_units(scene: Scene, frame: Frame) -> DepthUnits:
+    """The depth image in the scene's unit at the pixels of the colour image; DataError as `read_depth_m`."""
+    units = read_depth_units(scene, frame)
+    if scene.depth_camera is None:
+        return units
+    found: DepthUnits = np.rint(in_metres(scene, units) / scene.metres_per_unit).astype(np.uint16)
+    return found
 
 
 def read_depth_units(scene: Scene, frame: Frame) -> UInt16[np.ndarray, "height width"]:
-    """Read the depth image in its stored unit, aligned to colour, 0 = none; DataError as `read_depth_m`."""
+    """Read the depth image as it is stored, its size included, 0 = none; DataError as `read_depth_m`."""
     if frame.depth is None:
         raise DataError(f"scene {scene.name}, frame {frame.index} has no depth image")
     raw = cv2.imread(str(frame.depth), cv2.IMREAD_UNCHANGED) if frame.depth.is_file() else None
-    expected = (scene.intrinsics.height, scene.intrinsics.width)
+    expected = scene.depth_size
     if raw is None or raw.dtype != np.uint16 or raw.shape != expected:
         found = "nothing readable" if raw is None else f"{raw.dtype} {raw.shape}"
         raise DataError(
@@ -127,7 +141,7 @@ def read_depth_units(scene: Scene, frame: Frame) -> UInt16[np.ndarray, "height w
     if scene.depth_coding.bits_turned:
         units = turned_back(units)
     if scene.depth_coding.along_ray:
-        units = np.rint(units / _ray_lengths(scene.intrinsics)).astype(np.uint16)
+        units = np.rint(units / _ray_lengths(scene.depth_intrinsics)).astype(np.uint16)
     return units if scene.depth_warp is None else _warped(units, scene.depth_warp)
 
 

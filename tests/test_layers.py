@@ -15,7 +15,7 @@ LAYERS = [
     {"version", "wording"},
     {"types"},
     {"command_line", "files", "geometry"},
-    {"json_arrays", "orientation", "untrusted"},
+    {"json_arrays", "orientation", "registered", "untrusted"},
     {"images", "meshes", "raycast", "overlay", "drift"},
     {"formats", "clicks", "pose", "reconstruct", "workspace"},
     {"capture", "solve", "refine", "segment", "label", "export", "torch"},
@@ -37,7 +37,9 @@ LEARNING = {
 """What rpl_data.torch and training may know: a trained pipeline does not depend on the labelling tool."""
 
 CONFINED = {
+    "av": {"formats"},
     "fastapi": {"annotate", "capture"},
+    "imagecodecs": {"formats"},
     "uvicorn": {"capture", "cli"},
     "pyrealsense2": {"capture"},
     "open3d": {"export", "meshes", "raycast", "reconstruct", "segment", "twin"},
@@ -46,7 +48,7 @@ CONFINED = {
 """The rooms that need a package; no other imports it."""
 
 SLOW = {
-    "fastapi", "faster_coco_eval", "matplotlib", "open3d", "plotly", "pycocotools",
+    "av", "fastapi", "faster_coco_eval", "imagecodecs", "matplotlib", "open3d", "plotly", "pycocotools",
     "pyrealsense2", "small_gicp", "torch", "torchvision", "uvicorn",
 }  # fmt: skip
 """Imported inside the functions that need them, so that `rpl --help` is quick."""

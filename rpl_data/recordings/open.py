@@ -11,10 +11,16 @@ from rpl_data.capture.playback import is_recording, read_realsense
 from rpl_data.files import decoding
 from rpl_data.formats.recordings.bop import is_bop_scene, read_bop
 from rpl_data.formats.recordings.elasticfusion import read_klg
+from rpl_data.formats.recordings.folders import is_folder_scene, read_folders
 from rpl_data.formats.recordings.frame_files import Camera
 from rpl_data.formats.recordings.frames import has_frames, read_frames
 from rpl_data.formats.recordings.labelfusion import is_log, read_labelfusion
+from rpl_data.formats.recordings.nerfstudio import is_nerfstudio, read_nerfstudio
+from rpl_data.formats.recordings.polycam import is_polycam, read_polycam
+from rpl_data.formats.recordings.record3d import is_record3d, read_record3d
 from rpl_data.formats.recordings.rpl import is_rpl_scene, read_rpl
+from rpl_data.formats.recordings.scanner_app import is_scanner_app, read_scanner_app
+from rpl_data.formats.recordings.stray import is_stray, read_stray
 from rpl_data.formats.recordings.tum import is_sequence, read_tum
 from rpl_data.formats.recordings.ycb_video import is_ycb_sequence, read_ycb_video
 from rpl_data.recordings.mend import Mend, mended
@@ -34,8 +40,15 @@ UNPACKERS: dict[str, Callable[..., list[Recording]]] = {
     "klg": read_klg,
     "klg_bgr": partial(read_klg, bgr=True),
     "realsense": read_realsense,
+    "record3d": read_record3d,
+    "stray": read_stray,
+    "polycam": read_polycam,
+    "scanner_app": read_scanner_app,
+    "nerfstudio": read_nerfstudio,
+    "folders": read_folders,
 }
-"""Readers of formats that keep all images in one file; they also take ``unpack(scene) -> folder``."""
+"""Readers that may have to write images of their own: of formats that keep all of them in one file, or depth
+in other files than 16-bit PNG. They also take ``unpack(scene) -> folder``."""
 
 SOUND = Mend()
 
@@ -50,8 +63,18 @@ _LOOKS_LIKE: dict[str, Callable[[Path], bool]] = {
     "labelfusion": lambda folder: any(map(is_log, (folder, *folder.glob("*")))),
     "klg": lambda path: path.suffix == ".klg" or any(path.glob("*.klg")),
     "realsense": lambda path: any(map(is_recording, (path, *path.glob("*")))),
+    "record3d": is_record3d,
+    "stray": lambda folder: any(map(is_stray, (folder, *folder.glob("*")))),
+    "polycam": lambda folder: any(map(is_polycam, (folder, *folder.glob("*")))),
+    "scanner_app": lambda folder: any(map(is_scanner_app, (folder, *folder.glob("*")))),
+    "nerfstudio": lambda folder: any(map(is_nerfstudio, (folder, *folder.glob("*")))),
 }
-"""Tests whether a path looks like a format, by format name; for the message about a wrong `format`."""
+"""Tests whether a path looks like a format, by format name."""
+
+_PLAIN: dict[str, Callable[[Path], bool]] = {
+    "folders": lambda folder: any(map(is_folder_scene, (folder, *folder.glob("*")))),
+}
+"""Layouts so plain that others contain them: only what looks like nothing else is one of these."""
 
 
 def open_recordings(
@@ -72,14 +95,14 @@ def open_recordings(
 
     Args:
         path: a folder of scenes, one scene, or a file (.klg, .bag, .db3).
-        format: how they are stored: rpl, frames, tum, bop, ycb_video, labelfusion, klg, klg_bgr or realsense;
+        format: how they are stored, a name in the README's table such as rpl, tum, folders or record3d;
             found out from the files when left out.
         names: only these scenes; all of them when left out.
         metres_per_unit: metres of one unit of the stored depth; what the format says when left out.
         camera: fx, fy, cx, cy in pixels, then 0, 4, 5 or 8 numbers of OpenCV's lens distortion; what the
             recording says when left out.
         registered: whether depth lies on the pixels of the colour image; what the format says when left out.
-        unpack: a folder for the images of klg, klg_bgr and realsense, which keep them in one file; each
+        unpack: a folder for images of formats that keep them in one file, or in files few can read; each
             scene gets a folder in it.
         mend: faults to put right while reading; `rpl check` names them.
 
@@ -141,9 +164,8 @@ def open_scenes(
     known = READERS | UNPACKERS
     if format not in known:
         raise DataError(f"unknown format {format!r} for {path}; expected one of {', '.join(sorted(known))}")
-    if format in UNPACKERS and unpack is None:
-        raise DataError(f"{path}: recordings of format {format} are unpacked; say where to: `unpack`")
-    reader = partial(known[format], unpack=unpack) if format in UNPACKERS else known[format]
+    unpacked = unpack or partial(_refuse_to_unpack, path, format)
+    reader = partial(known[format], unpack=unpacked) if format in UNPACKERS else known[format]
     try:
         with decoding(path, f"repair it, or check that its format is {format}; `rpl check` may say more"):
             found = reader(path, names=names, metres_per_unit=metres_per_unit, camera=camera)
@@ -159,6 +181,13 @@ def open_scenes(
     return [mended(one, mend) for one in found]
 
 
+def _refuse_to_unpack(path: Path, format: str, scene: str) -> Path:
+    raise DataError(f"{path}: images of scene {scene} (format {format}) are unpacked; say where to: `unpack`")
+
+
 def likely_formats(path: Path) -> list[str]:
     """Formats whose characteristic files are found at a path; empty for anything unknown."""
-    return [name for name, looks_like_it in _LOOKS_LIKE.items() if looks_like_it(path)]
+    for tests in (_LOOKS_LIKE, _PLAIN):
+        if found := [name for name, looks_like_it in tests.items() if looks_like_it(path)]:
+            return found
+    return []

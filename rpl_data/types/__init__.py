@@ -12,6 +12,7 @@ from rpl_data.types.errors import DataError, UnsureError
 from rpl_data.types.images import Box, ColorImage, DepthImage, DepthUnits, GreyImage, Rle, SquareBox
 from rpl_data.types.labels import FrameLabel, InstanceLabel, QualityRow
 from rpl_data.types.recording import (
+    DepthCamera,
     DepthCoding,
     DepthWarp,
     Frame,
@@ -46,6 +47,7 @@ __all__ = [
     "DepthImage",
     "DepthState",
     "DepthUnits",
+    "DepthCamera",
     "DepthCoding",
     "DepthWarp",
     "Frame",

@@ -85,6 +85,25 @@ class DepthCoding:
 
 
 @dataclass(frozen=True)
+class DepthCamera:
+    """The camera of depth images that have another size than the colour images, or were taken beside them.
+
+    Attributes:
+        intrinsics: of the depth images, with their size.
+        color_from_depth: 4x4, row by row, metres: takes points of this camera to the colour camera; None
+            where both images come through one lens.
+    """
+
+    intrinsics: Intrinsics
+    color_from_depth: tuple[float, ...] | None = None
+
+    @property
+    def matrix(self) -> Float64[np.ndarray, "4 4"] | None:
+        """`color_from_depth` as a matrix; None where both images come through one lens."""
+        return None if self.color_from_depth is None else np.array(self.color_from_depth).reshape(4, 4)
+
+
+@dataclass(frozen=True)
 class Scene:
     """One RGB-D video (the paper's U_s); its images stay in their files.
 
@@ -95,6 +114,8 @@ class Scene:
         no_depth_units: raw depth values that mean "no depth", besides 0.
         depth_warp: maps depth images to the colour images while they are read; None = not needed.
         depth_coding: what is undone while depth images are read.
+        depth_camera: looks depth up at the colour pixels while it is read; None where depth images already
+            have the pixels of the colour images.
         source: what the scene was read from, for the report.
     """
 
@@ -107,6 +128,17 @@ class Scene:
     source: str = ""
     depth_warp: DepthWarp | None = None
     depth_coding: DepthCoding = DepthCoding()
+    depth_camera: DepthCamera | None = None
+
+    @property
+    def depth_intrinsics(self) -> Intrinsics:
+        """The camera of the stored depth images."""
+        return self.intrinsics if self.depth_camera is None else self.depth_camera.intrinsics
+
+    @property
+    def depth_size(self) -> tuple[int, int]:
+        """Height and width of the stored depth images, in pixels."""
+        return self.depth_intrinsics.height, self.depth_intrinsics.width
 
     def frame(self, index: int) -> Frame:
         """The frame with this index in the recording; DataError when the scene has none."""

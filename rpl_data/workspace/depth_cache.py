@@ -62,4 +62,5 @@ def _kept_units(path: Path, scene: Scene) -> DepthUnits | None:
     """Read a depth image from the cache; None when it is missing or damaged, since it can be rebuilt."""
     if not path.exists():
         return None
-    return unpack(path.read_bytes(), height=scene.intrinsics.height, width=scene.intrinsics.width)
+    height, width = scene.depth_size
+    return unpack(path.read_bytes(), height=height, width=width)

@@ -23,10 +23,10 @@ from rpl_data.types import (
     Span,
     Trajectory,
 )
-from rpl_data.workspace import records
 from rpl_data.workspace.depth_cache import cached_reader
 from rpl_data.workspace.parts import Parts, recordings_of_parts, refuse_taken_names
 from rpl_data.workspace.paths import Paths
+from rpl_data.workspace.recording_records import recording_from_json, recording_to_json
 from rpl_data.workspace.trajectory_text import trajectory_from_text, trajectory_to_text
 
 
@@ -61,7 +61,7 @@ class SceneFiles(Paths):
 
     def save_recording(self, recording: Recording) -> None:
         """Write `scene.json`, and `trajectory.txt` when the recording has poses."""
-        write_json(self.scene_file(recording.scene.name), records.recording_to_json(recording), indent=None)
+        write_json(self.scene_file(recording.scene.name), recording_to_json(recording), indent=None)
         if recording.trajectory is not None:
             self.save_trajectory(recording.scene, recording.trajectory)
 
@@ -71,7 +71,7 @@ class SceneFiles(Paths):
             raise DataError(f"the workspace {self.root} has no scene {scene!r}; it has {self.scene_names()}")
         path = self.scene_file(scene)
         with decoding(path, "read the recordings again with `rpl import --again true`"):
-            return records.recording_from_json(read_json(path))
+            return recording_from_json(read_json(path))
 
     def load_scene(self, scene: str) -> Scene:
         """Load the scene alone, without what was noted when it was read."""

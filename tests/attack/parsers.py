@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from attack.children import ended
 from attack.damage import bytes_of, words_of
+from attack.recorder_parsers import recorder_seeds
 
 BATCH = 500
 """Inputs that one child reads; how a child of several ended is known for the last of them only."""
@@ -98,6 +99,7 @@ def seeds(folder: Path) -> Iterator[tuple[str, Path, Parser]]:
     yield "recipe", folder / "recipe.yaml", load_recipe
     (folder / "a.json").write_text('{"a": [1, 2.5, null, {"b": "c"}], "d": true}')
     yield "JSON", folder / "a.json", read_json
+    yield from recorder_seeds(folder)
 
 
 def _read_klg(path: Path) -> None:

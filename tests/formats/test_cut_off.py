@@ -5,19 +5,23 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 import test_bop
+import test_folders
 import test_frames
 import test_klg
 import test_labelfusion
 import test_rpl
 import test_tum
 import test_ycb_video
+from phone_writers import write_nerfstudio, write_polycam, write_scanner_app
 from recordings import LENS, poses
 from software_camera import record
+from test_phones import film
 
 from rpl_data.formats.recordings.pose_lines import write_pose_lines
 from rpl_data.recordings.open import READERS, UNPACKERS, open_scenes
@@ -44,6 +48,11 @@ class Case:
     camera: tuple[float, ...] | None = None
 
 
+def make_folders(folder: Path) -> None:
+    test_folders.make_folders(folder)
+    np.savetxt(folder / "poses.txt", poses(6).reshape(-1, 16))
+
+
 def make_rpl(folder: Path) -> None:
     test_rpl.make_tree(folder)
 
@@ -64,17 +73,32 @@ CASES = {
         LENS,
     ),
 }
+CASES |= {
+    "folders": Case(make_folders, "rgb/*", "depth/*", ("poses.txt",)),
+    "polycam": Case(
+        partial(write_polycam, film=film(), start_us=10**8),
+        "keyframes/corrected_images/*",
+        "keyframes/depth/*",
+        (),
+    ),
+    "scanner_app": Case(partial(write_scanner_app, film=film()), "frame_*.jpg", "depth_*.png", ()),
+    "nerfstudio": Case(partial(write_nerfstudio, film=film()), "images/*", "depth/*", ()),
+}
+COLOR_ALONE_TELLS = ("frames", "ycb_video", "labelfusion", "scanner_app")
+"""Formats in which nothing tells of a frame but its colour image."""
 LISTS = [(name, path) for name, case in CASES.items() for path in case.lists]
 
 
 def read(folder: Path, name: str) -> Recording:
-    (recording,) = open_scenes(folder, name, camera=CASES[name].camera)
+    unpack = (folder.parent / "images").joinpath
+    (recording,) = open_scenes(folder, name, camera=CASES[name].camera, unpack=unpack)
     return recording
 
 
 def test_every_format_is_here() -> None:
-    assert CASES.keys() == READERS.keys()
-    assert {"klg", "klg_bgr", "realsense"} == UNPACKERS.keys()  # below
+    below = {"klg", "klg_bgr", "realsense"}
+    phones = {"record3d", "stray"}  # in test_phones.py
+    assert CASES.keys() | below | phones == READERS.keys() | UNPACKERS.keys()
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -98,8 +122,8 @@ def test_images_that_are_not_whole(name: str, kind: str, left: str, tmp_path: Pa
         recording.trajectory.scene_from_camera, before.trajectory.scene_from_camera[:-2]
     )
     lost = [frame.index for frame in before.scene.frames[-2:]]
-    if left == "no file" and kind == "color" and name in ("frames", "ycb_video", "labelfusion"):
-        return  # nothing tells of a frame but its colour image
+    if left == "no file" and kind == "color" and name in COLOR_ALONE_TELLS:
+        return
     (line,) = recording.skipped
     assert line.startswith("2 frames with") and line.endswith(f": {lost[0]}, {lost[1]}")
 

@@ -12,6 +12,7 @@ from rpl_data.geometry import from_rotvec
 from rpl_data.types import (
     Click,
     ClickResidual,
+    DepthCamera,
     DepthCoding,
     Frame,
     FrameLabel,
@@ -26,6 +27,7 @@ from rpl_data.types import (
     Statement,
 )
 from rpl_data.workspace import records
+from rpl_data.workspace.recording_records import recording_from_json, recording_to_json
 
 
 def through_json(data: dict[str, Any]) -> dict[str, Any]:
@@ -47,9 +49,12 @@ def test_recording_round_trip() -> None:
         no_depth_units=(65535,),
         source="rpl: /a",
         depth_coding=DepthCoding(bits_turned=True, along_ray=True),
+        depth_camera=DepthCamera(
+            Intrinsics(200.0, 200.0, 79.5, 59.5, 160, 120), tuple(map(float, range(16)))
+        ),
     )
     recording = Recording(scene, None, ("1 frame left out: 0",), ("assumed",))
-    assert records.recording_from_json(through_json(records.recording_to_json(recording))) == recording
+    assert recording_from_json(through_json(recording_to_json(recording))) == recording
 
 
 def test_solution_round_trip() -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64, Int64
 
+from rpl_data.formats.recordings.color_lens import COLOR_LENS, behind_color_lens, size_notes
 from rpl_data.formats.recordings.image_headers import ImageHeader, probe
 from rpl_data.formats.recordings.plausibility import (
     MOST_DEPTH_M,
@@ -19,13 +20,17 @@ from rpl_data.formats.recordings.plausibility import (
 )
 from rpl_data.formats.recordings.pose_lines import nearest
 from rpl_data.geometry import Transform
-from rpl_data.types import DataError, Frame, Intrinsics, Recording, Scene, Trajectory
+from rpl_data.types import DataError, DepthCamera, Frame, Intrinsics, Recording, Scene, Trajectory
 from rpl_data.wording import counted
 
 Headers = Mapping[Path, ImageHeader | None]
 
 Camera = tuple[float, ...]
 """fx, fy, cx, cy in pixels, then OpenCV's lens distortion (4, 5 or 8 numbers) where there is any."""
+
+
+Size = tuple[int, int]
+"""Width and height of an image, in pixels."""
 
 
 @dataclass(frozen=True)
@@ -52,15 +57,15 @@ def grouped(indices: Sequence[int], reason: str, *, listed: int = 12) -> list[st
 
 
 def whole_frames(
-    pairs: Iterable[Pair], headers: Headers, *, width: int, height: int
+    pairs: Iterable[Pair], headers: Headers, *, color_px: Size, depth_px: Size
 ) -> tuple[list[Frame], list[str]]:
     """Keep frames with two good images and a new timestamp; also say why others were left out."""
     frames: list[Frame] = []
     left_out: dict[str, list[int]] = {}
     times: set[float] = set()
     for pair in pairs:
-        defect = _defect("colour", pair.color, headers, (width, height)) or _defect(
-            "depth", pair.depth, headers, (width, height)
+        defect = _defect("colour", pair.color, headers, color_px) or _defect(
+            "depth", pair.depth, headers, depth_px
         )
         if defect is None and pair.timestamp_s in times:
             defect = "with the timestamp of an earlier frame"
@@ -72,7 +77,7 @@ def whole_frames(
     return frames, [line for reason, indices in left_out.items() for line in grouped(indices, reason)]
 
 
-def _defect(kind: str, path: Path, headers: Headers, size: tuple[int, int]) -> str | None:
+def _defect(kind: str, path: Path, headers: Headers, size: Size) -> str | None:
     if not path.is_file():
         return f"without {kind} (no such file)"
     header = headers[path]
@@ -136,6 +141,8 @@ class Listing:
         metres_per_unit: unit of the depth images.
         assumed_unit: whether `metres_per_unit` was assumed, which a note then says.
         registered: whether depth pixels coincide with colour pixels.
+        depth_camera: camera of depth images of another size, or `COLOR_LENS`; None where a recording of this
+            format must have depth at the pixels of the colour images.
         notes: what was assumed so far.
         skipped: what was left out so far.
     """
@@ -149,6 +156,7 @@ class Listing:
     metres_per_unit: float
     assumed_unit: bool = False
     registered: bool = True
+    depth_camera: Camera | None = None
     notes: tuple[str, ...] = ()
     skipped: tuple[str, ...] = ()
 
@@ -163,10 +171,12 @@ def examine(listing: Listing) -> Recording:
     check_unit(listing.metres_per_unit)
     images = [path for pair in listing.pairs for path in (pair.color, pair.depth)]
     headers = {path: probe(path) if path.is_file() else None for path in images}
-    width, height = _image_size(listing, headers)
-    frames, skipped = whole_frames(listing.pairs, headers, width=width, height=height)
-    intrinsics = intrinsics_of(listing.camera, width, height)
+    color_px, depth_px = _image_sizes(listing, headers)
+    frames, skipped = whole_frames(listing.pairs, headers, color_px=color_px, depth_px=depth_px)
+    intrinsics = intrinsics_of(listing.camera, *color_px)
+    depth = _depth_camera(listing, intrinsics, depth_px)
     notes = [*listing.notes, *principal_point_notes(listing.camera_source, intrinsics)]
+    notes += size_notes(intrinsics, depth)
     scene = Scene(
         listing.name,
         intrinsics,
@@ -175,6 +185,7 @@ def examine(listing: Listing) -> Recording:
         registered=listing.registered,
         no_depth_units=(SATURATED,),
         source=f"{listing.format}: {listing.folder}",
+        depth_camera=depth,
     )
     median_m = median_depth_m(scene)
     if median_m > MOST_DEPTH_M:
@@ -228,23 +239,33 @@ def without_poses(recording: Recording, missing: str) -> Recording:
     return Recording(recording.scene, None, recording.skipped, (note, *recording.notes))
 
 
-def _image_size(listing: Listing, headers: Headers) -> tuple[int, int]:
-    """Width and height of the first pair that is complete."""
+def _image_sizes(listing: Listing, headers: Headers) -> tuple[Size, Size]:
+    """Width and height of the colour and the depth image of the first pair that is complete."""
     for pair in listing.pairs:
         color, depth = headers[pair.color], headers[pair.depth]
         if color is None or depth is None or color.is_depth or not depth.is_depth:
             continue
-        if (color.width, color.height) != (depth.width, depth.height):
+        color_px, depth_px = (color.width, color.height), (depth.width, depth.height)
+        if color_px != depth_px and listing.depth_camera is None:
             raise DataError(
                 f"{listing.folder}: depth and colour images differ in size ({depth.width}x{depth.height} and "
                 f"{color.width}x{color.height}): depth must be registered to colour when recording"
             )
-        return color.width, color.height
+        return color_px, depth_px
     first = listing.pairs[0]
     raise DataError(
         f"{listing.folder}: none of {len(listing.pairs)} frames has a readable colour image and a readable "
         f"16-bit depth image; the first names {first.color} and {first.depth}; copy the images again"
     )
+
+
+def _depth_camera(listing: Listing, color: Intrinsics, depth_px: Size) -> DepthCamera | None:
+    """The camera of the depth images; None where they have the pixels of the colour images."""
+    if listing.depth_camera is None:
+        return None
+    if listing.depth_camera == COLOR_LENS:
+        return behind_color_lens(listing.folder, color, *depth_px)
+    return DepthCamera(intrinsics_of(listing.depth_camera, *depth_px))
 
 
 def check_unit(metres_per_unit: float) -> None:

@@ -24,7 +24,7 @@ def write_images(
     folder: Path,
     index: int,
     color: UInt8[np.ndarray, "height width 3"] | bytes,
-    depth: UInt16[np.ndarray, "height width"],
+    depth: UInt16[np.ndarray, "rows columns"],
     *,
     lossless: bool = False,
 ) -> tuple[Path, Path]:

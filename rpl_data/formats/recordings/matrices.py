@@ -1,0 +1,172 @@
+"""Cameras and poses written as plain matrices, in any of the files that people keep them in."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64
+
+from rpl_data.files import decoding, read_json, read_text
+from rpl_data.formats.recordings.depth_files import read_npy
+from rpl_data.formats.recordings.frame_files import Camera
+from rpl_data.geometry import Transform
+from rpl_data.types import DataError
+
+_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|[-+]?(?:nan|inf)\b", re.IGNORECASE)
+_MATRIX_KEYS = ("intrinsic_matrix", "K", "cam_K", "camera_matrix", "intrinsics", "intrinsic", "matrix")
+_SCALE_KEYS = ("depth_scale", "scale")
+
+
+@dataclass(frozen=True)
+class CameraSaid:
+    """What a file says about a camera.
+
+    Attributes:
+        camera: fx, fy, cx, cy in pixels, then lens distortion where it names any.
+        size: width and height of its images; None where it is silent.
+        metres_per_unit: of the depth images; None where it is silent.
+    """
+
+    camera: Camera
+    size: tuple[int, int] | None = None
+    metres_per_unit: float | None = None
+
+
+def read_matrix_camera(path: Path) -> CameraSaid:
+    """Read a camera from a text or JSON file: fx fy cx cy, or a 3x3, 3x4 or 4x4 matrix K, in rows or columns.
+
+    Open3D writes its matrices by columns: the principal point says which it is.
+
+    Raises:
+        DataError: the file holds no camera.
+    """
+    if path.suffix == ".json":
+        with decoding(path, "correct it, or give `camera: [fx, fy, cx, cy]`"):
+            return _from_json(path, read_json(path))
+    values = numbers_in(read_text(path, errors="replace"))
+    return CameraSaid(camera_of(values, path))
+
+
+def numbers_in(text: str) -> list[float]:
+    """All numbers of a text, whatever separates them; comments with # are left out."""
+    lines = (line.partition("#")[0] for line in text.splitlines())
+    return [float(found) for line in lines for found in _NUMBER.findall(line)]
+
+
+def camera_of(values: Sequence[float], source: Path) -> tuple[float, float, float, float]:
+    """fx, fy, cx, cy of 4 numbers, or of the 9, 12 or 16 of a matrix; DataError for anything else."""
+    matrix = np.array(values, dtype=float)
+    if matrix.shape == (4,):
+        found = matrix
+    elif len(matrix) in (9, 12, 16):
+        side = 3 if len(matrix) == 9 else 4
+        rows = matrix.reshape(-1, side)
+        rows = rows.T if not rows[:2, 2].any() and rows[2, :2].any() else rows
+        found = rows[[0, 1, 0, 1], [0, 1, 2, 2]]
+    else:
+        found = np.zeros(4)
+    if not np.isfinite(found).all() or not (found > 0).all():
+        raise DataError(
+            f"{source}: expected fx fy cx cy or a matrix K in pixels, found {len(matrix)} numbers; "
+            "correct it, or give `camera: [fx, fy, cx, cy]`"
+        )
+    fx, fy, cx, cy = found.tolist()
+    return fx, fy, cx, cy
+
+
+def _from_json(path: Path, data: Any) -> CameraSaid:
+    found = _camera_dict(data)
+    if found is None:
+        raise DataError(
+            f"{path} names neither fx, fy, cx, cy nor a matrix (K, intrinsic_matrix); "
+            "correct it, or give `camera: [fx, fy, cx, cy]`"
+        )
+    keys = {key.lower(): value for key, value in found.items()}
+    named = _flat([keys.get(name, keys.get(other, math.nan)) for name, other in _SYNONYMS])
+    if any(map(math.isnan, named)):
+        named = _flat(next(found[key] for key in _MATRIX_KEYS if key in found))
+    camera = camera_of(named, path)
+    width, height = (keys.get(name, keys.get(name[0])) for name in ("width", "height"))
+    size = (int(width), int(height)) if width and height else None
+    return CameraSaid((*camera, *_distortion(keys)), size, _unit(keys))
+
+
+_SYNONYMS = (("fx", "fl_x"), ("fy", "fl_y"), ("cx", "ppx"), ("cy", "ppy"))
+
+
+def _camera_dict(data: Any, depth: int = 0) -> Mapping[str, Any] | None:
+    """The object that holds the numbers: the file's own, or one a level or two below ("camera", "color")."""
+    if isinstance(data, list):
+        return {"K": data}
+    if not isinstance(data, dict):
+        return None
+    lower = {str(key).lower() for key in data}
+    if {"fx", "fy"} <= lower or {"fl_x", "fl_y"} <= lower:
+        return data
+    if any(key in data and not isinstance(data[key], dict) for key in _MATRIX_KEYS):
+        return data
+    inner = sorted(data.items(), key=lambda item: "depth" in str(item[0]).lower())
+    below = (_camera_dict(value, depth + 1) for _, value in inner if isinstance(value, dict) and depth < 2)
+    return next((found for found in below if found is not None), None)
+
+
+def _flat(value: Any) -> list[float]:
+    return [float(x) for row in value for x in (row if isinstance(row, list) else [row])]
+
+
+def _distortion(keys: Mapping[str, Any]) -> tuple[float, ...]:
+    """OpenCV's coefficients, where the file names 4, 5 or 8 of them and one is not 0."""
+    listed = next((keys[key] for key in ("distortion", "dist", "dist_coeffs", "coeffs") if key in keys), None)
+    if listed is None and "k1" in keys:
+        listed = [keys.get(key, 0.0) for key in ("k1", "k2", "p1", "p2", "k3")]
+    values = tuple(_flat(listed)) if isinstance(listed, list) else ()
+    return values if len(values) in (4, 5, 8) and any(values) else ()
+
+
+def _unit(keys: Mapping[str, Any]) -> float | None:
+    """Metres per unit: files say 1000 units per metre, or 0.001 metres per unit."""
+    scale = next((keys[key] for key in _SCALE_KEYS if isinstance(keys.get(key), (int, float))), None)
+    if scale is None or not 0 < scale < 1e6:
+        return None
+    return float(scale) if scale < 1 else 1 / float(scale) if scale > 1 else None
+
+
+# Poses --------------------------------------------------------------------------------------------
+
+
+def rigid_or_none(values: Sequence[float]) -> Transform | None:
+    """A rigid transform of 12 or 16 numbers, row by row; None where they are none (a lost tracker)."""
+    if len(values) not in (12, 16):
+        return None
+    pose = np.eye(4)
+    pose[: len(values) // 4] = np.array(values, dtype=float).reshape(-1, 4)
+    rotation = pose[:3, :3]
+    if not np.isfinite(pose).all() or not np.allclose(pose[3], [0, 0, 0, 1], atol=1e-6):
+        return None
+    rigid = np.allclose(rotation @ rotation.T, np.eye(3), atol=0.01) and np.linalg.det(rotation) > 0
+    return pose if rigid else None
+
+
+def read_matrix_pose(path: Path) -> Transform | None:
+    """Read a pose from a text or npy file; None where a lost tracker left no rigid transform."""
+    if path.suffix == ".npy":
+        try:
+            return rigid_or_none(read_npy(path).ravel().tolist())
+        except DataError:
+            return None
+    return rigid_or_none(numbers_in(read_text(path, errors="replace")))
+
+
+def median_camera(cameras: Float64[np.ndarray, "n 4"]) -> tuple[Camera, tuple[str, ...]]:
+    """One camera for all frames of a lens that focuses; also a note where they differ by a pixel or more."""
+    middle = np.median(cameras, axis=0)
+    off_px = float(np.abs(cameras - middle).max())
+    fx, fy, cx, cy = middle.tolist()
+    note = f"the intrinsics change by up to {off_px:.1f} px between frames (focus); their median is used"
+    return (fx, fy, cx, cy), (note,) if off_px >= 1 else ()

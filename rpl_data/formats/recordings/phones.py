@@ -1,0 +1,218 @@
+"""What recordings of phones have in common: ARKit's poses, coarse depth, confidence, a lens that focuses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from jaxtyping import Bool
+
+from rpl_data.files import read_json, write_bytes
+from rpl_data.formats.recordings.color_lens import COLOR_LENS
+from rpl_data.formats.recordings.depth_files import (
+    STORED_UNIT_M,
+    read_depth_file,
+    stored_units,
+    unit_of_decimals,
+    write_depth,
+)
+from rpl_data.formats.recordings.frame_files import (
+    Camera,
+    Listing,
+    Pair,
+    examine,
+    with_poses,
+    without_poses,
+)
+from rpl_data.formats.recordings.image_headers import probe
+from rpl_data.formats.recordings.matrices import median_camera, rigid_or_none
+from rpl_data.geometry import Transform
+from rpl_data.types import DataError, Recording
+
+OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
+"""Turns a camera with y up that looks along -z (ARKit, OpenGL) into OpenCV's."""
+
+DOUBTED = "depth of low confidence is left out"
+
+
+@dataclass(frozen=True)
+class PhoneFrame:
+    """A frame as its app listed it; the images have not been read yet.
+
+    Attributes:
+        index: the later `Frame.index`.
+        timestamp_s: its time.
+        color: the colour image.
+        depth: the depth image: 16-bit PNG, or anything that `read_depth_file` reads.
+        confidence: an image that is 0 where depth is not to be trusted; None where there is none.
+        camera: fx, fy, cx, cy of the colour image; empty where the app has one for all frames.
+        pose: scene_from_camera in OpenCV's axes; None where there is none.
+    """
+
+    index: int
+    timestamp_s: float
+    color: Path
+    depth: Path
+    confidence: Path | None = None
+    camera: Camera = ()
+    pose: Transform | None = None
+
+
+@dataclass(frozen=True)
+class Phone:
+    """A scene as its app stored it.
+
+    Attributes:
+        name: name of the scene.
+        folder: its folder, for messages.
+        format: name of the format.
+        frames: its frames.
+        camera: of all frames; empty where every frame has its own.
+        camera_px: width and height of the images that the cameras are for; None = the images themselves.
+        metres_per_unit: of whole-numbered depth.
+        notes, skipped: what was assumed and left out so far.
+    """
+
+    name: str
+    folder: Path
+    format: str
+    frames: Sequence[PhoneFrame]
+    camera: Camera = ()
+    camera_px: tuple[int, int] | None = None
+    metres_per_unit: float = 0.001
+    notes: tuple[str, ...] = ()
+    skipped: tuple[str, ...] = ()
+
+
+def phone_recording(
+    phone: Phone, unpack: Callable[[], Path], *, metres_per_unit: float | None, camera: Camera | None
+) -> Recording:
+    """Make a recording of a scene: depth without what is doubtful, one camera, poses where there are any.
+
+    Args:
+        phone: the scene.
+        unpack: returns the folder for depth images that are rewritten.
+        metres_per_unit: unit of the depth images; that of the format when None.
+        camera: used instead of the app's.
+
+    Raises:
+        DataError: no frame is complete, or the camera or the depth unit does not fit the images.
+    """
+    if not phone.frames:
+        raise DataError(f"{phone.folder} holds no frame with a colour and a depth image; export it again")
+    own, notes = _camera_of(phone)
+    unit_m = phone.metres_per_unit if metres_per_unit is None else metres_per_unit
+    pairs, stored_m, doubted = _trusted(phone, unit_m, metres_per_unit, unpack)
+    recording = examine(
+        Listing(
+            phone.name,
+            phone.folder,
+            phone.format,
+            pairs,
+            camera or _for_images(phone, own),
+            phone.folder,
+            stored_m,
+            depth_camera=COLOR_LENS,
+            notes=(*phone.notes, *notes, *doubted),
+            skipped=phone.skipped,
+        )
+    )
+    poses = {frame.index: frame.pose for frame in phone.frames if frame.pose is not None}
+    if not poses:
+        return without_poses(recording, "poses of the app")
+    return with_poses(recording, poses, without="without a pose")
+
+
+def _camera_of(phone: Phone) -> tuple[Camera, tuple[str, ...]]:
+    """The camera of all frames, and a note where they differ."""
+    if phone.camera:
+        return phone.camera, ()
+    own = np.array([frame.camera[:4] for frame in phone.frames if len(frame.camera) >= 4], dtype=float)
+    if not len(own) or not np.isfinite(own).all():
+        raise DataError(f"{phone.folder} names no camera; give `camera: [fx, fy, cx, cy]`")
+    lens, notes = median_camera(own)
+    return (*lens, *phone.frames[0].camera[4:]), notes
+
+
+def _for_images(phone: Phone, camera: Camera) -> Camera:
+    """The camera for the size that the images have, where its numbers are for another."""
+    headers = (probe(frame.color) for frame in phone.frames)
+    color = next((header for header in headers if header is not None), None)
+    if phone.camera_px is None or color is None or phone.camera_px == (color.width, color.height):
+        return camera
+    across, down = color.width / phone.camera_px[0], color.height / phone.camera_px[1]
+    if abs(across / down - 1) > 0.02:
+        raise DataError(
+            f"{phone.folder}: its camera is for images of {phone.camera_px[0]} x {phone.camera_px[1]} px, "
+            f"but they have {color.width} x {color.height}; give `camera: [fx, fy, cx, cy]` for these"
+        )
+    fx, fy, cx, cy, *distortion = camera
+    return (
+        fx * across,
+        fy * down,
+        (cx + 0.5) * across - 0.5,
+        (cy + 0.5) * down - 0.5,
+        *distortion,
+    )
+
+
+def _trusted(
+    phone: Phone, unit_m: float, given_m: float | None, unpack: Callable[[], Path]
+) -> tuple[list[Pair], float, tuple[str, ...]]:
+    """Rewrite depth images without doubtful pixels; also their unit, and what was done."""
+    pairs = [Pair(frame.index, frame.timestamp_s, frame.color, frame.depth) for frame in phone.frames]
+    marked = any(frame.confidence is not None for frame in phone.frames)
+    if not marked and all(frame.depth.suffix == ".png" for frame in phone.frames):
+        return pairs, unit_m, ()
+    folder, decimal_m = unpack(), None
+    for row, frame in enumerate(phone.frames):
+        try:
+            depth, confident = read_depth_file(frame.depth), read_confidence(frame.confidence)
+        except DataError:  # an empty file in its place: the frame is then left out as unreadable
+            pairs[row] = replace(pairs[row], depth=folder / f"depth/{frame.index:06d}.png")
+            write_bytes(pairs[row].depth, b"")
+            continue
+        if depth.dtype.kind == "f" and decimal_m is None:
+            decimal_m = unit_of_decimals(depth) if given_m is None else given_m
+        units = stored_units(depth, decimal_m if depth.dtype.kind == "f" else None, confident)
+        pairs[row] = replace(pairs[row], depth=write_depth(folder, frame.index, units))
+    return pairs, STORED_UNIT_M if decimal_m else unit_m, (DOUBTED,) if marked else ()
+
+
+def read_confidence(path: Path | None) -> Bool[np.ndarray, "height width"] | None:
+    """Read which pixels of a depth image to trust: all but the lowest of the three levels, 0.
+
+    Apps write the levels as 0, 1, 2 or as 0, 127, 255. None where there is no image.
+
+    Raises:
+        DataError: the image is damaged.
+    """
+    if path is None:
+        return None
+    image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED) if path.is_file() else None
+    if image is None or image.dtype.kind not in "ui":
+        raise DataError(f"{path} is no confidence image, or damaged; copy it again")
+    found: Bool[np.ndarray, "height width"] = (image if image.ndim == 2 else image[..., 0]) > 0
+    return found
+
+
+def arkit_pose(values: Sequence[float]) -> Transform | None:
+    """scene_from_camera in OpenCV's axes of 12 or 16 numbers of ARKit's; None where they are none.
+
+    ARKit's camera has y up and looks along -z (developer.apple.com, ARCamera.transform).
+    """
+    pose = rigid_or_none(values)
+    return None if pose is None else pose @ OPENGL
+
+
+def json_or_empty(path: Path) -> Mapping[str, Any]:
+    """Content of a frame's own file; empty where it is damaged, so that the frame is left out."""
+    try:
+        found = read_json(path)
+    except DataError:
+        return {}
+    return found if isinstance(found, dict) else {}
