@@ -16,6 +16,7 @@ from rpl_data.label.alone import ObjectAlone
 from rpl_data.label.masks import MaskPatch
 from rpl_data.label.occlusion import FAR_M, DepthPatch, Tolerances, depth_agreement
 from rpl_data.label.outline import REACH_PX, moved_by_edges_px, outline_of
+from rpl_data.pose.projection import projected_variance
 from rpl_data.raycast import PixelTable
 from rpl_data.types import DepthImage, GreyImage
 
@@ -58,9 +59,10 @@ def sigma_px(
         NaN for keypoints without a position.
     """
     item = alone.body.item
-    variance = _projected_variance(camera, alone, item.covariance)
+    points, pose = item.model.points_object, alone.camera_from_object
+    variance = projected_variance(camera.intrinsics, pose, points, item.covariance)
     strays = np.broadcast_to(item.strayed_m**2 * np.eye(3), item.covariance.shape)
-    strayed = _projected_variance(camera, alone, strays)
+    strayed = projected_variance(camera.intrinsics, pose, points, strays)
     by_edges_px = _moved_px(camera, alone, visible, depth_m, grey, tolerances)
     if by_edges_px is not None:
         # What the frame itself shows takes the place of how far the scene's poses stray on average.
@@ -119,21 +121,3 @@ def _misplaced_px(
     disagreeing = 1 - depth_agreement(alone.depth_m, visible, measured, tolerances)
     size_px = float(np.sqrt(alone.mask.sum()))
     return UNCOVERED * size_px * max(disagreeing - USUAL_DISAGREEMENT, 0.0)
-
-
-def _projected_variance(
-    camera: PixelTable, alone: ObjectAlone, covariance: Float64[np.ndarray, "k 3 3"]
-) -> Float64[np.ndarray, " k"]:
-    """Variance per axis of each projected keypoint, to first order; the mean of u and v.
-
-    Lens distortion is ignored; it changes the result by a few per cent at most.
-    """
-    intrinsics, pose = camera.intrinsics, alone.camera_from_object
-    x, y, z = transform(pose, alone.body.item.model.points_object).T
-    zero = np.zeros_like(x)
-    with np.errstate(divide="ignore", invalid="ignore"):  # keypoints in the camera's plane are not labelled
-        du = np.array([intrinsics.fx / z, zero, -intrinsics.fx * x / z**2])
-        dv = np.array([zero, intrinsics.fy / z, -intrinsics.fy * y / z**2])
-        derivative = np.array([du, dv]).transpose(2, 0, 1) @ pose[:3, :3]
-        variance: Float64[np.ndarray, " k"] = np.einsum("kij,kjl,kil->k", derivative, covariance, derivative)
-    return variance / 2

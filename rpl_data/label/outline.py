@@ -19,6 +19,7 @@ from jaxtyping import Bool, Float64, Int64
 from rpl_data.geometry import Points
 from rpl_data.label.masks import MaskPatch, Window
 from rpl_data.label.occlusion import DepthPatch, Tolerances
+from rpl_data.pose.projection import projection_by_point
 from rpl_data.raycast import PixelTable
 from rpl_data.types import DepthImage, GreyImage
 
@@ -192,11 +193,8 @@ def _directions(camera: PixelTable, uv_px: Float64[np.ndarray, "n 2"]) -> Points
 def _image_motion(
     camera: PixelTable, points_camera: Points, centre: Float64[np.ndarray, "3"]
 ) -> Float64[np.ndarray, "n 2 6"]:
-    """Derivative of projections by a turn about the centre and a shift; lens distortion is ignored."""
-    x, y, z = points_camera.T
-    zero = np.zeros_like(x)
-    fx, fy = camera.intrinsics.fx, camera.intrinsics.fy
-    by_point = np.array([[fx / z, zero, -fx * x / z**2], [zero, fy / z, -fy * y / z**2]]).transpose(2, 0, 1)
+    """Derivative of projections by a turn about the centre and a shift."""
+    by_point = projection_by_point(camera.intrinsics, points_camera)
     turned = np.cross((points_camera - centre)[:, None], by_point)
     motion: Float64[np.ndarray, "n 2 6"] = np.concatenate([turned, by_point], axis=2)
     return motion

@@ -20,10 +20,10 @@ from rpl_data.pipeline.stages.solve import solve_step, trajectory_sigmas_m
 from rpl_data.pipeline.stages.surface import reporting, sphere_of
 from rpl_data.place.decide import MOST_FREE
 from rpl_data.place.verify import free_share
-from rpl_data.solve.expected import covariance_by_pose, expected_mm, expected_px
+from rpl_data.solve.expected import covariance_by_pose, expected_px
 from rpl_data.solve.joint import joint_clicks
 from rpl_data.solve.register import Registration, register_scene
-from rpl_data.types import DataError, Observation, Placement, PointCloud, Solution
+from rpl_data.types import DataError, Observation, Placement, PointCloud, Solution, expected_mm
 from rpl_data.wording import counted
 
 FUSED_FRAMES = 60

@@ -28,6 +28,7 @@ from rpl_data.solve.click_rays import (
     robust,
     squared_errors,
 )
+from rpl_data.solve.straying import without_straying
 
 COARSE = Noise(click_px=5.0)
 """While positions may be a few centimetres off."""
@@ -138,20 +139,38 @@ def cost_of(
     rays: Rays, state: State, noise: Noise | None = None, scale: float = KERNEL_SCALE_SIGMAS
 ) -> float:
     """Robust cost of a state."""
+    if rays.strayed_m.any():
+        return linearise(rays, state, noise=noise or Noise(), scale=scale).cost
     found = misfit(rays, points_in_cameras(rays, state))
     return float(click_costs(found, noise or Noise(), scale).sum())
 
 
 def linearise(rays: Rays, state: State, *, noise: Noise, scale: float = KERNEL_SCALE_SIGMAS) -> System:
-    """Residuals, their derivatives and their robust weights."""
+    """Residuals, their derivatives and their robust weights; what straying frames share is eliminated."""
     in_camera = points_in_cameras(rays, state)
     found = misfit(rays, in_camera)
     depth_sigma_m = noise.depth_ratio * found.depth_sigma_m
     residual = np.column_stack([found.error_px / noise.click_px, found.depth_error_m / depth_sigma_m])
-    root_weight = 1 / (1 + np.column_stack(squared_errors(found, noise)) / scale**2)
+    root_weight = (1 / (1 + np.column_stack(squared_errors(found, noise)) / scale**2))[:, [0, 0, 1]]
 
     rows = camera_gradient(in_camera, found, rays.pixel_rad * noise.click_px, depth_sigma_m)
     by_scene_point = rows @ rays.camera_from_scene[:, :3, :3]
+    jacobian = _by_unknowns(rays, state, by_scene_point)
+    cost = float(click_costs(found, noise, scale).sum())
+    if rays.strayed_m.any():
+        weight = root_weight[..., None]
+        freed = without_straying(
+            root_weight * residual, weight * jacobian, weight * by_scene_point, rays.strayed_m, rays.frame
+        )
+        residual, jacobian = freed.residual / root_weight, freed.jacobian / weight
+        cost -= freed.relief
+    return System(jacobian, residual, root_weight, cost)
+
+
+def _by_unknowns(
+    rays: Rays, state: State, by_scene_point: Float64[np.ndarray, "m 3 3"]
+) -> Float64[np.ndarray, "m 3 u"]:
+    """Derivatives by all unknowns, from those by the keypoint's position in the scene."""
     poses = state.scene_from_model[rays.scene]
     points = state.points_model[rays.keypoint]
     in_scene = (poses[:, :3, :3] @ points[..., None] + poses[:, :3, 3:])[..., 0]
@@ -165,9 +184,7 @@ def linearise(rays: Rays, state: State, *, noise: Noise, scale: float = KERNEL_S
     jacobian[click, :, 6 * rays.scene[:, None] + np.arange(6)] = by_pose.swapaxes(1, 2)
     of_points = 6 * scenes + 3 * rays.keypoint[:, None] + np.arange(3)
     jacobian[click, :, of_points] = by_point.swapaxes(1, 2)
-    return System(
-        jacobian, residual, root_weight[:, [0, 0, 1]], float(click_costs(found, noise, scale).sum())
-    )
+    return jacobian
 
 
 def camera_gradient(

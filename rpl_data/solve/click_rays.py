@@ -8,13 +8,14 @@ error of a click in the image then does no harm to its depth.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
 from rpl_data.geometry import invert
+from rpl_data.solve.shared_errors import widening
 from rpl_data.types import Observation
 
 NEAREST_DEPTH_M = 0.05
@@ -29,10 +30,6 @@ FARTHER_SURFACE_PENALTY = 3.0
 clicks what can be seen, so the background is taken only when the other clicks insist."""
 REACH_PX = 10.0
 """A candidate's plane is continued this far from its click, no farther."""
-SHARED_VARIANCE = 0.5
-"""Share of a depth's variance that all clicks on one keypoint in one scene have in common: the sensor
-misreads the same corner in the same way in every frame. On rendered objects it is about 0.3, on a real
-desk about 0.7."""
 
 
 class Rays(NamedTuple):
@@ -40,9 +37,12 @@ class Rays(NamedTuple):
 
     Attributes:
         xy: where the ray meets the plane z = 1 of its camera.
-        depth_sigmas_m: widened for what the clicks of one keypoint in one scene share.
+        depth_sigmas_m: widened for what the clicks of one keypoint in one scene share (`shared_errors`).
         widening: by how much.
         depth_slopes_m: derivative of each candidate's depth by `xy`.
+        frame: numbers that tell the frames of all scenes apart.
+        strayed_m: how far the pose of the clicked frame strays, standard deviation per axis; 0 in a scene
+            with clicks in one frame only, where that shifts the whole scene.
     """
 
     scene: Int64[np.ndarray, " m"]
@@ -54,6 +54,8 @@ class Rays(NamedTuple):
     depth_sigmas_m: Float64[np.ndarray, "m c"]
     depth_slopes_m: Float64[np.ndarray, "m c 2"]
     widening: Float64[np.ndarray, " m"]
+    frame: Int64[np.ndarray, " m"]
+    strayed_m: Float64[np.ndarray, " m"]
 
     def of(self, chosen: Bool[np.ndarray, " m"]) -> Rays:
         """The rays of some clicks."""
@@ -90,8 +92,16 @@ class Misfit(NamedTuple):
     surface: Int64[np.ndarray, "*b m"]
 
 
-def rays_of(observations: Sequence[Observation], scenes: Sequence[str]) -> Rays:
-    """Observations as arrays."""
+def rays_of(
+    observations: Sequence[Observation],
+    scenes: Sequence[str],
+    trajectory_sigma_m: Mapping[str, float] | None = None,
+) -> Rays:
+    """Observations as arrays.
+
+    Args:
+        trajectory_sigma_m: how far the poses of each scene stray, standard deviation per axis; 0 when absent.
+    """
     number = {name: s for s, name in enumerate(scenes)}
     most = max((len(o.depths_m) for o in observations), default=0)
     shape = (len(observations), max(most, 1))
@@ -103,7 +113,14 @@ def rays_of(observations: Sequence[Observation], scenes: Sequence[str]) -> Rays:
             slopes[m, : len(o.depths_m)] = o.depth_slopes_m
     scene = np.array([number[o.click.scene] for o in observations], dtype=np.int64)
     keypoint = np.array([o.click.keypoint for o in observations], dtype=np.int64)
-    widening = _widening(scene, keypoint)
+    frame = np.unique(
+        np.column_stack([scene, [o.click.frame for o in observations]]), axis=0, return_inverse=True
+    )[1].ravel()
+    frames_of = np.array([len(np.unique(frame[scene == s])) for s in range(len(scenes))])
+    strayed_m = trajectory_sigma_m or {}
+    directions = np.stack([o.scene_from_camera[:3, :3] @ o.ray_camera for o in observations])
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    widened = widening(scene, keypoint, directions)
     return Rays(
         scene=scene,
         keypoint=keypoint,
@@ -111,25 +128,12 @@ def rays_of(observations: Sequence[Observation], scenes: Sequence[str]) -> Rays:
         xy=np.stack([o.ray_camera[:2] for o in observations]),
         pixel_rad=np.array([o.pixel_rad for o in observations]),
         depths_m=depths,
-        depth_sigmas_m=sigmas * widening[:, None],
+        depth_sigmas_m=sigmas * widened[:, None],
         depth_slopes_m=slopes,
-        widening=widening,
+        widening=widened,
+        frame=frame,
+        strayed_m=np.array([strayed_m.get(name, 0.0) for name in scenes])[scene] * (frames_of[scene] > 1),
     )
-
-
-def _widening(scene: Int64[np.ndarray, " m"], keypoint: Int64[np.ndarray, " m"]) -> Float64[np.ndarray, " m"]:
-    """By how much to widen each depth's deviation, so that n clicks that err together weigh as they should.
-
-    The mean of n errors with variance 1, of which `SHARED_VARIANCE` is common to all, has the variance
-    (1 - shared) / n + shared; n independent errors of variance (1 - shared) + n * shared have the same.
-    """
-    _, group, counts = np.unique(
-        np.column_stack([scene, keypoint]), axis=0, return_inverse=True, return_counts=True
-    )
-    widening: Float64[np.ndarray, " m"] = np.sqrt(
-        1 - SHARED_VARIANCE + counts[group.ravel()] * SHARED_VARIANCE
-    )
-    return widening
 
 
 def misfit(rays: Rays, in_camera: Float64[np.ndarray, "*b m 3"]) -> Misfit:

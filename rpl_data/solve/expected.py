@@ -1,4 +1,4 @@
-"""The error to be expected of a scene's labels, in millimetres and in pixels."""
+"""The error to be expected of a scene's labels in pixels, and of keypoints where only the pose was found."""
 
 from __future__ import annotations
 
@@ -6,13 +6,9 @@ import numpy as np
 from jaxtyping import Float64
 
 from rpl_data.geometry import NEAREST_M, invert, transform
+from rpl_data.pose.projection import projected_variance
 from rpl_data.solve.bundle_adjustment import cross_matrices
 from rpl_data.types import Intrinsics
-
-
-def expected_mm(covariance_in_scene: Float64[np.ndarray, "k 3 3"]) -> float:
-    """Root mean square error of the keypoints in space; NaN rows, of unknown keypoints, do not count."""
-    return 1e3 * float(np.sqrt(np.nanmean(np.trace(covariance_in_scene, axis1=1, axis2=2))))
 
 
 def expected_px(
@@ -29,15 +25,13 @@ def expected_px(
     known = np.isfinite(points_scene).all(axis=1)
     squares = []
     for camera_from_scene in invert(scene_from_camera):
-        x, y, z = transform(camera_from_scene, points_scene[known]).T
-        ahead = z > NEAREST_M
-        slope = np.zeros((int(ahead.sum()), 2, 3))
-        slope[:, 0, 0] = intrinsics.fx / z[ahead]
-        slope[:, 1, 1] = intrinsics.fy / z[ahead]
-        slope[:, 0, 2] = -intrinsics.fx * x[ahead] / z[ahead] ** 2
-        slope[:, 1, 2] = -intrinsics.fy * y[ahead] / z[ahead] ** 2
-        by_point = slope @ camera_from_scene[:3, :3]
-        squares.append(np.einsum("kij,kjl,kil->k", by_point, covariance_in_scene[known][ahead], by_point))
+        ahead = transform(camera_from_scene, points_scene[known])[:, 2] > NEAREST_M
+        squares.append(
+            2
+            * projected_variance(
+                intrinsics, camera_from_scene, points_scene[known][ahead], covariance_in_scene[known][ahead]
+            )
+        )
     return float(np.sqrt(np.concatenate(squares).mean()))
 
 

@@ -22,6 +22,8 @@ from rpl_data.solve.noise import (
     joint_covariance,
     points_in_scene_covariance,
     shape_covariance,
+    widened_for_all_scenes,
+    with_shared_errors,
 )
 from rpl_data.solve.residuals import click_fit, click_residuals
 from rpl_data.types import Observation, Solution
@@ -107,7 +109,8 @@ class JointClicks:
         if held:  # the covariance of a given model in a scene is dominated by the model: it stays
             placed = dict(zip(self.scenes, state.scene_from_model, strict=True))
             return replace(self.solution, scene_from_object=placed, residuals=residuals)
-        joint = inverse_normal(normal, scenes=len(self.scenes), hold_points=False)
+        inverse = inverse_normal(normal, scenes=len(self.scenes), hold_points=False)
+        joint = with_shared_errors(inverse, self.rays, state, noise=self.noise)
         besides = self._variances_besides_clicks(settled)
         in_first = transform(state.scene_from_model[0], state.points_model)
         first_from_object = rigid(np.eye(3), in_first[known].mean(axis=0))
@@ -165,8 +168,9 @@ def joint_clicks(
     scenes = tuple(sorted(solution.scene_from_object))
     known = solution.model.known
     used = tuple(o for o in observations if o.click.scene in scenes and known[o.click.keypoint])
-    rays = rays_of(used, scenes)
+    rays = rays_of(used, scenes, solution.trajectory_sigma_m)
     points = np.nan_to_num(solution.model.points_object)
+    rays = widened_for_all_scenes(rays, State(_stacked(solution, scenes), points))
     if solution.click_sigma_px is not None and solution.depth_sigma_ratio is not None:
         noise = Noise(solution.click_sigma_px, solution.depth_sigma_ratio)
     else:

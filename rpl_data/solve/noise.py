@@ -4,6 +4,9 @@ The variances of clicks and of depths are two components of one adjustment. Each
 residuals of its group and their redundancy, the degrees of freedom that the unknowns leave to them
 (Förstner, "Ein Verfahren zur Schätzung von Varianz- und Kovarianzkomponenten", 1979). With few clicks
 the redundancy is small, so a prior, what is usual for a hand and a sensor, counts as a few residuals more.
+
+Depths of one keypoint seen from one side err together (`shared_errors`). The adjustment follows such an
+error, so it hardly shows in the residuals, and more clicks do not lower it: both are reckoned with here.
 """
 
 from __future__ import annotations
@@ -19,13 +22,17 @@ from rpl_data.solve.bundle_adjustment import (
     linearise,
 )
 from rpl_data.solve.click_rays import Noise, Rays
+from rpl_data.solve.shared_errors import shared_errors
 
-USUAL = Noise(click_px=2.0, depth_ratio=1.0)
-"""What is expected before anything is known: a hand that clicks to 2 px, depths as good as stated."""
+USUAL = Noise(click_px=2.0, depth_ratio=1.5)
+"""What is expected before anything is known: a hand that clicks to 2 px, and depths between those of
+rendered recordings (as good as stated) and those at the corners of a real cube (twice as bad)."""
 PRIOR_RESIDUALS = 3.0
 """The prior counts as much as this many residuals."""
 SMALLEST, LARGEST = Noise(0.25, 0.4), Noise(10.0, 6.0)
 """Bounds of the estimate; beyond them the model of the noise is wrong, not its size."""
+NOISE_STAYS = 0.02
+"""Relative change at which the estimate has come to rest."""
 HIDDEN_BY_WEIGHTS = (0.745, 0.733)
 """Weighted mean square of normal residuals of variance 1 under Geman-McClure's weights at 3 sigmas: of
 pixels (two dimensions), of depths (one)."""
@@ -35,18 +42,23 @@ is nearly as good as that by least squares (Huber, Robust Statistics, 1981, sect
 
 
 def adjust_with_noise(
-    rays: Rays, state: State, *, prior: Noise = USUAL, hold_points: bool = False, rounds: int = 3
+    rays: Rays, state: State, *, prior: Noise = USUAL, hold_points: bool = False, most_rounds: int = 20
 ) -> tuple[State, Noise]:
-    """Descend, estimate the noise, and descend again with it.
+    """Descend, estimate the noise, and descend again with it, until it stays.
+
+    A few rounds are not enough where depths err together: at first they are believed and leave small
+    residuals, and only as they lose weight do the rays show how far off they are.
 
     Args:
         prior: the noise expected before the residuals are seen.
         hold_points: move the scenes only; the model is known.
     """
     noise = Noise()
-    for _ in range(rounds):
+    for _ in range(most_rounds):
         state = descend(rays, state, noise=noise, hold_points=hold_points)
-        noise = estimate_noise(rays, state, noise=noise, prior=prior, hold_points=hold_points)
+        before, noise = noise, estimate_noise(rays, state, noise=noise, prior=prior, hold_points=hold_points)
+        if np.allclose(noise, before, rtol=NOISE_STAYS):
+            break
     return descend(rays, state, noise=noise, hold_points=hold_points), noise
 
 
@@ -62,9 +74,13 @@ def estimate_noise(
     """
     system = linearise(rays, state, noise=noise)
     weight = system.root_weight**2
-    leverage = _leverage(system, scenes=len(state.scene_from_model), hold_points=hold_points)
+    weighted = system.root_weight[..., None] * system.jacobian
+    inverse = _inverse(weighted, scenes=len(state.scene_from_model), hold_points=hold_points)
+    leverage = ((weighted @ inverse) * weighted).sum(axis=-1)
+    shared = system.root_weight[:, 2:] * _shared_beyond_stated(rays, state) * system.root_weight[:, 2]
+    redundancy = weight * (1 - leverage) + _left_of_shared(weighted, inverse, shared)
     measured = np.isfinite(rays.depths_m[:, 0])
-    squares, redundancy = weight * system.residual**2, weight * (1 - leverage)
+    squares = weight * system.residual**2
     click = _variance(
         squares[:, :2].sum() / HIDDEN_BY_WEIGHTS[0],
         redundancy[:, :2].sum(),
@@ -72,10 +88,10 @@ def estimate_noise(
         usual=prior.click_px,
     )
     # What clicks share widens their deviation, but not how far each of them is off.
-    depth_squares = (squares[:, 2] * rays.widening**2)[measured].sum()
+    own = rays.widening[measured] ** 2
     depth = _variance(
-        depth_squares / HIDDEN_BY_WEIGHTS[1],
-        redundancy[measured, 2].sum(),
+        float(own @ squares[measured, 2]) / HIDDEN_BY_WEIGHTS[1],
+        float(own @ redundancy[measured, 2]),
         now=noise.depth_ratio,
         usual=prior.depth_ratio,
     )
@@ -90,12 +106,49 @@ def _variance(squares: float, redundancy: float, *, now: float, usual: float) ->
     return float((PRIOR_RESIDUALS * usual**2 + now**2 * squares) / (PRIOR_RESIDUALS + redundancy))
 
 
-def _leverage(system: System, *, scenes: int, hold_points: bool) -> Float64[np.ndarray, "m 3"]:
-    """How much of each residual the unknowns take up, 0 to 1."""
-    weighted = system.root_weight[..., None] * system.jacobian
-    inverse = _inverse(weighted, scenes=scenes, hold_points=hold_points)
-    leverage: Float64[np.ndarray, "m 3"] = ((weighted @ inverse) * weighted).sum(axis=-1)
-    return leverage
+def _shared_beyond_stated(rays: Rays, state: State) -> Float64[np.ndarray, "m m"]:
+    """Covariance of the depth errors less what the adjustment takes it for, in its own units.
+
+    The adjustment takes them for independent, with the widened deviations.
+    """
+    shared = shared_errors(rays.keypoint, _directions_in_model(rays, state))
+    beyond: Float64[np.ndarray, "m m"] = shared / np.outer(rays.widening, rays.widening) - np.eye(len(shared))
+    return beyond
+
+
+def widened_for_all_scenes(rays: Rays, state: State) -> Rays:
+    """The rays, their depths widened for what the clicks of a keypoint share in all scenes together.
+
+    From which side each scene sees the object is known once the scenes are placed.
+    """
+    widened = np.sqrt(shared_errors(rays.keypoint, _directions_in_model(rays, state)).sum(axis=1))
+    sigmas_m = rays.depth_sigmas_m * (widened / rays.widening)[:, None]
+    return rays._replace(depth_sigmas_m=sigmas_m, widening=widened)
+
+
+def _directions_in_model(rays: Rays, state: State) -> Float64[np.ndarray, "m 3"]:
+    """Unit vectors along the clicked rays, in the model's frame."""
+    camera_from_model = (rays.camera_from_scene @ state.scene_from_model[rays.scene])[:, :3, :3]
+    in_camera = np.column_stack([rays.xy, np.ones(len(rays.xy))])
+    directions = (in_camera[:, None] @ camera_from_model)[:, 0]
+    unit: Float64[np.ndarray, "m 3"] = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    return unit
+
+
+def _left_of_shared(
+    weighted: Float64[np.ndarray, "m 3 u"],
+    inverse: Float64[np.ndarray, "u u"],
+    shared: Float64[np.ndarray, "m m"],
+) -> Float64[np.ndarray, "m 3"]:
+    """What a covariance of the depths adds to the expected squares of the residuals after the adjustment.
+
+    The diagonal of M S M for the residual-forming M = 1 - J N^-1 J', with S in the rows of the depths only.
+    """
+    pulled = inverse @ weighted[:, 2].T @ shared
+    spread = pulled @ weighted[:, 2] @ inverse
+    left: Float64[np.ndarray, "m 3"] = ((weighted @ spread) * weighted).sum(axis=-1)
+    left[:, 2] += np.diag(shared) - 2 * (weighted[:, 2] * pulled.T).sum(axis=1)
+    return left
 
 
 def _inverse(
@@ -132,11 +185,35 @@ def joint_covariance(
     Only what does not depend on the frame may be read from it: `points_in_scene_covariance` and
     `shape_covariance`.
     """
-    system = linearise(rays, state, noise=noise)
-    information = system.root_weight * np.sqrt(np.array(INFORMATION_PER_WEIGHT)[[0, 0, 1]])
-    return _inverse(
-        information[..., None] * system.jacobian, scenes=len(state.scene_from_model), hold_points=hold_points
+    root = _root_information(linearise(rays, state, noise=noise))
+    inverse = _inverse(root, scenes=len(state.scene_from_model), hold_points=hold_points)
+    return with_shared_errors(inverse, rays, state, noise=noise)
+
+
+def with_shared_errors(
+    inverse: Float64[np.ndarray, "u u"], rays: Rays, state: State, *, noise: Noise
+) -> Float64[np.ndarray, "u u"]:
+    """Covariance of the unknowns from the inverse of their normal matrix, with depths that err together.
+
+    An adjustment that takes errors for independent answers N^-1 J' e; the covariance of that is
+    N^-1 J' S J N^-1 for any covariance S of the errors e (White, Econometrica 48, 1980).
+
+    Args:
+        inverse: of the normal matrix of the clicks, or of the clicks and more (`inverse_normal`).
+    """
+    by_depths = inverse @ _root_information(linearise(rays, state, noise=noise))[:, 2].T
+    covariance: Float64[np.ndarray, "u u"] = (
+        inverse + by_depths @ _shared_beyond_stated(rays, state) @ by_depths.T
     )
+    return covariance
+
+
+def _root_information(system: System) -> Float64[np.ndarray, "m 3 u"]:
+    """Jacobian times the square roots of the information of each residual."""
+    root: Float64[np.ndarray, "m 3 u"] = (
+        system.root_weight * np.sqrt(np.array(INFORMATION_PER_WEIGHT)[[0, 0, 1]])
+    )[..., None] * system.jacobian
+    return root
 
 
 def points_in_scene_covariance(

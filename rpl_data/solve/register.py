@@ -93,7 +93,8 @@ def register_scene(
     candidates = {k: p for k, p in hypotheses_of_scene(observations).items() if model.known[k]}
     _refuse_few(model, scene, sorted(candidates))
     usable = [o for o in observations if model.known[o.click.keypoint]]
-    rays, points = rays_of(usable, [scene]), np.nan_to_num(model.points_object)
+    rays = rays_of(usable, [scene], {scene: trajectory_sigma_m})
+    points = np.nan_to_num(model.points_object)
     poses = likely_poses(rays, points, candidates, known_poses=np.zeros((0, 4, 4)), samples=600)
     if not len(poses.cost):
         raise DataError(

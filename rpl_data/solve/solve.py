@@ -37,6 +37,7 @@ from rpl_data.solve.noise import (
     joint_covariance,
     points_in_scene_covariance,
     shape_covariance,
+    widened_for_all_scenes,
 )
 from rpl_data.solve.procrustes import Adjusted, Fragments, Loss, adjust_points
 from rpl_data.solve.refusals import refuse_bad, refuse_loose, refuse_untied
@@ -122,7 +123,9 @@ def solve_unchecked(
         observations = [at_clicked_pixel(o) for o in observations]
         answer, searched = _papers_answer(object_name, keypoints, observations, scenes), None
     else:
-        answer, searched = _robust_answer(object_name, keypoints, observations, scenes)
+        answer, searched = _robust_answer(
+            object_name, keypoints, observations, scenes, trajectory_sigma_m or {}
+        )
     finish = partial(
         _solution, object_name, keypoints, skeleton, observations, trajectory_sigma_m=trajectory_sigma_m or {}
     )
@@ -163,8 +166,12 @@ def _robust_answer(
     keypoints: Sequence[str],
     observations: Sequence[Observation],
     scenes: Sequence[str],
+    trajectory_sigma_m: Mapping[str, float],
 ) -> tuple[_Answer, Callable[[GoOn], _Answer]]:
-    """Rays and candidate depths adjusted together: from one start, and by a search from several."""
+    """Rays and candidate depths adjusted together: from one start, and by a search from several.
+
+    The search takes the poses of the frames as they are, which is quicker.
+    """
     groups = [hypotheses_of_scene([o for o in observations if o.click.scene == s]) for s in scenes]
     refuse_untied(object_name, groups, scenes, keypoints)
     clicked = np.array([[k in group for k in range(len(keypoints))] for group in groups])
@@ -172,13 +179,18 @@ def _robust_answer(
     refuse_loose(object_name, starts[0].points_model, clicked, scenes, keypoints)
     first = cheapest_of(rays, groups, starts)
     known = np.asarray(clicked.any(axis=0))
-    answer = _Answer(scenes, rays, *adjust_with_noise(rays, first), known, ())
+
+    def adjusted(state: State, alternatives: Sequence[Alternative]) -> _Answer:
+        straying = widened_for_all_scenes(rays_of(observations, scenes, trajectory_sigma_m), state)
+        return _Answer(scenes, straying, *adjust_with_noise(straying, state), known, alternatives)
+
+    answer = adjusted(first, ())
 
     def searched(go_on: GoOn) -> _Answer:
         found = search(rays, groups, first, go_on=go_on)
         if found.state is first:
             return answer._replace(alternatives=found.alternatives)
-        return _Answer(scenes, rays, *adjust_with_noise(rays, found.state), known, found.alternatives)
+        return adjusted(found.state, found.alternatives)
 
     return answer, searched
 

@@ -34,6 +34,7 @@ from rpl_data.types.solution import (
     Solution,
     Statement,
     StatementKind,
+    expected_mm,
 )
 from rpl_data.types.surfaces import Mesh, PointCloud
 
@@ -74,4 +75,5 @@ __all__ = [
     "StatementKind",
     "Trajectory",
     "UnsureError",
+    "expected_mm",
 ]

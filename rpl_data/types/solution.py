@@ -142,6 +142,11 @@ class Placement:
     next_clicks: tuple[NextClick, ...] = ()
 
 
+def expected_mm(covariance_in_scene: Float64[np.ndarray, "k 3 3"]) -> float:
+    """Root mean square error of the keypoints in space; NaN rows, of unknown keypoints, do not count."""
+    return 1e3 * float(np.sqrt(np.nanmean(np.trace(covariance_in_scene, axis1=1, axis2=2))))
+
+
 @dataclass(frozen=True)
 class Solution:
     """The solution of Eq. 2: the sparse model and the object's pose in every scene.
@@ -184,10 +189,7 @@ class Solution:
     @property
     def expected_mm(self) -> dict[str, float]:
         """Expected error of the keypoints in each scene, in space: root mean square over the keypoints."""
-        return {
-            name: 1e3 * float(np.sqrt(np.nanmean(np.trace(found, axis1=1, axis2=2))))
-            for name, found in self.covariance_in_scene.items()
-        }
+        return {name: expected_mm(found) for name, found in self.covariance_in_scene.items()}
 
     def covariance_at(self, scene: str) -> Float64[np.ndarray, "k 3 3"]:
         """Covariance of each keypoint's position in that scene, in m^2, along the axes of the object frame.

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from rpl_data.clicks.lift import (
+    BEND_SHARE,
     EDGE_SIGMA_M,
     LIFT_SIGMA_M,
     SLOPE_SIGMA_PX,
@@ -130,6 +131,34 @@ def test_a_far_surface_is_less_sure_and_continued_as_a_plane():
     assert sigmas[0] == pytest.approx(
         np.sqrt(0.0015**2 + LIFT_SIGMA_M**2 + EDGE_SIGMA_M**2 + slope_m**2 + (5 * 0.7 / 600) ** 2), rel=0.01
     )
+
+
+def test_across_a_hole_a_steep_surface_is_less_sure():
+    """The same hole of 5 px; the surface beside it changes by 1.2 m of depth per metre across."""
+    columns = np.mgrid[0:480, 0:640][1]
+    flat, steep = (
+        candidate_surfaces(
+            np.where(columns >= 206, 0.7 / (1 - slope * (columns - 200) / 600), 0).astype(np.float32),
+            200.0, 50.0, pixel_rad=1 / 600,
+        )
+        for slope in (0.0, 1.2)
+    )  # fmt: skip
+    gap_m, found = 5 * 0.7 / 600, float(np.hypot(*steep.slopes_m[0])) / steep.depths_m[0]
+    sloping_m = SLOPE_SIGMA_PX * found * steep.depths_m[0] / 600
+    wider = steep.sigmas_m[0] ** 2 - flat.sigmas_m[0] ** 2
+    assert wider == pytest.approx((gap_m * found) ** 2 + sloping_m**2, rel=0.15)
+
+
+def test_two_faces_rounded_into_one_are_no_plane():
+    """A ridge whose sides fall by 45 degrees: beside it the pixels lie below any plane through it."""
+    columns = np.mgrid[0:480, 0:640][1]
+    ridge = (0.7 + np.abs(columns - 200) * 0.7 / 600).astype(np.float32)
+    found = candidate_surfaces(ridge, 200.0, 50.0, pixel_rad=1 / 600)
+    flat = candidate_surfaces(np.full((480, 640), 0.7, np.float32), 200.0, 50.0, pixel_rad=1 / 600)
+    bend_m = np.sqrt(found.sigmas_m[0] ** 2 - flat.sigmas_m[0] ** 2) / BEND_SHARE
+    # The distance from the ridge has this standard deviation under the weights 2^-(r^2 / 25).
+    sigma_px = 5 / np.sqrt(2 * np.log(2))
+    assert bend_m == pytest.approx(sigma_px * np.sqrt(1 - 2 / np.pi) * 0.7 / 600, rel=0.1)
 
 
 @pytest.mark.parametrize("angle_deg", [0.0, 45.0, 65.0])

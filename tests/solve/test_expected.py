@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from rpl_data.solve.expected import covariance_by_pose, expected_mm, expected_px
-from rpl_data.types import Intrinsics
+from rpl_data.solve.expected import covariance_by_pose, expected_px
+from rpl_data.types import Intrinsics, expected_mm
 
 CAMERA = Intrinsics(600.0, 600.0, 320.0, 240.0, 640, 480)
 

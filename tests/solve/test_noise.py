@@ -3,12 +3,14 @@
 import numpy as np
 import pytest
 from clicked_scenes import CUBE, NAMES, cameras, click_scene, pose
+from scipy.spatial.transform import Rotation
 
-from rpl_data.geometry import invert, transform
+from rpl_data.geometry import fit_rigid, invert, rigid, transform
 from rpl_data.solve.bundle_adjustment import State, linearise, moved
 from rpl_data.solve.click_rays import Noise, misfit, rays_of
 from rpl_data.solve.noise import joint_covariance, points_in_scene_covariance, shape_covariance
-from rpl_data.solve.solve import register_scene, solve
+from rpl_data.solve.solve import register_scene, solve, solve_unchecked
+from rpl_data.solve.straying import without_straying
 from rpl_data.types import KeypointModel
 
 DEPTH_SIGMA_M = 0.0025
@@ -146,10 +148,63 @@ def test_a_keypoint_beside_its_click_on_a_slanted_plane_has_no_depth_error():
     assert found.error_px[0] == pytest.approx([3.0, 0.0])
 
 
-def test_clicks_that_share_an_error_weigh_as_one_for_that_share():
-    """Three clicks, half of whose variance is common: (1/2) / 3 + 1/2 = 2/3 of it remains in the mean."""
+@pytest.mark.parametrize(("spread_rad", "remains"), [(0.0, 2 / 3), (3.0, 1 / 3)])
+def test_clicks_that_share_an_error_weigh_as_one_for_that_share(spread_rad, remains):
+    """Three clicks from one side share half of their variance, and in the mean (1/2) / 3 + 1/2 remains.
+
+    From three sides they share nothing.
+    """
     observations = click_scene(
-        "00", CUBE, pose(np.random.default_rng(9)), cameras(3), np.random.default_rng(9)
+        "00", CUBE, pose(np.random.default_rng(9)), cameras(3, spread_rad), np.random.default_rng(9)
     )
     sigmas = rays_of(observations, ["00"]).depth_sigmas_m[:, 0]
-    assert sigmas**2 / 3 == pytest.approx(DEPTH_SIGMA_M**2 * 2 / 3)
+    assert sigmas**2 / 3 == pytest.approx(DEPTH_SIGMA_M**2 * remains, rel=0.02)
+
+
+def scenes_from_one_side(random, depth_ratio):
+    """Four scenes that see the object from one side; their depths share half of their variance."""
+    front = pose(np.random.default_rng(10))
+    shared = random.normal(0, np.sqrt(0.5), len(CUBE))
+    truth, observations = {}, []
+    for s in range(4):
+        turn = rigid(Rotation.from_rotvec(random.normal(0, 0.05, 3)).as_matrix(), np.zeros(3))
+        truth[f"{s:02d}"] = front @ turn
+        observations += click_scene(
+            f"{s:02d}", CUBE, front @ turn, cameras(1), random, noise_px=1.5,
+            depths=lambda k, f, z: [
+                z + depth_ratio * DEPTH_SIGMA_M * (shared[k] + random.normal(0, np.sqrt(0.5)))
+            ],
+        )  # fmt: skip
+    return truth, observations
+
+
+@pytest.mark.parametrize("depth_ratio", [1.0, 2.0])
+def test_the_covariance_holds_where_all_clicks_err_together(depth_ratio):
+    random = np.random.default_rng(11)
+    ratios, found = [], []
+    for _ in range(8):
+        _, observations = scenes_from_one_side(random, depth_ratio)
+        solution = solve_unchecked("cube", NAMES, observations).solution
+        moved_back = transform(fit_rigid(CUBE, solution.model.points_object), solution.model.points_object)
+        stated = np.trace(solution.covariance, axis1=1, axis2=2).mean()
+        ratios.append(((moved_back - CUBE) ** 2).sum(axis=1).mean() / stated)
+        found.append(solution.depth_sigma_ratio)
+    assert 0.8 < np.sqrt(np.mean(ratios)) < 1.25
+    assert 0.8 < np.mean(found) / depth_ratio < 1.4  # the prior is 1.5
+
+
+def test_what_the_clicks_of_a_straying_frame_share_is_eliminated():
+    """Against generalised least squares written out: covariance 1 + s^2 B B' within each frame."""
+    random = np.random.default_rng(12)
+    by_shift, residual = random.normal(0, 300, (5, 3, 3)), random.normal(0, 1, (5, 3))
+    frame, strayed_m = np.array([0, 1, 0, 1, 2]), np.array([0.003, 0.002, 0.003, 0.002, 0.0])
+    unit = np.eye(15).reshape(5, 3, 15)
+    found = without_straying(residual, unit, by_shift, strayed_m, frame)
+    rows = by_shift.reshape(15, 3)
+    same = np.repeat(np.repeat(frame[:, None] == frame, 3, axis=0), 3, axis=1)
+    covariance = np.eye(15) + np.repeat(strayed_m, 3)[:, None] ** 2 * (rows @ rows.T) * same
+    whitening = found.jacobian.reshape(15, 15)
+    np.testing.assert_allclose(whitening @ covariance @ whitening.T, np.eye(15), atol=1e-9)
+    np.testing.assert_allclose(found.residual.ravel(), whitening @ residual.ravel(), atol=1e-12)
+    assert found.relief == pytest.approx((residual**2).sum() - (found.residual**2).sum())
+    np.testing.assert_array_equal(found.residual[4], residual[4])

@@ -27,7 +27,7 @@ from rpl_data.types import (
 )
 from rpl_data.workspace.workspace import Workspace
 
-VERSION = 4
+VERSION = 5
 """Raised when the stage writes something else for the same input; its steps then run again."""
 STRAYED_SHARE = 0.35
 """Standard deviation of drifting poses about their middle, per axis, as a share of what the meter reads."""
