@@ -2,40 +2,32 @@
 
 A camera path is right for a whole image; where the camera moves fast, it is not for the rows that show the
 object, which a rolling shutter takes at another moment, and blur misleads it. So the label of each frame is
-aligned to the print that the slowest frames with a similar view show of the object (`print_alignment`). Those
-frames keep their poses. Another frame's correction is believed where parts of the print that were left out of
-it agree with it, and where it matters; else the label keeps the pose that the trajectory gives it.
+aligned to the print that the slowest frames with a similar view show of the object (`references`,
+`print_alignment`). Its correction is believed where parts of the print that were left out of it agree with
+it, and where it matters; else the label keeps the pose that the trajectory gives it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from rpl_data.geometry import Points, Transform, invert, transform
+from rpl_data.geometry import Points, Transform, transform
 from rpl_data.label.alone import Body, ObjectAlone, SceneObject, object_alone
 from rpl_data.label.masks import MaskPatch
 from rpl_data.label.motion import Motion
-from rpl_data.label.occlusion import FAR_M, DepthPatch, Tolerances, hidden_pixels
-from rpl_data.label.print_alignment import Prior, align_print, disagreements
-from rpl_data.label.prints import FEWEST_POINTS, Look, Print, look_at, print_of
+from rpl_data.label.occlusion import DepthPatch, Tolerances, hidden_pixels
+from rpl_data.label.print_alignment import align_print, disagreements
+from rpl_data.label.prints import FEWEST_POINTS, Look, Print, look_at
+from rpl_data.label.references import Reference, Sight, choose_references, prior_of, settled, view_direction
 from rpl_data.raycast import PixelTable
 from rpl_data.types import DepthImage, Frame, GreyImage, ReadDepth, Scene, Trajectory
 
-APART_DEG = 12.0
-"""Views of an object that differ by less than this need one reference between them."""
 NEAREST = 2
 """References that a frame is aligned to: those with the most similar views."""
-TIMING_SIGMA_S = 0.012
-"""A frame's pose is that of another moment by about this much: of the object's rows, of the depth image, or
-of another device. How far the object moves in that time is how far its label may be off. It bounds
-corrections only: a third of it and three times as much gave the same on a real recording."""
-STILL_M, STILL_RAD = 0.001, np.deg2rad(0.15)
-"""How far off the pose of a still camera may be, standard deviation per axis."""
 BLOCK_M = 0.012
 """Parts of the print that are left out are blocks of this edge, a chessboard of them."""
 GAIN_SIGMAS = 1.645
@@ -64,14 +56,6 @@ class Correction:
         return self.gain_sigmas >= GAIN_SIGMAS and self.moved_px >= LEAST_MOVED_PX
 
 
-class Reference(NamedTuple):
-    """A slow frame that others are aligned to: its number, the direction of its view, and its print."""
-
-    frame: int
-    view: Float64[np.ndarray, "3"]
-    print: Print
-
-
 @dataclass(frozen=True)
 class FrameCorrector:
     """Corrects the labels of one scene.
@@ -94,41 +78,40 @@ class FrameCorrector:
         depth_m: DepthImage,
         grey: GreyImage,
         tolerances: Tolerances,
-    ) -> tuple[list[ObjectAlone], dict[str, float]]:
-        """The objects of a frame at their corrected poses, and by how many pixels which of them were moved.
+    ) -> tuple[list[ObjectAlone], list[Correction | None]]:
+        """The objects of a frame where they are corrected to, and what the frame says of each.
 
         Args:
             others_m: for each object, the depth of the nearest other one in its window.
         """
-        result, moved_px = [], {}
+        result, found = [], []
         for alone, other_m in zip(objects_alone, others_m, strict=True):
             hidden = hidden_pixels(alone.depth_m, other_m, depth_m[alone.window], tolerances)
-            found = self.correction(frame, alone, alone.mask & ~hidden, grey)
+            correction = self.correction(frame, alone, alone.mask & ~hidden, grey)
             there = None
-            if found is not None and (found.believed or self.unproven):
-                there = object_alone(self.camera, alone.body, found.camera_from_object)
-            if found is not None and there is not None:
-                moved_px[alone.body.item.model.name] = found.moved_px
+            if correction is not None and (correction.believed or self.unproven):
+                there = object_alone(self.camera, alone.body, correction.camera_from_object)
             result.append(there or alone)
-        return result, moved_px
+            found.append(correction)
+        return result, found
 
     def correction(
         self, frame: int, alone: ObjectAlone, visible: MaskPatch, grey: GreyImage
     ) -> Correction | None:
-        """The correction of an object's label in a frame; None for a reference, or without a print.
+        """The correction of an object's label in a frame; None without a print.
 
         Args:
             visible: the object's pixels that nothing hides, in its window.
         """
         item, pose = alone.body.item, alone.camera_from_object
         references = self.references.get(item.model.name, ())
-        if any(one.frame == frame for one in references) or np.count_nonzero(visible) < FEWEST_POINTS:
+        if not references or np.count_nonzero(visible) < FEWEST_POINTS:
             return None
         view = view_direction(pose)
         nearest = sorted(references, key=lambda one: -float(one.view @ view))[:NEAREST]
         prints = [one.print for one in nearest]
         look = look_at(grey, alone, visible)
-        prior = _prior(self.camera, alone, self.motion.speed_px_s(self.camera, frame, item))
+        prior = prior_of(self.camera, alone, self.motion.speed_px_s(self.camera, frame, item))
         middle = np.nanmean(item.model.points_object, axis=0)
         corrected = align_print(self.camera, look, prints, middle, prior)
         black = [_chessboard(one.points) for one in prints]
@@ -160,34 +143,14 @@ def frame_corrector(
         unproven: as in `FrameCorrector`.
     """
     camera, motion = PixelTable.of(scene.intrinsics), Motion.of(scene, trajectory)
-    tolerances = tolerances or Tolerances()
-    found: dict[str, list[Reference]] = {}
     usable = [frame for frame in frames if frame.depth is not None]
+    found = {}
     for item in items:
-        body = Body.of(item)
-        references = found.setdefault(item.model.name, [])
-        for frame in sorted(usable, key=lambda one: motion.speed_px_s(camera, one.index, item)):
-            pose = invert(trajectory.at(frame.index)) @ item.scene_from_object
-            view = view_direction(pose)
-            if any(one.view @ view > np.cos(np.deg2rad(APART_DEG)) for one in references):
-                continue
-            alone = object_alone(camera, body, pose)
-            if alone is None:
-                continue
-            measured = read_depth(frame)[alone.window]
-            nothing = np.full_like(alone.depth_m, FAR_M)
-            visible = alone.mask & ~hidden_pixels(alone.depth_m, nothing, measured, tolerances)
-            shown = print_of(camera, look_at(read_grey(frame), alone, visible), visible, pose)
-            if len(shown.points) >= FEWEST_POINTS:
-                references.append(Reference(frame.index, view, shown))
+        sight = Sight(
+            camera, motion, trajectory, Body.of(item), read_depth, read_grey, tolerances or Tolerances()
+        )
+        found[item.model.name] = settled(sight, choose_references(sight, usable), usable)
     return FrameCorrector(camera, motion, found, unproven)
-
-
-def view_direction(camera_from_object: Transform) -> Float64[np.ndarray, "3"]:
-    """Unit vector from the object to the camera, object frame."""
-    towards = invert(camera_from_object)[:3, 3]
-    unit: Float64[np.ndarray, "3"] = towards / np.linalg.norm(towards)
-    return unit
 
 
 def in_standard_errors(gains: Float64[np.ndarray, " n"]) -> float:
@@ -195,18 +158,6 @@ def in_standard_errors(gains: Float64[np.ndarray, " n"]) -> float:
     if len(gains) < 3:
         return 0.0
     return float(gains.mean() / max(gains.std(ddof=1) / np.sqrt(len(gains)), 1e-9))
-
-
-def _prior(camera: PixelTable, alone: ObjectAlone, speed_px_s: float) -> Prior:
-    """The trajectory's pose and how far off it may be: more, the faster the object passes."""
-    known = alone.depth_m[alone.mask]
-    known = known[known < FAR_M]
-    depth_m = float(np.median(known)) if len(known) else 1.0
-    moved_m = speed_px_s * TIMING_SIGMA_S * depth_m / camera.intrinsics.fx
-    points = alone.body.item.model.points_object
-    radius_m = max(float(np.nanmax(np.linalg.norm(points - np.nanmean(points, axis=0), axis=1))), STILL_M)
-    shift_m = float(np.hypot(np.hypot(STILL_M, alone.body.item.strayed_m), moved_m))
-    return Prior(alone.camera_from_object, float(np.hypot(STILL_RAD, moved_m / (2 * radius_m))), shift_m)
 
 
 def _gains(

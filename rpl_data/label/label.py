@@ -16,7 +16,7 @@ from jaxtyping import Int64
 from rpl_data.geometry import Pixels, Transform, inside_image, invert, square_box, transform
 from rpl_data.label.alone import Body, ObjectAlone, SceneObject, object_alone
 from rpl_data.label.certainty import quality, sigma_px
-from rpl_data.label.frame_correction import FrameCorrector
+from rpl_data.label.frame_correction import Correction, FrameCorrector
 from rpl_data.label.masks import box_of, encode, overlap, reaches_border
 from rpl_data.label.motion import Motion
 from rpl_data.label.occlusion import (
@@ -135,11 +135,13 @@ def _label_frames(
             if alone is not None:
                 objects_alone.append(alone)
         grey = read_grey(frame) if read_grey is not None and objects_alone else None
-        corrected_px: dict[str, float] = {}
+        found: Sequence[Correction | None] = [None] * len(objects_alone)
+        by_path = objects_alone
         if corrector is not None and grey is not None and depth_m is not None:
-            hidden_by = [_nearest_other(alone, objects_alone) for alone in objects_alone]
-            found = corrector.corrected(frame.index, objects_alone, hidden_by, depth_m, grey, tolerances)
-            objects_alone, corrected_px = found
+            others_m = [_nearest_other(alone, by_path) for alone in by_path]
+            objects_alone, found = corrector.corrected(
+                frame.index, by_path, others_m, depth_m, grey, tolerances
+            )
         instances = tuple(
             _instance(
                 camera,
@@ -149,9 +151,10 @@ def _label_frames(
                 grey,
                 tolerances,
                 speed_px_s=motion.speed_px_s(camera, frame.index, alone.body.item),
-                corrected_px=corrected_px.get(alone.body.item.model.name),
+                correction=correction,
+                moved=alone is not before,
             )
-            for alone in objects_alone
+            for alone, before, correction in zip(objects_alone, by_path, found, strict=True)
         )
         yield FrameLabel(scene.name, frame.index, frame.timestamp_s, instances)
 
@@ -168,13 +171,23 @@ def _instance(
     tolerances: Tolerances,
     *,
     speed_px_s: float,
-    corrected_px: float | None,
+    correction: Correction | None,
+    moved: bool,
 ) -> InstanceLabel:
     measured = np.zeros_like(alone.depth_m) if depth_m is None else depth_m[alone.window]
     others = _nearest_other(alone, objects_alone)
     visible = alone.mask & ~hidden_pixels(alone.depth_m, others, measured, tolerances)
     visibility = _visibility(camera, alone, others, measured, tolerances)
-    sigmas_px = sigma_px(camera, alone, visible, depth_m, grey, tolerances, speed_px_s=speed_px_s)
+    sigmas_px = sigma_px(
+        camera,
+        alone,
+        visible,
+        depth_m,
+        grey,
+        tolerances,
+        speed_px_s=speed_px_s,
+        by_print_px=None if correction is None else correction.moved_px,
+    )
     box_full = box_of(alone.mask, alone.window)
     size = {"width": camera.intrinsics.width, "height": camera.intrinsics.height}
     return InstanceLabel(
@@ -191,7 +204,7 @@ def _instance(
         visib_fract=float(visible.sum() / alone.mask.sum()),
         truncated=reaches_border(box_full, **size),
         quality=quality(sigmas_px),
-        corrected_px=corrected_px,
+        corrected_px=correction.moved_px if moved and correction is not None else None,
     )
 
 

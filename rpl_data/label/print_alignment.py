@@ -59,7 +59,7 @@ def align_print(
     for level in range(len(BLURS_PX)):
         for _ in range(ITERATIONS):
             centre = transform(pose, middle)
-            information, pull = known.copy(), known @ _step_to(pose, prior.camera_from_object, centre)
+            information, pull = known.copy(), known @ step_between(pose, prior.camera_from_object, centre)
             for each in prints:
                 of_print = _normal_equations(camera, look, each, pose, centre, level)
                 information, pull = information + of_print[0], pull + of_print[1]
@@ -158,8 +158,8 @@ def _stepped(pose: Transform, step: Float64[np.ndarray, "6"], centre: Float64[np
     return stepped
 
 
-def _step_to(a: Transform, b: Transform, centre: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "6"]:
-    """The step that takes pose a to pose b."""
+def step_between(a: Transform, b: Transform, centre: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "6"]:
+    """The turn about the centre and the shift that take pose a to pose b, along the axes they lead to."""
     change = b @ invert(a)
     turn = cv2.Rodrigues(change[:3, :3])[0].ravel()
     return np.concatenate([turn, transform(change, centre) - centre])
