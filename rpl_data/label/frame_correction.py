@@ -20,7 +20,7 @@ from rpl_data.label.alone import Body, ObjectAlone, SceneObject, object_alone
 from rpl_data.label.masks import MaskPatch
 from rpl_data.label.motion import Motion
 from rpl_data.label.occlusion import DepthPatch, Tolerances, hidden_pixels
-from rpl_data.label.print_alignment import align_print, disagreements
+from rpl_data.label.print_alignment import Prior, align_print, disagreements
 from rpl_data.label.prints import FEWEST_POINTS, Look, Print, look_at
 from rpl_data.label.references import Reference, Sight, choose_references, prior_of, settled, view_direction
 from rpl_data.raycast import PixelTable
@@ -43,7 +43,8 @@ class Correction:
     Attributes:
         camera_from_object: the pose that fits the print.
         moved_px: how far it moves the keypoints, root mean square.
-        gain_sigmas: by how much the left-out parts of the print agree better with it, in standard errors.
+        gain_sigmas: by how much the left-out parts of the print agree better with it, in standard errors; 0
+            where it is too small to matter.
     """
 
     camera_from_object: Transform
@@ -114,15 +115,24 @@ class FrameCorrector:
         prior = prior_of(self.camera, alone, self.motion.speed_px_s(self.camera, frame, item))
         middle = np.nanmean(item.model.points_object, axis=0)
         corrected = align_print(self.camera, look, prints, middle, prior)
+        moved_px = _moved_px(self.camera, item.model.points_object, pose, corrected)
+        if moved_px < LEAST_MOVED_PX:  # evidence would change nothing
+            return Correction(corrected, moved_px, 0.0)
+        gains = self._held_out_gains(look, prints, middle, prior)
+        return Correction(corrected, moved_px, in_standard_errors(gains))
+
+    def _held_out_gains(
+        self, look: Look, prints: Sequence[Print], middle: Float64[np.ndarray, "3"], prior: Prior
+    ) -> Float64[np.ndarray, " b"]:
+        """By how much blocks of the print agree better at a pose that was found without them."""
         black = [_chessboard(one.points) for one in prints]
         gains = []
         for side in (True, False):
             fitted = [_part(one, b == side) for one, b in zip(prints, black, strict=True)]
             left_out = [_part(one, b != side) for one, b in zip(prints, black, strict=True)]
-            of_part = align_print(self.camera, look, fitted, middle, prior)
-            gains += [_gains(self.camera, look, one, pose, of_part) for one in left_out]
-        moved_px = _moved_px(self.camera, item.model.points_object, pose, corrected)
-        return Correction(corrected, moved_px, in_standard_errors(np.concatenate(gains)))
+            found = align_print(self.camera, look, fitted, middle, prior)
+            gains += [_gains(self.camera, look, one, prior.camera_from_object, found) for one in left_out]
+        return np.concatenate(gains)
 
 
 def frame_corrector(

@@ -34,7 +34,7 @@ MOST_POINTS, FEWEST_POINTS = 500, 60
 SAME_SURFACE_M = 0.006
 """A point lies on the surface that a frame sees where its depth is that of the label's mesh within this."""
 
-Patch = Float32[np.ndarray, "h w"]
+Patch = Float32[np.ndarray, "rows columns"]
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ from rpl_data.types import Frame, GreyImage, ReadDepth, Trajectory
 
 APART_DEG = 12.0
 """Views of an object that differ by less than this need one reference between them."""
-NEIGHBOURS = 12
+NEIGHBOURS = 8
 """Slow frames near a reference that say where it stands."""
 TIMING_SIGMA_S = 0.012
 """A frame's pose is that of another moment by about this much: of the object's rows, of the depth image, or
