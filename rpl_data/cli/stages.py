@@ -111,6 +111,8 @@ def label(workspace: Path = HERE, again: bool = False, workers: int | None = Non
     """Compute poses, keypoints, boxes and masks of the objects in the chosen frames.
 
     The recipe's `label: {method: splat}` makes masks the paper's way: the dense model's points, gaps closed.
+    `refine: {frames: auto}` corrects the pose in single frames by what slower frames show printed on the
+    object, where parts of the print that were held out agree; true: without that evidence; false: never.
 
     Example: rpl label --workspace workspaces/demo
 

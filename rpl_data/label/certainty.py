@@ -24,6 +24,9 @@ EDGE_NOISE_PX = 0.7
 """A single frame's edges would move even a perfect label by about this much."""
 SEEN_BY_EDGES_PX = REACH_PX / 2
 """Where a path strays farther than this, single frames do not show all of it."""
+PER_PRINT = 2.0
+"""A label's error in its frame is at most about this many times what the print moves it by, for the reference
+that the print comes from is off too."""
 TIMING_SIGMA_S = 0.004
 """The rows of a colour image, the depth image and the pose of a frame belong to moments that differ by about
 this much (standard deviation)."""
@@ -47,11 +50,14 @@ def sigma_px(
     tolerances: Tolerances,
     *,
     speed_px_s: float = 0.0,
+    by_print_px: float | None = None,
 ) -> Float64[np.ndarray, " k"]:
     """Standard deviation of each projected keypoint per axis (root mean square of u and v).
 
     Args:
         speed_px_s: how fast the object passes through the image.
+        by_print_px: how far the frame's print of the object moves the label (`frame_correction`), whether it
+            was moved or not; None where it says nothing.
         visible: the object's pixels that nothing hides, in its window.
         depth_m, grey: the images of the frame; None where it has none, or they are not looked at.
 
@@ -64,10 +70,14 @@ def sigma_px(
     strays = np.broadcast_to(item.strayed_m**2 * np.eye(3), item.covariance.shape)
     strayed = projected_variance(camera.intrinsics, pose, points, strays)
     by_edges_px = _moved_px(camera, alone, visible, depth_m, grey, tolerances)
-    if by_edges_px is not None:
-        # What the frame itself shows takes the place of how far the scene's poses stray on average.
+    shown = [] if by_edges_px is None else [max(by_edges_px**2 - EDGE_NOISE_PX**2, 0.0)]
+    if by_print_px is not None:
+        shown.append((PER_PRINT * by_print_px) ** 2)
+    if shown:
+        # What the frame itself shows takes the place of how far the scene's poses stray on average. Either
+        # witness alone may be noise: edges by motion blur and mesh, the print by a change of light.
         strayed = strayed * (strayed / (strayed + SEEN_BY_EDGES_PX**2))
-        variance += max(by_edges_px**2 - EDGE_NOISE_PX**2, 0.0)
+        variance += min(shown)
     variance += strayed + (speed_px_s * TIMING_SIGMA_S) ** 2
     variance += _misplaced_px(alone, visible, depth_m, tolerances) ** 2
     sigma: Float64[np.ndarray, " k"] = np.sqrt(variance)

@@ -16,6 +16,7 @@ from jaxtyping import Int64
 from rpl_data.geometry import Pixels, Transform, inside_image, invert, square_box, transform
 from rpl_data.label.alone import Body, ObjectAlone, SceneObject, object_alone
 from rpl_data.label.certainty import quality, sigma_px
+from rpl_data.label.frame_correction import Correction, FrameCorrector
 from rpl_data.label.masks import box_of, encode, overlap, reaches_border
 from rpl_data.label.motion import Motion
 from rpl_data.label.occlusion import (
@@ -71,6 +72,7 @@ def label_frames(
     *,
     read_grey: Callable[[Frame], GreyImage] | None = None,
     camera_from_object: Mapping[tuple[int, str], Transform] | None = None,
+    corrector: FrameCorrector | None = None,
     tolerances: Tolerances | None = None,
 ) -> Iterator[FrameLabel]:
     """Label the given frames, one at a time, in constant memory.
@@ -84,6 +86,7 @@ def label_frames(
         read_grey: reads the brightness of a frame, at full size; its edges then show, beside those of depth,
             how far off the label is.
         camera_from_object: refined poses by (frame index, object name); they replace those of Eq. 3.
+        corrector: corrects the poses of single frames by what they show, where `read_grey` is given.
         tolerances: by how much surfaces must differ in depth for one to hide the other.
 
     Raises:
@@ -103,6 +106,7 @@ def label_frames(
         read_depth,
         read_grey,
         camera_from_object or {},
+        corrector,
         tolerances or Tolerances(),
     )
 
@@ -115,6 +119,7 @@ def _label_frames(
     read_depth: ReadDepth,
     read_grey: Callable[[Frame], GreyImage] | None,
     refined: Mapping[tuple[int, str], Transform],
+    corrector: FrameCorrector | None,
     tolerances: Tolerances,
 ) -> Iterator[FrameLabel]:
     camera = PixelTable.of(scene.intrinsics)
@@ -130,6 +135,13 @@ def _label_frames(
             if alone is not None:
                 objects_alone.append(alone)
         grey = read_grey(frame) if read_grey is not None and objects_alone else None
+        found: Sequence[Correction | None] = [None] * len(objects_alone)
+        by_path = objects_alone
+        if corrector is not None and grey is not None and depth_m is not None:
+            others_m = [_nearest_other(alone, by_path) for alone in by_path]
+            objects_alone, found = corrector.corrected(
+                frame.index, by_path, others_m, depth_m, grey, tolerances
+            )
         instances = tuple(
             _instance(
                 camera,
@@ -139,8 +151,10 @@ def _label_frames(
                 grey,
                 tolerances,
                 speed_px_s=motion.speed_px_s(camera, frame.index, alone.body.item),
+                correction=correction,
+                moved=alone is not before,
             )
-            for alone in objects_alone
+            for alone, before, correction in zip(objects_alone, by_path, found, strict=True)
         )
         yield FrameLabel(scene.name, frame.index, frame.timestamp_s, instances)
 
@@ -157,12 +171,23 @@ def _instance(
     tolerances: Tolerances,
     *,
     speed_px_s: float,
+    correction: Correction | None,
+    moved: bool,
 ) -> InstanceLabel:
     measured = np.zeros_like(alone.depth_m) if depth_m is None else depth_m[alone.window]
     others = _nearest_other(alone, objects_alone)
     visible = alone.mask & ~hidden_pixels(alone.depth_m, others, measured, tolerances)
     visibility = _visibility(camera, alone, others, measured, tolerances)
-    sigmas_px = sigma_px(camera, alone, visible, depth_m, grey, tolerances, speed_px_s=speed_px_s)
+    sigmas_px = sigma_px(
+        camera,
+        alone,
+        visible,
+        depth_m,
+        grey,
+        tolerances,
+        speed_px_s=speed_px_s,
+        by_print_px=None if correction is None else correction.moved_px,
+    )
     box_full = box_of(alone.mask, alone.window)
     size = {"width": camera.intrinsics.width, "height": camera.intrinsics.height}
     return InstanceLabel(
@@ -179,6 +204,7 @@ def _instance(
         visib_fract=float(visible.sum() / alone.mask.sum()),
         truncated=reaches_border(box_full, **size),
         quality=quality(sigmas_px),
+        corrected_px=correction.moved_px if moved and correction is not None else None,
     )
 
 

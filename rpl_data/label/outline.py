@@ -101,12 +101,12 @@ def moved_by_edges_px(
         return None
     centre = keypoints_camera.mean(axis=0)
     points = _directions(camera, outline.uv_px) * outline.depth_m[:, None]
-    along = (outline.normal[:, :, None] * _image_motion(camera, points, centre)).sum(axis=1)
+    along = (outline.normal[:, :, None] * image_motion(camera, points, centre)).sum(axis=1)
     information, pull = PRIOR.copy(), np.zeros(6)
     for measured in found:
         of_edges = _normal_equations(along, measured)
         information, pull = information + of_edges[0], pull + of_edges[1]
-    moved = _image_motion(camera, keypoints_camera, centre) @ np.linalg.solve(information, pull)
+    moved = image_motion(camera, keypoints_camera, centre) @ np.linalg.solve(information, pull)
     return float(np.sqrt((moved**2).sum(axis=1).mean()))
 
 
@@ -190,7 +190,7 @@ def _directions(camera: PixelTable, uv_px: Float64[np.ndarray, "n 2"]) -> Points
     return directions
 
 
-def _image_motion(
+def image_motion(
     camera: PixelTable, points_camera: Points, centre: Float64[np.ndarray, "3"]
 ) -> Float64[np.ndarray, "n 2 6"]:
     """Derivative of projections by a turn about the centre and a shift."""

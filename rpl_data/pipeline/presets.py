@@ -20,7 +20,7 @@ METHODS: Mapping[str, Mapping[str, Mapping[str, Any]]] = {
     "paper": {
         "reconstruct": {"method": "given", "max_drift_mm": NEVER_MM},
         "solve": {"method": "slsqp"},
-        "refine": {"scenes": False},
+        "refine": {"scenes": False, "frames": False},
         "segment": {"method": "smooth"},
         "label": {"method": "splat"},
         "export": {"min_quality": 0.0},

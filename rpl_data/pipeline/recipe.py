@@ -119,9 +119,13 @@ class RefineRecipe:
     Attributes:
         scenes: register the surfaces of an object's scenes on one another, together with the clicks; a
             scene keeps the pose of its clicks where parts of the surface left out of that do not gain.
+        frames: correct the object's pose in single frames by what slower frames show printed on it: `auto`
+            where parts of the print left out of that agree with it, and by half a pixel or more; true
+            wherever the print can be aligned, without that evidence.
     """
 
     scenes: bool = True
+    frames: bool | Literal["auto"] = "auto"
 
 
 @dataclass(frozen=True)

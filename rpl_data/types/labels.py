@@ -26,6 +26,8 @@ class InstanceLabel:
         visib_fract: visible share of the full mask's pixels.
         truncated: whether the object extends beyond the image.
         quality: from 1 (certain) to 0: 1 / (1 + e / 5 px), where e is the label's expected error.
+        corrected_px: how far the frame's own colours moved the keypoints from where the trajectory puts them
+            (root mean square); None where the label follows the trajectory.
     """
 
     object: str
@@ -41,6 +43,7 @@ class InstanceLabel:
     visib_fract: float
     truncated: bool
     quality: float
+    corrected_px: float | None = None
 
 
 @dataclass(frozen=True)

@@ -191,6 +191,7 @@ def _instance_to_json(instance: InstanceLabel) -> Json:
         "visib_fract": round(instance.visib_fract, 4),
         "truncated": instance.truncated,
         "quality": round(instance.quality, 4),
+        "corrected_px": None if instance.corrected_px is None else round(instance.corrected_px, 3),
     }
 
 
@@ -209,6 +210,7 @@ def _instance_from_json(data: Json) -> InstanceLabel:
         visib_fract=taken(data, "visib_fract", number),
         truncated=taken(data, "truncated", flag),
         quality=taken(data, "quality", number),
+        corrected_px=optional(number)(data.get("corrected_px")),
     )
     if not len(label.keypoints_px) == len(label.visibility) == len(label.sigma_px):
         raise ValueError("keypoints_px, visible and sigma_px are not equally many")

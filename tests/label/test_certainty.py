@@ -134,3 +134,15 @@ def test_quality_is_what_the_expected_error_makes_of_it() -> None:
     assert quality(np.zeros(3)) == 1.0
     assert quality(np.array([4.0, 4.0, np.nan])) == pytest.approx(0.5)  # 1.25 * 4 px = 5 px
     assert quality(np.full(3, np.nan)) == 0.0
+
+
+def test_of_edges_and_print_the_smaller_counts() -> None:
+    found, quiet = labelled(4.0), labelled()
+
+    def largest(one: ObjectAlone, by_print_px: float | None) -> float:
+        given = (CAMERA, one, one.mask, DEPTH, GREY, Tolerances())
+        return float(sigma_px(*given, by_print_px=by_print_px).max())
+
+    assert largest(found, 0.0) < largest(found, None)
+    assert largest(found, 100.0) == largest(found, None)
+    assert largest(quiet, 100.0) == largest(quiet, None)

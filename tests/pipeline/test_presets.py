@@ -20,6 +20,7 @@ def test_paper_chooses_the_papers_way_in_every_stage() -> None:
     assert recipe.reconstruct.method == "given"
     assert recipe.solve.method == "slsqp"
     assert not recipe.refine.scenes
+    assert not recipe.refine.frames
     assert recipe.segment.method == "smooth"
     assert recipe.label.method == "splat"
     assert recipe.export.min_quality == 0

@@ -76,6 +76,7 @@ def test_recording_recipe_names_every_field(tmp_path: Path) -> None:
         ("reconstruct: track", "reconstruct must hold `key: value` lines, not 'track'"),
         ("reconstruct: {method: trak}", "method must be `auto`, `given` or `track`, not 'trak'"),
         ("refine: {scenes: perhaps}", "refine.scenes must be true or false, not 'perhaps'"),
+        ("refine: {frames: perhaps}", "refine.frames must be true or false or `auto`, not 'perhaps'"),
         ("twin: {scenes: four}", "twin.scenes must be a whole number or a list"),
         ("scenes: []", "no scenes"),
         ("scenes: [{path: a}]", "no objects"),

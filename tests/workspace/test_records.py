@@ -119,6 +119,7 @@ def test_frame_label_round_trip() -> None:
         visib_fract=0.0,
         truncated=True,
         quality=0.5,
+        corrected_px=1.25,
     )
     data = through_json(records.frame_label_to_json(FrameLabel("00", 3, 10.5, (instance,))))
     assert data["instances"][0]["keypoints_px"] == [[10.123, -4.5], None]
@@ -130,6 +131,9 @@ def test_frame_label_round_trip() -> None:
         np.testing.assert_array_equal(getattr(got, name), getattr(instance, name))
     for name in ("square_box", "box", "box_full", "mask", "mask_full", "visib_fract", "truncated", "quality"):
         assert getattr(got, name) == getattr(instance, name)
+    assert got.corrected_px == 1.25
+    del data["instances"][0]["corrected_px"]  # as older versions wrote it
+    assert records.frame_label_from_json(data).instances[0].corrected_px is None
 
 
 def test_a_row_with_one_nan_is_null() -> None:

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -15,14 +16,16 @@ from rpl_data.geometry import Transform
 from rpl_data.images import read_grey
 from rpl_data.json_arrays import Json
 from rpl_data.label.alone import SceneObject
+from rpl_data.label.frame_correction import frame_corrector
 from rpl_data.label.label import label_frames, sample_frames
 from rpl_data.meshes import load_cloud, load_mesh
 from rpl_data.pipeline.context import Context, posed_frames, step
 from rpl_data.pipeline.ledger import Advance, Outcome, Step
 from rpl_data.types import FrameLabel
+from rpl_data.wording import counted
 from rpl_data.workspace.workspace import Workspace
 
-VERSION = 3
+VERSION = 4
 """Increase it when the stage writes something else for the same input: its steps then run again."""
 
 
@@ -39,6 +42,7 @@ def forget_labels(context: Context) -> None:
 
 def _label_step(context: Context, video: str) -> Step:
     workspace, rate_hz, dots = context.workspace, context.recipe.label.rate_hz, context.recipe.label.dots
+    correct = context.recipe.refine.frames
     parts = workspace.parts()
     standing = {scene: context.solutions_in(scene) for scene in parts.scenes_of(video)}
     placed = {scene: [item.model.name for item in found] for scene, found in standing.items() if found}
@@ -46,6 +50,7 @@ def _label_step(context: Context, video: str) -> Step:
 
     def run(advance: Advance) -> Outcome:
         counts: Counter[str] = Counter()
+        moved_px: dict[str, list[float]] = {}
         scene = workspace.load_scene(video)
         posed = posed_frames(scene, workspace.load_trajectory(scene))
         frames = sample_frames(posed, rate_hz=rate_hz)
@@ -57,23 +62,34 @@ def _label_step(context: Context, video: str) -> Step:
         def labels() -> Iterator[FrameLabel]:
             for name, indices in chosen.items():
                 ranges = context.pool.ranges(len(indices))
-                tasks = [(workspace.root, name, video, placed[name], indices[a:b], dots) for a, b in ranges]
+                of_scene = (workspace.root, name, video, placed[name], indices)
+                tasks = [(*of_scene, indices[a:b], dots, correct) for a, b in ranges]
                 yield from context.pool.stream(label_range, tasks)
 
         def counted() -> Iterator[FrameLabel]:
             for done, label in enumerate(labels(), start=1):
                 advance(done, total)
                 counts.update(instance.object for instance in label.instances)
+                for instance in label.instances:
+                    if instance.corrected_px is not None:
+                        moved_px.setdefault(instance.object, []).append(instance.corrected_px)
                 yield label
 
         workspace.save_labels(video, counted())
-        instances = {item: counts[item] for item in names}
-        return Outcome(total, details={"instances": instances, "posed": len(posed)})
+        lines = [corrected_line(video, item, moved_px[item], counts[item]) for item in sorted(moved_px)]
+        details = {
+            "instances": {item: counts[item] for item in names},
+            "posed": len(posed),
+            "corrected": {item: len(found) for item, found in moved_px.items()},
+        }
+        return Outcome(total, tuple(lines), details)
 
     before = [step for item in names for step in (context.placed_by(item), f"segment/{item}")]
     options: Json = {"rate_hz": rate_hz} | {name: context.frames_of(name) for name in placed if name != video}
     if dots:
         options |= {"masks": "splat"}
+    if correct != "auto":
+        options |= {"correct": correct}
     output = workspace.labels_file(video)
     return step(
         "label",
@@ -86,23 +102,51 @@ def _label_step(context: Context, video: str) -> Step:
     )
 
 
+def corrected_line(video: str, item: str, moved_px: Sequence[float], labels: int) -> str:
+    """Says how many labels of an object were corrected in their frames, and by how much."""
+    return (
+        f"scene {video}: {item} is corrected in {len(moved_px)} of {counted(labels, 'frame')} by what is "
+        f"printed on it, by {np.median(moved_px):.1f} px (median), {max(moved_px):.1f} px at most; the other "
+        "labels follow the camera path"
+    )
+
+
 def label_range(
-    root: Path, name: str, video: str, objects: Sequence[str], indices: Sequence[int], dots: bool = False
+    root: Path,
+    name: str,
+    video: str,
+    objects: Sequence[str],
+    labelled: Sequence[int],
+    indices: Sequence[int],
+    dots: bool = False,
+    correct: bool | Literal["auto"] = "auto",
 ) -> Iterator[FrameLabel]:
-    """Label some frames of a scene, under the name of its recording; runs in this or another process."""
+    """Label some frames of a scene, under the name of its recording; runs in this or another process.
+
+    Args:
+        labelled: all frames of the scene that are labelled, here or elsewhere: the references by which
+            single frames are corrected are chosen among them.
+        indices: the frames to label.
+        correct: as `RefineRecipe.frames`.
+    """
     workspace = Workspace(root)
     scene = workspace.load_scene(name)
     trajectory = workspace.load_trajectory(scene)
     bodies = [scene_object(workspace, item, name, dots=dots) for item in objects]
-    chosen = set(indices)
-    frames = [frame for frame in scene.frames if frame.index in chosen]
+    frames, read = {frame.index: frame for frame in scene.frames}, workspace.depth_reader(scene)
+    look = partial(read_grey, reduce=1)
+    corrector = None
+    if correct:
+        usable = [frames[index] for index in labelled]
+        corrector = frame_corrector(scene, trajectory, bodies, usable, read, look, unproven=correct is True)
     return label_frames(
         replace(scene, name=video),
         trajectory,
         bodies,
-        frames,
-        workspace.depth_reader(scene),
-        read_grey=partial(read_grey, reduce=1),
+        [frames[index] for index in indices],
+        read,
+        read_grey=look,
+        corrector=corrector,
     )
 
 

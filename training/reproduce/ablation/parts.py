@@ -10,7 +10,7 @@ from rpl_data.pipeline.recipe import LabelRecipe, Recipe, RefineRecipe, SegmentR
 
 PARTS: Mapping[str, Callable[[Recipe], Recipe]] = {
     "all": lambda recipe: recipe,
-    "no_refine": lambda recipe: replace(recipe, refine=RefineRecipe(scenes=False)),
+    "no_refine": lambda recipe: replace(recipe, refine=RefineRecipe(scenes=False, frames=False)),
     "papers_solve": lambda recipe: replace(recipe, solve=Solve("slsqp")),
     "papers_segmentation": lambda recipe: replace(recipe, segment=SegmentRecipe("smooth")),
     "papers_masks": lambda recipe: replace(recipe, label=LabelRecipe(recipe.label.rate, "splat")),
