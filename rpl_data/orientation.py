@@ -24,6 +24,9 @@ _PNG_METADATA = re.compile(rb"(XML:com\.adobe\.xmp|Raw profile type (exif|APP1|x
 _XMP_ORIENTATION = re.compile(rb"tiff:Orientation(?:=[\"']|>)([1-8])")
 _TIFF = (b"II*\0", b"MM\0*")
 
+_MOST_METADATA = 1 << 20
+"""Bytes of unpacked metadata that are looked at: a small file may expand to gigabytes."""
+
 Content = bytes | mmap.mmap
 
 
@@ -103,7 +106,7 @@ def _exif_of(block: bytes) -> bytes:
         return block.removeprefix(_EXIF)
     text = block.partition(b"\0")[2]
     try:
-        text = zlib.decompress(text[1:]) if text.startswith(b"\0") else text
+        text = zlib.decompressobj().decompress(text[1:], _MOST_METADATA) if text.startswith(b"\0") else text
         return bytes.fromhex("".join(text.decode("ascii").split()[2:])).removeprefix(_EXIF)
     except (ValueError, zlib.error):
         return b""
