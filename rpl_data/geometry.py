@@ -48,6 +48,14 @@ def rigid(rotation: Float64[np.ndarray, "3 3"], translation_m: Float64[np.ndarra
     return transform
 
 
+def is_rotation(matrix: Float64[np.ndarray, "3 3"], *, tolerance: float = 0.01) -> bool:
+    """Whether a matrix of any numbers, infinite ones included, is a proper rotation."""
+    if not np.isfinite(matrix).all() or np.abs(matrix).max() > 1 + tolerance:
+        return False
+    orthogonal = np.allclose(matrix @ matrix.T, np.eye(3), atol=tolerance)
+    return orthogonal and bool(np.linalg.det(matrix) > 0)
+
+
 def invert(a_from_b: Float64[np.ndarray, "*batch 4 4"]) -> Float64[np.ndarray, "*batch 4 4"]:
     """Invert one rigid transform or a stack of them: ``b_from_a``."""
     inverse = np.zeros_like(a_from_b)

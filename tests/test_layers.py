@@ -37,12 +37,14 @@ LEARNING = {
 """What rpl_data.torch and training may know: a trained pipeline does not depend on the labelling tool."""
 
 CONFINED = {
-    "av": {"formats"},
     "fastapi": {"annotate", "capture"},
     "imagecodecs": {"formats"},
     "uvicorn": {"capture", "cli"},
+    "apsw": {"formats"},
+    "av": {"formats"},
     "pyrealsense2": {"capture"},
     "open3d": {"export", "meshes", "raycast", "reconstruct", "segment", "twin"},
+    "rosbags": {"formats"},
     "pycocotools": {"annotate", "evaluate", "export", "formats", "label", "overlay", "torch", "twin"},
 }
 """The rooms that need a package; no other imports it."""

@@ -11,6 +11,7 @@ from typing import Any
 from rpl_data.capture.device import COLOR_FORMATS, choose, opened
 from rpl_data.capture.streams import Shot, Streams
 from rpl_data.formats.containers.db3 import repair_db3
+from rpl_data.formats.containers.ros_topics import is_of_ros
 from rpl_data.formats.containers.rosbag import repair_bag
 from rpl_data.formats.recordings.frame_files import Camera, Listing, Pair, chosen, examine, without_poses
 from rpl_data.formats.recordings.saved_images import write_images
@@ -58,8 +59,8 @@ def read_realsense(
 
 
 def is_recording(path: Path) -> bool:
-    """Whether the path has the suffix of such a recording."""
-    return path.suffix in SUFFIXES
+    """Whether the path has the suffix of such a recording, and is not one that ROS made."""
+    return path.suffix in SUFFIXES and not is_of_ros(path)
 
 
 def _read_file(name: str, file: Path, folder: Path, unit_m: float | None, camera: Camera | None) -> Recording:

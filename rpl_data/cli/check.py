@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from rpl_data.formats.recordings.ros.topics import Topics
 from rpl_data.pipeline.recipe_file import load_recipe
 from rpl_data.pipeline.sources import recordings_of
 from rpl_data.recordings.open import READERS, UNPACKERS, likely_formats, open_scenes
@@ -18,6 +19,7 @@ def recordings_at(
     format: str | None = None,
     names: Sequence[str] | None = None,
     metres_per_unit: float | None = None,
+    topics: Topics | None = None,
 ) -> list[Recording]:
     """The recordings of a recipe as it reads and mends them, or those found at a path.
 
@@ -27,6 +29,7 @@ def recordings_at(
         format: a key of `READERS` or `UNPACKERS` of `rpl_data.recordings.open`; guessed where None.
         names: only these scenes.
         metres_per_unit: of the depth images; what the format says where None.
+        topics: topics of a ROS bag to use; found by their names where None.
 
     Raises:
         DataError: nothing is there, its format cannot be guessed, or its reader refuses it.
@@ -37,7 +40,14 @@ def recordings_at(
             raise DataError(f"{path} names no recordings; give `rpl check` the folder of a recording")
         return [recording for recording in found if names is None or recording.scene.name in names]
     chosen = format or format_of(path)
-    return open_scenes(path, chosen, names=names, metres_per_unit=metres_per_unit, unpack=scratch.joinpath)
+    return open_scenes(
+        path,
+        chosen,
+        names=names,
+        metres_per_unit=metres_per_unit,
+        unpack=scratch.joinpath,
+        topics=topics,
+    )
 
 
 def format_of(path: Path) -> str:

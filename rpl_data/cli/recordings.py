@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Literal
 
 from rpl_data.cli.building import HERE, run_build
+from rpl_data.formats.recordings.ros.topics import Topics
 from rpl_data.types import DataError
 
 
@@ -97,6 +98,7 @@ def check(
     format: str | None = None,
     names: tuple[str, ...] | None = None,
     metres_per_unit: float | None = None,
+    topics: Topics | None = None,
 ) -> None:
     """Say what is wrong with a recording, how sure that is, and what mends it; changes nothing.
 
@@ -108,10 +110,11 @@ def check(
 
     Args:
         path: a folder of scenes, the folder of one scene, a recording kept in one file (`.bag`, `.db3`,
-            `.klg`), or a recipe (`.yaml`): then its recordings, as the recipe reads and mends them.
+            `.mcap`, `.klg`), or a recipe (`.yaml`): then its recordings, as the recipe reads and mends them.
         format: how the recording is stored; guessed when left out.
         names: only these scenes, as '["00", "01"]'.
         metres_per_unit: metres per unit of the depth images; what the format says when left out.
+        topics: topics of a ROS bag to use, as '{"color": "/cam1/color/image_raw"}'; found when left out.
     """
     from tempfile import TemporaryDirectory
 
@@ -120,7 +123,14 @@ def check(
 
     with TemporaryDirectory() as scratch:
         print_diagnoses(
-            recordings_at(path, Path(scratch), format=format, names=names, metres_per_unit=metres_per_unit)
+            recordings_at(
+                path,
+                Path(scratch),
+                format=format,
+                names=names,
+                metres_per_unit=metres_per_unit,
+                topics=topics,
+            )
         )
 
 

@@ -13,6 +13,7 @@ from typing import Literal
 
 from rpl_data.drift.drift import MAX_DRIFT_MM
 from rpl_data.export.split import SplitRule
+from rpl_data.formats.recordings.ros.topics import Topics
 from rpl_data.recordings.mend import Mend
 from rpl_data.twin.spec import TwinSpec
 
@@ -33,6 +34,8 @@ class SceneSource:
         registered: whether depth is aligned to the pixels of the colour image; as the format implies when
             left out.
         mend: faults of these recordings to correct while they are read; `rpl check` names them.
+        topics: which topics of a ROS bag to use (`{color: ..., depth: ..., poses: /tf}`); found by their
+            names when left out, without poses.
     """
 
     path: Path
@@ -42,6 +45,7 @@ class SceneSource:
     camera: tuple[float, ...] | None = None
     registered: bool | None = None
     mend: Mend = Mend()
+    topics: Topics | None = None
 
 
 @dataclass(frozen=True)

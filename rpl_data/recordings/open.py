@@ -14,15 +14,20 @@ from rpl_data.formats.recordings.elasticfusion import read_klg
 from rpl_data.formats.recordings.folders import is_folder_scene, read_folders
 from rpl_data.formats.recordings.frame_files import Camera
 from rpl_data.formats.recordings.frames import has_frames, read_frames
+from rpl_data.formats.recordings.kinect import is_mkv, read_kinect
 from rpl_data.formats.recordings.labelfusion import is_log, read_labelfusion
 from rpl_data.formats.recordings.nerfstudio import is_nerfstudio, read_nerfstudio
 from rpl_data.formats.recordings.polycam import is_polycam, read_polycam
 from rpl_data.formats.recordings.record3d import is_record3d, read_record3d
+from rpl_data.formats.recordings.ros.read import has_bags, read_ros
+from rpl_data.formats.recordings.ros.topics import Topics
 from rpl_data.formats.recordings.rpl import is_rpl_scene, read_rpl
 from rpl_data.formats.recordings.scanner_app import is_scanner_app, read_scanner_app
+from rpl_data.formats.recordings.scannet import is_sens, read_sens
 from rpl_data.formats.recordings.stray import is_stray, read_stray
 from rpl_data.formats.recordings.tum import is_sequence, read_tum
 from rpl_data.formats.recordings.ycb_video import is_ycb_sequence, read_ycb_video
+from rpl_data.formats.recordings.zed import is_zed, read_zed
 from rpl_data.recordings.mend import Mend, mended
 from rpl_data.types import DataError, Recording
 
@@ -33,6 +38,7 @@ READERS: dict[str, Callable[..., list[Recording]]] = {
     "bop": read_bop,
     "ycb_video": read_ycb_video,
     "labelfusion": read_labelfusion,
+    "zed": read_zed,
 }
 """Readers of formats whose images are files: ``reader(path, *, names, metres_per_unit, camera)``."""
 
@@ -40,6 +46,9 @@ UNPACKERS: dict[str, Callable[..., list[Recording]]] = {
     "klg": read_klg,
     "klg_bgr": partial(read_klg, bgr=True),
     "realsense": read_realsense,
+    "ros": read_ros,
+    "kinect": read_kinect,
+    "scannet": read_sens,
     "record3d": read_record3d,
     "stray": read_stray,
     "polycam": read_polycam,
@@ -63,6 +72,10 @@ _LOOKS_LIKE: dict[str, Callable[[Path], bool]] = {
     "labelfusion": lambda folder: any(map(is_log, (folder, *folder.glob("*")))),
     "klg": lambda path: path.suffix == ".klg" or any(path.glob("*.klg")),
     "realsense": lambda path: any(map(is_recording, (path, *path.glob("*")))),
+    "ros": has_bags,
+    "kinect": lambda path: any(map(is_mkv, (path, *path.glob("*")))),
+    "scannet": lambda path: any(map(is_sens, (path, *path.glob("*")))),
+    "zed": is_zed,
     "record3d": is_record3d,
     "stray": lambda folder: any(map(is_stray, (folder, *folder.glob("*")))),
     "polycam": lambda folder: any(map(is_polycam, (folder, *folder.glob("*")))),
@@ -87,6 +100,7 @@ def open_recordings(
     registered: bool | None = None,
     unpack: str | Path | None = None,
     mend: Mend = SOUND,
+    topics: Topics | None = None,
 ) -> list[Recording]:
     """The recordings found at a path, one per scene; images stay where they are.
 
@@ -94,7 +108,7 @@ def open_recordings(
     scene_from_camera), which is None where the recording has no poses.
 
     Args:
-        path: a folder of scenes, one scene, or a file (.klg, .bag, .db3).
+        path: a folder of scenes, one scene, or a file (.klg, .bag, .mkv, ...).
         format: how they are stored, a name in the README's table such as rpl, tum, folders or record3d;
             found out from the files when left out.
         names: only these scenes; all of them when left out.
@@ -105,6 +119,7 @@ def open_recordings(
         unpack: a folder for images of formats that keep them in one file, or in files few can read; each
             scene gets a folder in it.
         mend: faults to put right while reading; `rpl check` names them.
+        topics: which topics of a ROS bag to use; found by their names when left out.
 
     Raises:
         DataError: there is nothing at the path, its format is not known, or it cannot be read.
@@ -120,6 +135,7 @@ def open_recordings(
         registered=registered,
         unpack=None if folder is None else folder.joinpath,
         mend=mend,
+        topics=topics,
     )
 
 
@@ -144,6 +160,7 @@ def open_scenes(
     registered: bool | None = None,
     unpack: Callable[[str], Path] | None = None,
     mend: Mend = SOUND,
+    topics: Topics | None = None,
 ) -> list[Recording]:
     """Read the recordings at `path` as `format`, a key of `READERS` or `UNPACKERS`.
 
@@ -156,6 +173,7 @@ def open_scenes(
         registered: whether depth is registered to colour; None for what the format implies.
         unpack: returns an empty folder for the images of a scene, given its name; required by `UNPACKERS`.
         mend: the faults to mend.
+        topics: topics of a ROS bag; of no other format.
 
     Raises:
         DataError: the format is unknown, or the reader cannot read what is there; the message names the
@@ -164,8 +182,13 @@ def open_scenes(
     known = READERS | UNPACKERS
     if format not in known:
         raise DataError(f"unknown format {format!r} for {path}; expected one of {', '.join(sorted(known))}")
+    if format != "ros" and topics is not None:
+        raise DataError(
+            f"{path}: `topics` are for recordings of format ros, this one's is {format}; leave it out"
+        )
     unpacked = unpack or partial(_refuse_to_unpack, path, format)
     reader = partial(known[format], unpack=unpacked) if format in UNPACKERS else known[format]
+    reader = partial(reader, topics=topics) if format == "ros" else reader
     try:
         with decoding(path, f"repair it, or check that its format is {format}; `rpl check` may say more"):
             found = reader(path, names=names, metres_per_unit=metres_per_unit, camera=camera)

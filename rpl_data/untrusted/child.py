@@ -24,7 +24,13 @@ MEMORY_BYTES = 16 * 2**30
 """Largest address space of a child; libraries map a few gigabytes of it that they never use."""
 
 
-def in_child(work: Callable[..., Result], *arguments: Any, file: Path, limit_s: int | None = None) -> Result:
+def in_child(
+    work: Callable[..., Result],
+    *arguments: Any,
+    file: Path,
+    limit_s: int | None = None,
+    memory_bytes: int = MEMORY_BYTES,
+) -> Result:
     """Run `work(*arguments)` in a child process and return its result.
 
     Args:
@@ -32,13 +38,14 @@ def in_child(work: Callable[..., Result], *arguments: Any, file: Path, limit_s: 
         arguments: the arguments of `work`.
         file: the file that it reads, for the error message.
         limit_s: largest CPU time of the child, in seconds; None = no limit.
+        memory_bytes: largest address space of the child.
 
     Raises:
         DataError: `work` raised it, or the child ended by a signal, a limit or an exception.
     """
     with tempfile.TemporaryDirectory() as folder:
         answer = Path(folder) / "answer"
-        task = pickle.dumps((work, arguments, str(answer), limit_s))
+        task = pickle.dumps((work, arguments, str(answer), limit_s, memory_bytes))
         paths = os.pathsep.join(path for path in sys.path if path)
         done = subprocess.run(
             [sys.executable, "-c", "from rpl_data.untrusted.child import _work; _work()"],
@@ -65,9 +72,11 @@ def _end(code: int, said: bytes) -> str:
 
 def _work() -> None:
     """Run in the child: read the task from standard input, and write the answer to its file."""
-    work, arguments, answer, limit_s = pickle.loads(sys.stdin.buffer.read())  # written by our own parent
+    work, arguments, answer, limit_s, memory_bytes = pickle.loads(
+        sys.stdin.buffer.read()
+    )  # written by our own parent
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
+    resource.setrlimit(resource.RLIMIT_AS, (memory_bytes, memory_bytes))
     if limit_s is not None:
         resource.setrlimit(resource.RLIMIT_CPU, (limit_s, limit_s + 5))
     content: tuple[Any, str | None]

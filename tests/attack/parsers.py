@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from attack.children import ended
+from attack.container_parsers import container_seeds
 from attack.damage import bytes_of, words_of
 from attack.recorder_parsers import recorder_seeds
 
@@ -99,6 +100,7 @@ def seeds(folder: Path) -> Iterator[tuple[str, Path, Parser]]:
     yield "recipe", folder / "recipe.yaml", load_recipe
     (folder / "a.json").write_text('{"a": [1, 2.5, null, {"b": "c"}], "d": true}')
     yield "JSON", folder / "a.json", read_json
+    yield from container_seeds(folder)
     yield from recorder_seeds(folder)
 
 

@@ -97,8 +97,8 @@ def read(folder: Path, name: str) -> Recording:
 
 def test_every_format_is_here() -> None:
     below = {"klg", "klg_bgr", "realsense"}
-    phones = {"record3d", "stray"}  # in test_phones.py
-    assert CASES.keys() | below | phones == READERS.keys() | UNPACKERS.keys()
+    elsewhere = {"ros", "kinect", "scannet", "zed", "record3d", "stray"}  # in the tests of their formats
+    assert CASES.keys() | below | elsewhere == READERS.keys() | UNPACKERS.keys()
 
 
 @pytest.mark.parametrize("name", CASES)

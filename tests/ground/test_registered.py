@@ -99,3 +99,16 @@ def test_a_point_is_found_where_it_projects() -> None:
     u, v = round(COLOR.fx * x / z + COLOR.cx), round(COLOR.fy * y / z + COLOR.cy)
     assert found[v, u] == pytest.approx(z, abs=2e-3)
     assert invert(invert(color_from_depth)) == pytest.approx(color_from_depth)
+
+
+def test_a_depth_camera_that_bends_its_rims_far_out_loses_none_of_them() -> None:
+    """An Azure Kinect: in an image of the same size, a quarter of its pixels would fall outside."""
+    lens = (3.13, 2.32, 8e-5, -5e-5, 0.13, 3.46, 3.35, 0.66)
+    kinect = Intrinsics(252.0, 252.0, 166.0, 163.0, 320, 288, lens)
+    wide = Intrinsics(150.0, 150.0, 159.5, 159.5, 320, 320)
+    flat = np.full((288, 320), 0.8, np.float32)
+    found = registered(flat, kinect, wide, from_rotvec(np.zeros(3), np.array([-0.03, 0.0, 0.0])))
+    v, u = np.mgrid[4:284:20, 4:316:20]
+    directions = rays(kinect, np.column_stack([u.ravel(), v.ravel()]).astype(float))
+    x, y = 150 * (directions[:, :2] + [-0.03 / 0.8, 0]).T + 159.5
+    np.testing.assert_allclose(found[np.rint(y).astype(int), np.rint(x).astype(int)], 0.8, atol=1e-5)

@@ -1,4 +1,4 @@
-"""Repair a RealSense recording in SQLite (.db3) that was cut off by a full disk or a broken copy.
+"""Repair a recording in SQLite (.db3, ROS 2's or librealsense's) that was cut off.
 
 It has two tables: topics, written first, and messages, in order of arrival. SQLite refuses a file that is
 shorter than its header says; its rows can still be read one at a time, up to the pages that are gone.
@@ -8,9 +8,12 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
+
+import apsw
 
 from rpl_data.files import decoding, refuse_special
 from rpl_data.types import DataError
@@ -22,6 +25,9 @@ CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL, timesta
     data BLOB NOT NULL);
 CREATE INDEX timestamp_idx ON messages (timestamp ASC);
 """
+
+_TOPICS = "id, name, type, serialization_format, offered_qos_profiles"
+"""What every version has; ROS 2 Iron and later have one column more."""
 
 _MOST_UNREADABLE_ROWS = 1000
 """After this many consecutive rows that cannot be read, the file has ended."""
@@ -56,14 +62,14 @@ def repair_db3(path: Path, repaired: Path) -> Db3Repair:
 def _repaired(path: Path, repaired: Path) -> Db3Repair:
     times_ns: list[int] = []
     repaired.unlink(missing_ok=True)
-    with closing(sqlite3.connect(_uri(path), uri=True)) as old, closing(sqlite3.connect(repaired)) as new:
+    with _whole_pages(path) as old, closing(sqlite3.connect(repaired)) as new:
+        new.execute("PRAGMA synchronous = OFF")  # a copy that a crash spoils is made again
         new.executescript(_SCHEMA)
         try:
             old.execute("PRAGMA writable_schema = ON")  # otherwise a file that is too short is refused
-            topics = old.execute("SELECT * FROM topics").fetchall()
-        except sqlite3.DatabaseError as error:
-            why = "is not a recording of a RealSense camera, or all of it is lost"
-            raise DataError(f"{path} {why}") from error
+            topics = old.execute(f"SELECT {_TOPICS} FROM topics").fetchall()
+        except apsw.Error as error:
+            raise _nothing_of(path) from error
         new.executemany("INSERT INTO topics VALUES (?, ?, ?, ?, ?)", topics)
         for row in _whole_messages(old):
             new.execute("INSERT INTO messages VALUES (?, ?, ?, ?)", row)
@@ -74,11 +80,51 @@ def _repaired(path: Path, repaired: Path) -> Db3Repair:
     return Db3Repair(len(times_ns), (max(times_ns) - min(times_ns)) * 1e-9)
 
 
-def _uri(path: Path) -> str:
+def db3_uri(path: Path) -> str:
+    """The address by which SQLite opens a file that it must never change."""
     return f"{path.absolute().as_uri()}?mode=ro&immutable=1"
 
 
-def _whole_messages(connection: sqlite3.Connection) -> Iterator[Row]:
+def _nothing_of(path: Path) -> DataError:
+    return DataError(f"{path} is not a recording of a RealSense camera or of ROS 2, or all of it is lost")
+
+
+class _WholePages(apsw.VFS):
+    """Opens files of which a page that is cut off cannot be read; SQLite itself would take it for zeros."""
+
+    def __init__(self) -> None:
+        super().__init__("rpl-whole-pages", "")
+
+    def xOpen(self, name: Any, flags: list[int]) -> apsw.VFSFile:
+        """Open a file."""
+        return _WholePagesFile("", name, flags)
+
+
+class _WholePagesFile(apsw.VFSFile):
+    def xRead(self, amount: int, offset: int) -> bytes:
+        """Read so many bytes; an error when there are fewer."""
+        content = super().xRead(amount, offset)
+        if len(content) < amount:
+            raise apsw.IOError("the file was cut off here")
+        return content
+
+
+@contextmanager
+def _whole_pages(path: Path) -> Iterator[apsw.Connection]:
+    system = _WholePages()
+    flags = apsw.SQLITE_OPEN_READONLY | apsw.SQLITE_OPEN_URI
+    try:
+        try:
+            connection = apsw.Connection(db3_uri(path), flags=flags, vfs="rpl-whole-pages")
+        except apsw.Error as error:
+            raise _nothing_of(path) from error
+        with closing(connection):
+            yield connection
+    finally:
+        system.unregister()
+
+
+def _whole_messages(connection: apsw.Connection) -> Iterator[Row]:
     number = missing = 0
     while missing < _MOST_UNREADABLE_ROWS:
         number += 1
@@ -86,7 +132,7 @@ def _whole_messages(connection: sqlite3.Connection) -> Iterator[Row]:
             row = connection.execute(
                 "SELECT id, topic_id, timestamp, data FROM messages WHERE id = ?", (number,)
             ).fetchone()
-        except sqlite3.DatabaseError:
+        except apsw.Error:
             row = None
         missing = missing + 1 if row is None else 0
         if row is not None:

@@ -20,8 +20,6 @@ from rpl_data.formats.containers.lz4 import unpack_lz4
 from rpl_data.types import DataError
 
 _START = b"#ROSBAG V2.0\n"
-_HEADER_BYTES = 4104
-"""Size of the record of the bag's header, padded so that it can be rewritten in place."""
 _BAG, _INDEX, _CHUNK, _CHUNK_INFO, _CONNECTION = 3, 4, 5, 6, 7
 
 Fields = Mapping[str, bytes]
@@ -93,7 +91,7 @@ def _scan(file: BinaryIO, path: Path) -> tuple[list[_Chunk], dict[int, bytes]]:
     file.seek(0)
     if file.read(len(_START)) != _START:
         raise DataError(f"{path} is not a ROS bag of version 2.0; expected a recording of a RealSense camera")
-    file.seek(len(_START) + _HEADER_BYTES)
+    file.seek(_after_header(file))
     chunks: list[_Chunk] = []
     connections: dict[int, bytes] = {}
     while (chunk := _next_chunk(file)) is not None:
@@ -104,6 +102,16 @@ def _scan(file: BinaryIO, path: Path) -> tuple[list[_Chunk], dict[int, bytes]]:
     if not any(chunk.times for chunk in chunks):
         raise DataError(f"{path} was cut off within its first chunk; nothing of it can be kept")
     return chunks, connections
+
+
+def _after_header(file: BinaryIO) -> int:
+    """Where the record of the bag's header ends; it is padded, so that it can be rewritten in place.
+
+    ROS and librealsense pad it to 4104 bytes, the package `rosbags` to 4096.
+    """
+    file.seek(len(_START))
+    record = _record(file)
+    return file.tell() + (0 if record is None else record[1])
 
 
 def _next_chunk(file: BinaryIO) -> _Chunk | None:
@@ -191,25 +199,27 @@ def _connections(content: bytes) -> dict[int, bytes]:
 
 def _write(out: IO[bytes], file: BinaryIO, chunks: list[_Chunk], connections: Mapping[int, bytes]) -> None:
     """Write the chunks unchanged, then what a recorder writes on closing, then the header."""
-    end = chunks[-1].end
-    file.seek(len(_START) + _HEADER_BYTES)
-    out.write(bytes(len(_START) + _HEADER_BYTES))
+    start, end = _after_header(file), chunks[-1].end
+    file.seek(start)
+    out.write(bytes(start))
     while (left := end - file.tell()) > 0:
         out.write(file.read(min(left, 1 << 20)))
     out.writelines(connections[number] for number in sorted(connections))
     out.writelines(_chunk_info(chunk) for chunk in chunks)
     out.seek(0)
-    out.write(_START + _bag_header(end, len(connections), len(chunks)))
+    out.write(_START + _bag_header(end, len(connections), len(chunks), start - len(_START)))
 
 
-def _bag_header(index_at: int, connections: int, chunks: int) -> bytes:
+def _bag_header(index_at: int, connections: int, chunks: int, record_bytes: int) -> bytes:
     fields = _packed(
         index_pos=struct.pack("<Q", index_at),
         conn_count=struct.pack("<I", connections),
         chunk_count=struct.pack("<I", chunks),
         op=bytes([_BAG]),
     )
-    padding = _HEADER_BYTES - len(fields) - 8
+    padding = record_bytes - len(fields) - 8
+    if padding < 0:
+        raise ValueError(f"the header of the bag has only {record_bytes} bytes")
     return struct.pack("<I", len(fields)) + fields + struct.pack("<I", padding) + b" " * padding
 
 

@@ -36,3 +36,9 @@ def size_notes(color: Intrinsics, depth: DepthCamera | None) -> list[str]:
         return []
     own, among = depth.intrinsics, f"{color.width} x {color.height}"
     return [f"depth has {own.width} x {own.height} px, colour {among}: it is looked up at the colour pixels"]
+
+
+def camera_numbers(intrinsics: Intrinsics) -> tuple[float, ...]:
+    """The numbers of a camera, as `intrinsics_of` takes them."""
+    lens = intrinsics
+    return (lens.fx, lens.fy, lens.cx, lens.cy, *lens.distortion)

@@ -143,6 +143,7 @@ class Listing:
         registered: whether depth pixels coincide with colour pixels.
         depth_camera: camera of depth images of another size, or `COLOR_LENS`; None where a recording of this
             format must have depth at the pixels of the colour images.
+        color_from_depth: where that camera stands; None where both images come through one lens.
         notes: what was assumed so far.
         skipped: what was left out so far.
     """
@@ -157,6 +158,7 @@ class Listing:
     assumed_unit: bool = False
     registered: bool = True
     depth_camera: Camera | None = None
+    color_from_depth: Transform | None = None
     notes: tuple[str, ...] = ()
     skipped: tuple[str, ...] = ()
 
@@ -265,7 +267,8 @@ def _depth_camera(listing: Listing, color: Intrinsics, depth_px: Size) -> DepthC
         return None
     if listing.depth_camera == COLOR_LENS:
         return behind_color_lens(listing.folder, color, *depth_px)
-    return DepthCamera(intrinsics_of(listing.depth_camera, *depth_px))
+    place = None if listing.color_from_depth is None else tuple(listing.color_from_depth.ravel().tolist())
+    return DepthCamera(intrinsics_of(listing.depth_camera, *depth_px), place)
 
 
 def check_unit(metres_per_unit: float) -> None:

@@ -37,12 +37,29 @@ def write_images(
         depth: depth in the units of the recording.
         lossless: write RGB as PNG, about five times the size.
     """
-    suffix: Literal["png", "jpg"] = "png" if lossless and not isinstance(color, bytes) else "jpg"
-    color_path = folder / "rgb" / f"{index:06d}.{suffix}"
-    depth_path = folder / "depth" / f"{index:06d}.png"
-    write_bytes(color_path, color if isinstance(color, bytes) else encoded(color[..., ::-1], suffix))
-    write_bytes(depth_path, encoded(depth, "png"))
-    return color_path, depth_path
+    return write_color(folder, index, color, lossless=lossless), write_depth(folder, index, depth)
+
+
+def write_color(
+    folder: Path, index: int, color: UInt8[np.ndarray, "height width 3"] | bytes, *, lossless: bool = False
+) -> Path:
+    """Write a colour image, RGB or the bytes of a JPEG or PNG file, and return its path."""
+    if isinstance(color, bytes):
+        kept = "png" if color.startswith(b"\x89PNG") else "jpg"
+        path = folder / "rgb" / f"{index:06d}.{kept}"
+        write_bytes(path, color)
+        return path
+    suffix: Literal["png", "jpg"] = "png" if lossless else "jpg"
+    path = folder / "rgb" / f"{index:06d}.{suffix}"
+    write_bytes(path, encoded(color[..., ::-1], suffix))
+    return path
+
+
+def write_depth(folder: Path, index: int, depth: UInt16[np.ndarray, "height width"]) -> Path:
+    """Write a depth image and return its path."""
+    path = folder / "depth" / f"{index:06d}.png"
+    write_bytes(path, encoded(depth, "png"))
+    return path
 
 
 def encoded(image: np.ndarray, suffix: Literal["png", "jpg"]) -> bytes:

@@ -13,6 +13,7 @@ from rpl_data.files import remove
 from rpl_data.json_arrays import Json
 from rpl_data.pipeline.context import Context, step
 from rpl_data.pipeline.ledger import Advance, Outcome, Step, stamps
+from rpl_data.pipeline.recipe import SceneSource
 from rpl_data.pipeline.sources import recordings_of
 from rpl_data.types import DataError, Recording
 from rpl_data.workspace.workspace import Workspace
@@ -56,7 +57,7 @@ def import_steps(context: Context) -> list[Step]:
     seen: Json = {}
     for source in sources:
         seen |= stamps(source.path, but_not=not_here, names=source.names)
-    options: Json = {"scenes": [asdict(source) | {"path": str(source.path)} for source in sources]}
+    options: Json = {"scenes": [_options(source) for source in sources]}
     if not context.wants_given:
         options |= {"poses": "tracked"}
     outputs = [workspace.scene_file(name) for name in workspace.video_names()]
@@ -65,6 +66,13 @@ def import_steps(context: Context) -> list[Step]:
             "import", "", run, version=VERSION, options=options, sources=seen, after=["twin"], outputs=outputs
         )
     ]
+
+
+def _options(source: SceneSource) -> Json:
+    options: Json = asdict(source) | {"path": str(source.path)}
+    if source.topics is None:  # then as before there were any: what was imported stays
+        del options["topics"]
+    return options
 
 
 def _certain_faults(recording: Recording) -> list[str]:

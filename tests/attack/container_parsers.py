@@ -1,0 +1,63 @@
+"""Recordings in one file, and what reads them: ROS bags, Azure Kinect's and ScanNet's files."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from bags import realsense
+from kinect_writer import calibration, recorded
+from sens_writer import write_sens
+
+Parser = Callable[[Path], Any]
+
+
+def container_seeds(folder: Path) -> Iterator[tuple[str, Path, Parser]]:
+    """A good file of each kind, and what reads it, without the process of its own that a reader has."""
+    from rpl_data.formats.containers.ros_topics import is_of_ros
+
+    for suffix in ("bag", "db3", "mcap"):
+        made = realsense(folder / f"ros_{suffix}.{suffix}", 2)
+        bag = folder / f"whole.{suffix}"
+        shutil.copy(made if made.is_file() else made / f"ros_{suffix}.{suffix}", bag)
+        yield f"ROS {suffix}", bag, lambda path: _read_bag(path, folder / "out")
+    yield "whose db3", folder / "whole.db3", is_of_ros
+    yield "whose bag", folder / "whole.bag", is_of_ros
+    yield "Azure Kinect", recorded(folder / "kinect.mkv", 1), _survey_mkv
+    (folder / "calibration.json").write_bytes(calibration())
+    yield "Azure Kinect's calibration", folder / "calibration.json", _calibration
+    yield "ScanNet", write_sens(folder / "scan.sens", count=2), lambda path: _read_sens(path, folder / "out")
+
+
+def _read_bag(path: Path, out: Path) -> None:
+    from rpl_data.formats.recordings.ros.read import read_bag
+    from rpl_data.formats.recordings.ros.topics import Topics
+
+    read_bag("a", (path,), out, None, None, Topics())
+
+
+def _survey_mkv(path: Path) -> None:
+    """All but moving depth, which takes a second and sees images of the right size only."""
+    from rpl_data.formats.containers.matroska import missing_bytes
+    from rpl_data.formats.recordings.kinect import survey_mkv
+
+    missing_bytes(path)
+    survey_mkv(path)
+
+
+def _calibration(path: Path) -> None:
+    from rpl_data.formats.containers.k4a_calibration import COLOR_MODES, DEPTH_MODES, k4a_calibration
+
+    modes = DEPTH_MODES["NFOV_UNBINNED"], COLOR_MODES["720P"]
+    found = k4a_calibration(path.read_bytes(), *modes, source=str(path))
+    assert np.isfinite(found.color_from_depth).all()
+
+
+def _read_sens(path: Path, out: Path) -> None:
+    from rpl_data.formats.recordings.scannet import read_sens
+
+    for recording in read_sens(path, unpack=lambda name: out):
+        assert np.isfinite(recording.scene.intrinsics.fx)
