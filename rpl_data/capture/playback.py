@@ -13,8 +13,15 @@ from rpl_data.capture.streams import Shot, Streams
 from rpl_data.formats.containers.db3 import repair_db3
 from rpl_data.formats.containers.ros_topics import is_of_ros
 from rpl_data.formats.containers.rosbag import repair_bag
-from rpl_data.formats.recordings.frame_files import Camera, Listing, Pair, chosen, examine, without_poses
+from rpl_data.formats.recordings.frame_files import (
+    Camera,
+    Listing,
+    Pair,
+    examine,
+    without_poses,
+)
 from rpl_data.formats.recordings.saved_images import write_images
+from rpl_data.formats.recordings.scene_folders import chosen
 from rpl_data.types import DataError, Recording
 from rpl_data.untrusted.child import in_child
 

@@ -19,6 +19,7 @@ def recordings_at(
     format: str | None = None,
     names: Sequence[str] | None = None,
     metres_per_unit: float | None = None,
+    camera: Sequence[float] | None = None,
     topics: Topics | None = None,
 ) -> list[Recording]:
     """The recordings of a recipe as it reads and mends them, or those found at a path.
@@ -29,6 +30,7 @@ def recordings_at(
         format: a key of `READERS` or `UNPACKERS` of `rpl_data.recordings.open`; guessed where None.
         names: only these scenes.
         metres_per_unit: of the depth images; what the format says where None.
+        camera: fx, fy, cx, cy and distortion of the colour images; what the recording says where None.
         topics: topics of a ROS bag to use; found by their names where None.
 
     Raises:
@@ -45,6 +47,7 @@ def recordings_at(
         chosen,
         names=names,
         metres_per_unit=metres_per_unit,
+        camera=None if camera is None else tuple(camera),
         unpack=scratch.joinpath,
         topics=topics,
     )

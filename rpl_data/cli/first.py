@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+from rpl_data.formats.recordings.ros.topics import Topics
 from rpl_data.types import DataError
 
 
@@ -14,6 +15,8 @@ def init(
     object: str | None = None,
     keypoints: str | None = None,
     format: str | None = None,
+    camera: tuple[float, ...] | None = None,
+    topics: Topics | None = None,
 ) -> None:
     """Look at a recording and write its recipe: format and `mend:` filled in from what `rpl check` finds.
 
@@ -29,11 +32,15 @@ def init(
         object: what the object is called.
         keypoints: how many keypoints it has, or their names with commas.
         format: how the recording is stored; guessed when left out.
+        camera: fx, fy, cx, cy in pixels, as '[600, 600, 320, 240]', then lens distortion; what the recording
+            says when left out.
+        topics: topics of a ROS bag to use, as '{"color": "/cam1/color/image_raw"}'; found when left out.
     """
     import yaml
 
     from rpl_data.cli.new_recipe import next_commands, text_for
     from rpl_data.files import write_text
+    from rpl_data.pipeline.first_recipe import Told
     from rpl_data.pipeline.recipe_file import parse_recipe
 
     if recipe.suffix not in (".yaml", ".yml"):
@@ -43,7 +50,8 @@ def init(
     if not recipe.absolute().parent.is_dir():
         raise DataError(f"there is no folder {recipe.parent}; make it first")
     asks = sys.stdin.isatty() and sys.stdout.isatty()
-    text = text_for(from_, recipe, object=object, keypoints=keypoints, format=format, asks=asks)
+    told = Told(format, camera, topics)
+    text = text_for(from_, recipe, object=object, keypoints=keypoints, told=told, asks=asks)
     written = parse_recipe(yaml.safe_load(text), source=str(recipe))  # never one that `rpl build` refuses
     write_text(recipe, text)
     clicked = all(item.clicks for item in written.objects)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -12,6 +13,7 @@ from rpl_data.cli.screen import print_diagnoses
 from rpl_data.pipeline.build import recipe_of
 from rpl_data.pipeline.first_recipe import (
     KeypointsSaid,
+    Told,
     keypoints_from,
     objects_clicked,
     path_from,
@@ -23,6 +25,7 @@ from rpl_data.types import DataError
 from rpl_data.untrusted.names import checked_name
 from rpl_data.workspace.workspace import Workspace
 
+NOTHING_TOLD = Told()
 USUAL_OBJECT, USUAL_KEYPOINTS = "object", "8"
 
 
@@ -32,7 +35,7 @@ def text_for(
     *,
     object: str | None = None,
     keypoints: str | None = None,
-    format: str | None = None,
+    told: Told = NOTHING_TOLD,
     asks: bool = False,
 ) -> str:
     """The recipe's text; prints what the doctor says on the way.
@@ -42,13 +45,13 @@ def text_for(
         recipe: the file that the text is for; paths in it start at its folder.
         object: what the object is called; as in the recording's clicks.csv, or asked for, when None.
         keypoints: how many, or their names with commas; likewise.
-        format: how it is stored; guessed when None.
+        told: how it is stored; the format is guessed when it is None.
         asks: whether somebody is there to ask.
 
     Raises:
         DataError: nothing can be read there, or a name cannot be one.
     """
-    chosen = format or format_of(recording)
+    chosen = told.format or format_of(recording)
     clicks = recording / "clicks.csv"
     objects = objects_clicked(clicks) if object is None else []
     if not objects:
@@ -56,11 +59,11 @@ def text_for(
     elif keypoints is not None:
         raise DataError(f"{clicks} says which keypoints there are; give --keypoints together with --object")
     with TemporaryDirectory() as scratch:
-        found = recordings_at(recording, Path(scratch), format=chosen)
+        found = recordings_at(recording, Path(scratch), format=chosen, camera=told.camera, topics=told.topics)
         examined = list(zip(found, print_diagnoses(found), strict=True))
     return recipe_text(
         path_from(recipe, recording),
-        chosen,
+        replace(told, format=chosen),
         examined,
         name=recipe.stem,
         objects=objects,

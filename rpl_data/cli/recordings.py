@@ -98,6 +98,7 @@ def check(
     format: str | None = None,
     names: tuple[str, ...] | None = None,
     metres_per_unit: float | None = None,
+    camera: tuple[float, ...] | None = None,
     topics: Topics | None = None,
 ) -> None:
     """Say what is wrong with a recording, how sure that is, and what mends it; changes nothing.
@@ -114,6 +115,8 @@ def check(
         format: how the recording is stored; guessed when left out.
         names: only these scenes, as '["00", "01"]'.
         metres_per_unit: metres per unit of the depth images; what the format says when left out.
+        camera: fx, fy, cx, cy in pixels, as '[600, 600, 320, 240]', then lens distortion; what the recording
+            says when left out.
         topics: topics of a ROS bag to use, as '{"color": "/cam1/color/image_raw"}'; found when left out.
     """
     from tempfile import TemporaryDirectory
@@ -129,6 +132,7 @@ def check(
                 format=format,
                 names=names,
                 metres_per_unit=metres_per_unit,
+                camera=camera,
                 topics=topics,
             )
         )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import yaml
@@ -12,12 +12,32 @@ from rpl_data.clicks.table import keypoints_in_csv
 from rpl_data.doctor.findings import Diagnosis
 from rpl_data.doctor.pairing import SURE
 from rpl_data.files import read_text
+from rpl_data.formats.recordings.ros.topics import Topics
 from rpl_data.recordings.mend import Mend, in_recipe
 from rpl_data.types import DataError, Recording
 from rpl_data.untrusted.names import checked_keypoints, checked_name
 
 KeypointsSaid = int | tuple[str, ...]
 """How many keypoints an object has, or their names in order."""
+
+
+@dataclass(frozen=True)
+class Told:
+    """What a person says of a recording, which its files do not; as in `recipe.SceneSource`."""
+
+    format: str | None = None
+    camera: tuple[float, ...] | None = None
+    topics: Topics | None = None
+
+    @property
+    def lines(self) -> list[str]:
+        """The lines of a recipe that say it."""
+        lines = [f"    format: {self.format}"]
+        lines += [] if self.camera is None else [f"    camera: {list(self.camera)}"]
+        if self.topics is not None:
+            chosen = {key: value for key, value in asdict(self.topics).items() if value is not None}
+            lines.append(f"    topics: {_flow(chosen)}")
+        return lines
 
 
 def keypoints_from(text: str, *, where: str) -> KeypointsSaid:
@@ -51,7 +71,7 @@ def mends(diagnosis: Diagnosis) -> Mend:
 
 def recipe_text(
     path: str,
-    format: str,
+    told: Told,
     examined: Sequence[tuple[Recording, Diagnosis]],
     *,
     name: str,
@@ -62,7 +82,7 @@ def recipe_text(
 
     Args:
         path: where the recording is, as the recipe shall say it.
-        format: how it is stored.
+        told: how it is stored.
         examined: each of its scenes, and what the doctor said of it.
         name: of the dataset.
         objects: name and keypoints of each object.
@@ -72,7 +92,7 @@ def recipe_text(
         f"name: {_flow(name)}  # of the dataset",
         "",
         "scenes:  # recordings of several places can be joined: add a `- path:` for each",
-        *_sources(path, format, examined),
+        *_sources(path, told, examined),
         "",
         "objects:  # what is labelled; several may stand in the same scenes",
     ]
@@ -97,14 +117,14 @@ _REST = (
 )
 
 
-def _sources(path: str, format: str, examined: Sequence[tuple[Recording, Diagnosis]]) -> list[str]:
+def _sources(path: str, told: Told, examined: Sequence[tuple[Recording, Diagnosis]]) -> list[str]:
     """The lines of `scenes:`, one source for all scenes that are mended alike."""
     alike: dict[Mend, list[str]] = {}
     for recording, diagnosis in examined:
         alike.setdefault(mends(diagnosis), []).append(recording.scene.name)
     lines = []
     for mend, names in alike.items():
-        lines += [f"  - path: {_flow(path)}", f"    format: {format}"]
+        lines += [f"  - path: {_flow(path)}", *told.lines]
         lines += [f"    names: {_flow(names)}"] if len(alike) > 1 else []
         if mend != Mend():
             lines.append(f"    {in_recipe(mend)}  # as `rpl check` found")
@@ -120,8 +140,8 @@ def _keypoints(keypoints: KeypointsSaid) -> str:
     return str(keypoints) if isinstance(keypoints, int) else _flow(list(keypoints))
 
 
-def _flow(value: str | list[str]) -> str:
-    """A string, or a list of strings, as YAML on one line; quoted only where YAML needs it."""
+def _flow(value: str | list[str] | dict[str, str]) -> str:
+    """A string, or strings in a list or dictionary, as YAML on one line; quoted where YAML needs it."""
     text: str = yaml.safe_dump(value, default_flow_style=True, allow_unicode=True, width=10_000)
     return text.removesuffix("...\n").strip()
 

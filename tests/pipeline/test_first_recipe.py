@@ -9,7 +9,8 @@ import yaml
 from recordings import CAMERA
 
 from rpl_data.doctor.findings import Diagnosis, Finding
-from rpl_data.pipeline.first_recipe import keypoints_from, path_from, recipe_text
+from rpl_data.formats.recordings.ros.topics import Topics
+from rpl_data.pipeline.first_recipe import Told, keypoints_from, path_from, recipe_text
 from rpl_data.pipeline.recipe_file import parse_recipe
 from rpl_data.recordings.mend import Mend
 from rpl_data.types import Recording, Scene
@@ -28,7 +29,7 @@ def lag(frames: int, sure: float = 1.0) -> Finding:
 def test_scenes_with_other_faults_are_sources_of_their_own() -> None:
     repeats = Finding("repeated frames", "twice the same", 1.0, "do it", Mend(no_repeats=True))
     found = [examined("00", lag(2), repeats), examined("01"), examined("02", lag(2), repeats)]
-    text = recipe_text("data", "tum", found, name="n", objects=[("mug", 4)], clicks=None)
+    text = recipe_text("data", Told("tum"), found, name="n", objects=[("mug", 4)], clicks=None)
     recipe = parse_recipe(yaml.safe_load(text), source="text")
     assert [source.names for source in recipe.scenes] == [("00", "02"), ("01",)]
     assert [source.mend for source in recipe.scenes] == [Mend(pose_lag=2, no_repeats=True), Mend()]
@@ -37,10 +38,17 @@ def test_scenes_with_other_faults_are_sources_of_their_own() -> None:
 
 def test_what_is_not_sure_is_a_comment() -> None:
     text = recipe_text(
-        "data", "tum", [examined("00", lag(3, 0.5))], name="n", objects=[("m", 4)], clicks=None
+        "data", Told("tum"), [examined("00", lag(3, 0.5))], name="n", objects=[("m", 4)], clicks=None
     )
     assert parse_recipe(yaml.safe_load(text), source="text").scenes[0].mend == Mend()
     assert "# scene 00: poses are 3 late; do it" in text
+
+
+def test_what_was_told_stands_in_the_recipe() -> None:
+    told = Told("ros", (600.0, 601.0, 320.0, 240.0), Topics(color="/a/b", poses="/tf"))
+    text = recipe_text("x.mcap", told, [examined("00")], name="n", objects=[("m", 4)], clicks=None)
+    source = parse_recipe(yaml.safe_load(text), source="text").scenes[0]
+    assert (source.format, source.camera, source.topics) == (told.format, told.camera, told.topics)
 
 
 def test_paths_start_at_the_recipe(tmp_path: Path) -> None:

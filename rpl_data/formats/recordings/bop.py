@@ -32,14 +32,12 @@ from rpl_data.formats.recordings.frame_files import (
     Camera,
     Listing,
     Pair,
-    chosen,
     examine,
-    folders_in,
     grouped,
-    scene_folders,
     with_poses,
     without_poses,
 )
+from rpl_data.formats.recordings.scene_folders import chosen, folders_in, scene_folders
 from rpl_data.formats.recordings.true_poses import with_true_poses
 from rpl_data.geometry import Transform, invert, rigid
 from rpl_data.json_arrays import Json

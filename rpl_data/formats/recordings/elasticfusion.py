@@ -35,7 +35,6 @@ from rpl_data.formats.recordings.frame_files import (
     Camera,
     Listing,
     Pair,
-    chosen,
     examine,
     grouped,
     match_poses,
@@ -44,6 +43,7 @@ from rpl_data.formats.recordings.frame_files import (
 )
 from rpl_data.formats.recordings.pose_lines import PoseRows, nearest, read_pose_rows
 from rpl_data.formats.recordings.saved_images import write_images
+from rpl_data.formats.recordings.scene_folders import chosen
 from rpl_data.formats.recordings.times import USUAL_STEPS_S, refuse_jumping
 from rpl_data.geometry import Transform
 from rpl_data.types import DataError, Frame, Recording

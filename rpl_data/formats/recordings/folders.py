@@ -41,10 +41,8 @@ from rpl_data.formats.recordings.frame_files import (
     Camera,
     Listing,
     Pair,
-    chosen,
     examine,
     grouped,
-    scene_folders,
     with_poses,
     without_poses,
 )
@@ -56,6 +54,7 @@ from rpl_data.formats.recordings.matrices import (
     read_matrix_pose,
     rigid_or_none,
 )
+from rpl_data.formats.recordings.scene_folders import chosen, scene_folders
 from rpl_data.geometry import Transform
 from rpl_data.types import DataError, Recording
 

@@ -26,12 +26,11 @@ from rpl_data.formats.recordings.frame_files import (
     Camera,
     Listing,
     Pair,
-    chosen,
     examine,
-    scene_folders,
     with_poses,
     without_poses,
 )
+from rpl_data.formats.recordings.scene_folders import chosen, scene_folders
 from rpl_data.geometry import Transform
 from rpl_data.types import DataError, Intrinsics, Recording
 

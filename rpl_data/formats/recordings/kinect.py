@@ -35,13 +35,13 @@ from rpl_data.formats.recordings.frame_files import (
     Camera,
     Listing,
     Pair,
-    chosen,
     examine,
     grouped,
     without_poses,
 )
 from rpl_data.formats.recordings.partners import partners
 from rpl_data.formats.recordings.saved_images import write_color
+from rpl_data.formats.recordings.scene_folders import chosen
 from rpl_data.types import DataError, Recording
 from rpl_data.untrusted.child import in_child
 from rpl_data.wording import counted

@@ -33,17 +33,15 @@ from rpl_data.formats.recordings.frame_files import (
     Camera,
     Listing,
     Pair,
-    chosen,
     examine,
-    folders_in,
     grouped,
     match_poses,
-    scene_folders,
     with_poses,
     without_poses,
 )
 from rpl_data.formats.recordings.image_headers import probe
 from rpl_data.formats.recordings.pose_lines import read_pose_rows
+from rpl_data.formats.recordings.scene_folders import chosen, folders_in, scene_folders
 from rpl_data.formats.recordings.times import Clock, clock_beside, clock_of
 from rpl_data.formats.recordings.true_poses import with_true_poses
 from rpl_data.geometry import Transform, from_quaternion_xyzw

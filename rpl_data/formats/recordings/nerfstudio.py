@@ -24,9 +24,10 @@ from typing import Any
 import numpy as np
 
 from rpl_data.files import decoding, read_json
-from rpl_data.formats.recordings.frame_files import Camera, chosen, grouped, scene_folders
+from rpl_data.formats.recordings.frame_files import Camera, grouped
 from rpl_data.formats.recordings.matrices import rigid_or_none
 from rpl_data.formats.recordings.phones import OPENGL, Phone, PhoneFrame, phone_recording
+from rpl_data.formats.recordings.scene_folders import chosen, scene_folders
 from rpl_data.geometry import Transform
 from rpl_data.types import DataError, Recording
 

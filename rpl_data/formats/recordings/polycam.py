@@ -17,7 +17,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from rpl_data.formats.recordings.frame_files import Camera, chosen, grouped, scene_folders
+from rpl_data.formats.recordings.frame_files import Camera, grouped
 from rpl_data.formats.recordings.phones import (
     Phone,
     PhoneFrame,
@@ -25,6 +25,7 @@ from rpl_data.formats.recordings.phones import (
     json_or_empty,
     phone_recording,
 )
+from rpl_data.formats.recordings.scene_folders import chosen, scene_folders
 from rpl_data.types import DataError, Recording
 
 _KEYS = ("fx", "fy", "cx", "cy", *(f"t_{row}{column}" for row in range(3) for column in range(4)))

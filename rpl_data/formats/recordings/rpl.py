@@ -27,9 +27,7 @@ from rpl_data.formats.recordings.frame_files import (
     Listing,
     Pair,
     check_unit,
-    chosen,
     examine,
-    folders_in,
     match_poses,
     unlisted,
     with_poses,
@@ -44,6 +42,7 @@ from rpl_data.formats.recordings.pose_lines import (
     whole_lines,
     write_pose_lines,
 )
+from rpl_data.formats.recordings.scene_folders import chosen, folders_in
 from rpl_data.formats.recordings.times import Clock, clock_beside, clock_of, refuse_jumping
 from rpl_data.types import DataError, Recording
 

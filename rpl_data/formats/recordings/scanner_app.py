@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from rpl_data.formats.recordings.frame_files import Camera, chosen, grouped, scene_folders
+from rpl_data.formats.recordings.frame_files import Camera, grouped
 from rpl_data.formats.recordings.phones import (
     Phone,
     PhoneFrame,
@@ -27,6 +27,7 @@ from rpl_data.formats.recordings.phones import (
     json_or_empty,
     phone_recording,
 )
+from rpl_data.formats.recordings.scene_folders import chosen, scene_folders
 from rpl_data.types import DataError, Recording
 from rpl_data.wording import counted
 

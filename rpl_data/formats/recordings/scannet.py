@@ -13,7 +13,6 @@ from rpl_data.formats.recordings.frame_files import (
     Camera,
     Listing,
     Pair,
-    chosen,
     examine,
     grouped,
     intrinsics_of,
@@ -21,6 +20,7 @@ from rpl_data.formats.recordings.frame_files import (
     without_poses,
 )
 from rpl_data.formats.recordings.saved_images import write_color
+from rpl_data.formats.recordings.scene_folders import chosen
 from rpl_data.geometry import Transform, is_rotation
 from rpl_data.types import DataError, Recording
 

@@ -26,7 +26,7 @@ import numpy as np
 from rpl_data.files import read_text
 from rpl_data.formats.containers.video import video_frames
 from rpl_data.formats.recordings.depth_files import read_depth_file, stored_units
-from rpl_data.formats.recordings.frame_files import Camera, chosen, grouped, scene_folders
+from rpl_data.formats.recordings.frame_files import Camera, grouped
 from rpl_data.formats.recordings.matrices import read_matrix_camera
 from rpl_data.formats.recordings.phones import (
     DOUBTED,
@@ -36,6 +36,7 @@ from rpl_data.formats.recordings.phones import (
     read_confidence,
 )
 from rpl_data.formats.recordings.saved_images import write_images
+from rpl_data.formats.recordings.scene_folders import chosen, scene_folders
 from rpl_data.geometry import Transform, from_quaternion_xyzw
 from rpl_data.types import DataError, Recording
 from rpl_data.untrusted.child import in_child

@@ -29,9 +29,7 @@ from rpl_data.formats.recordings.frame_files import (
     Camera,
     Listing,
     Pair,
-    chosen,
     examine,
-    scene_folders,
     unlisted,
     with_poses,
     without_poses,
@@ -46,6 +44,7 @@ from rpl_data.formats.recordings.pose_lines import (
     whole_lines,
     write_pose_lines,
 )
+from rpl_data.formats.recordings.scene_folders import chosen, scene_folders
 from rpl_data.formats.recordings.times import Clock, clock_beside, clock_of, refuse_jumping
 from rpl_data.types import DataError, Recording
 from rpl_data.wording import counted

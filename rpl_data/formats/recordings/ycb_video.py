@@ -30,13 +30,12 @@ from rpl_data.formats.recordings.frame_files import (
     Camera,
     Listing,
     Pair,
-    chosen,
     examine,
     grouped,
-    scene_folders,
     with_poses,
     without_poses,
 )
+from rpl_data.formats.recordings.scene_folders import chosen, scene_folders
 from rpl_data.formats.recordings.true_poses import with_true_poses
 from rpl_data.geometry import Transform, invert, rigid
 from rpl_data.types import DataError, Recording

@@ -20,11 +20,10 @@ from rpl_data.formats.recordings.frame_files import (
     Camera,
     Listing,
     Pair,
-    chosen,
     examine,
-    scene_folders,
     without_poses,
 )
+from rpl_data.formats.recordings.scene_folders import chosen, scene_folders
 from rpl_data.types import DataError, Recording
 
 RATE_HZ = 30.0

@@ -24,7 +24,7 @@ from rpl_data.formats.containers.db3 import repair_db3
 from rpl_data.formats.containers.mcap import McapFile, zstd
 from rpl_data.formats.containers.ros_topics import is_of_ros
 from rpl_data.formats.containers.rosbag import repair_bag
-from rpl_data.formats.recordings.frame_files import folders_in
+from rpl_data.formats.recordings.scene_folders import folders_in
 from rpl_data.types import DataError
 from rpl_data.wording import counted
 

@@ -16,7 +16,6 @@ from rpl_data.formats.recordings.frame_files import (
     Camera,
     Listing,
     Pair,
-    chosen,
     examine,
     grouped,
     with_poses,
@@ -30,6 +29,7 @@ from rpl_data.formats.recordings.ros.streams import Streams, streams_of
 from rpl_data.formats.recordings.ros.survey import Survey, survey_of, times_ns
 from rpl_data.formats.recordings.ros.topics import ImageTopic, Topics
 from rpl_data.formats.recordings.saved_images import write_color
+from rpl_data.formats.recordings.scene_folders import chosen
 from rpl_data.types import DataError, Recording
 from rpl_data.untrusted.child import in_child
 from rpl_data.wording import counted
