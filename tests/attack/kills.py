@@ -13,6 +13,7 @@ import time
 import urllib.request
 from collections import Counter
 from collections.abc import Callable
+from importlib import import_module
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -130,6 +131,15 @@ def trainings(base: Path, scratch: Path, kills: int, tell: Callable[[str], None]
     The weights must be those of a training left alone, bit by bit. Each child is a fork of this process, so
     that kills fall into the training, its validation and its writing, not into the loading of torch.
     """
+    for module in (
+        "keypoints.module",
+        "detection.module",
+        "runs.trainer",
+        "train_keypoints",
+        "train_detector",
+    ):
+        import_module(f"training.{module}")
+    import_module("rpl_data.torch.datamodule")
     counts: Counter[str] = Counter()
     chance = random.Random(3)
     torch.set_num_threads(1)
@@ -142,8 +152,11 @@ def trainings(base: Path, scratch: Path, kills: int, tell: Callable[[str], None]
         while counts[f"training, {name}: killed"] < kills / len(TRAININGS):
             out = folder / f"run{number}"
             number += 1
+            started, before = time.monotonic(), counts[f"training, {name}: killed"]
             while _trained(train, base, out, chance.uniform(0, lasts_s)) == -signal.SIGKILL:
                 counts[f"training, {name}: killed"] += 1
+            if before == counts[f"training, {name}: killed"]:  # too late: this machine has become faster
+                lasts_s = min(lasts_s, time.monotonic() - started)
             same = _same(wanted, _weights(out))
             counts[f"training, {name}, after kills: {'same' if same else 'difference'}"] += 1
             if not same:
