@@ -39,12 +39,21 @@ def as_exported(data: Any, *, source: str) -> Json:
         sizes = {image["id"]: (_side(image["height"]), _side(image["width"])) for image in data["images"]}
         crowds = [each for each in data["annotations"] if each.get("iscrowd")]
         for annotation in data["annotations"]:
+            if _is_exported(annotation):
+                continue
             with decoding(f"{source}: annotation {annotation['id']!r:.40}", REMEDY):
                 _redraw(annotation, sizes.get(annotation["image_id"]), crowd=bool(annotation.get("iscrowd")))
         if crowds:
             data["annotations"] = [each for each in data["annotations"] if not each.get("iscrowd")]
             data["crowds"] = crowds
     return data
+
+
+def _is_exported(annotation: Json) -> bool:
+    """Whether an annotation has packed masks and is no crowd, as nearly all are."""
+    packed = all(isinstance(annotation.get(key), dict) for key, _ in MASKS)
+    texts = packed and all(isinstance(annotation[key].get("counts"), str) for key, _ in MASKS)
+    return texts and not annotation.get("iscrowd")
 
 
 def _number_ids(data: Json) -> None:
