@@ -22,7 +22,7 @@ def main() -> int:
     """Run the attacks that were asked for, all when none is named."""
     parser = argparse.ArgumentParser(prog="attack", description=__doc__)
     parser.add_argument("--only", nargs="*", choices=("files", "parsers", "server", "kills", "trainings"))
-    parser.add_argument("--rounds", type=int, default=16, help="damages per file: 16 are over 1,000 cases")
+    parser.add_argument("--rounds", type=int, default=8, help="damages per file: 8 are over 1,000 cases")
     parser.add_argument("--inputs", type=int, default=20_000, help="damaged files per parser")
     parser.add_argument("--requests", type=int, default=3000)
     parser.add_argument("--kills", type=int, default=60)
