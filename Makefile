@@ -17,12 +17,14 @@ bench: demo
 	set -e; for program in $$(grep -L 'def test_' tests/bench/bench_*.py); do \
 		echo "== $$program"; PYTHONPATH=. .venv/bin/python $$program; done
 	.venv/bin/python -m pytest -s -o addopts= -o python_files='bench_*.py' tests/bench
+	$(MAKE) attack
 
 # The paper's presets on this machine's GPU, in less than eight minutes.
 gpu-check: demo
 	.venv/bin/python -m training.gpu_check
 
-# Damages files, feeds every parser damaged input, sends odd requests, kills builds and servers: a table by kind.
+# Damages files, feeds every parser damaged input, sends odd requests, kills builds, servers and trainings: a table
+# by kind, in some tens of minutes on two idle cores.
 attack: $(STAMP)
 	PYTHONPATH=.:tests .venv/bin/python -m attack
 

@@ -16,7 +16,8 @@ from scipy.spatial import cKDTree
 from rpl_data.files import write_bytes
 from rpl_data.types import DataError, Mesh, PointCloud
 from rpl_data.untrusted.child import in_child
-from rpl_data.untrusted.ply import Columns, read_ply
+from rpl_data.untrusted.ply import read_ply
+from rpl_data.untrusted.ply_header import Columns
 
 Floats = Float64[np.ndarray, "n 3"]
 Colors = UInt8[np.ndarray, "n 3"]

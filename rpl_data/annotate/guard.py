@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import hmac
 from dataclasses import dataclass
-from http.cookies import SimpleCookie
 from urllib.parse import parse_qs
 
 from starlette.datastructures import Headers, MutableHeaders
+from starlette.requests import cookie_parser
 from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -22,6 +22,8 @@ from rpl_data.annotate.work import Address
 COOKIE = "rpl_token"
 MOST_BYTES = 64 * 2**20
 """A large mesh; nothing longer is read."""
+LONGEST_NUMBER = 15
+"""Digits of a number in a header: Python refuses to read one of thousands."""
 MOST_BYTES_AT_ONCE = 2 * MOST_BYTES
 """Of all requests together: bodies are kept in memory until they are answered."""
 POLICY = (
@@ -77,7 +79,7 @@ class Guard:
         ):
             return _no(403, "another site may not use this page")
         length = headers.get("content-length", "0")
-        if not length.isdigit() or int(length) > MOST_BYTES:
+        if not length.isdecimal() or len(length) > LONGEST_NUMBER or int(length) > MOST_BYTES:
             return _no(413, f"too much: at most {MOST_BYTES // 2**20} MB are taken")
         return self._without_token(scope, headers)
 
@@ -93,8 +95,9 @@ class Guard:
             answer = RedirectResponse("/", 303)
             answer.set_cookie(COOKIE, token, httponly=True, samesite="strict")
             return answer
-        kept = SimpleCookie(headers.get("cookie", "")).get(COOKIE)
-        if kept is not None and hmac.compare_digest(kept.value.encode(), token.encode()):
+        # Other servers of this machine set cookies too, with names that Python's own parser raises at.
+        kept = cookie_parser(headers.get("cookie", "")).get(COOKIE, "")
+        if hmac.compare_digest(kept.encode("utf-8", "replace"), token.encode()):
             return None
         return _no(403, "the token is missing or wrong; open the address that `rpl annotate` printed")
 

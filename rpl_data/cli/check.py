@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from rpl_data.formats.recordings.ros.topics import Topics
+from rpl_data.formats.recordings.ros.wanted import Topics
 from rpl_data.pipeline.recipe_file import load_recipe
 from rpl_data.pipeline.sources import recordings_of
 from rpl_data.recordings.open import READERS, UNPACKERS, likely_formats, open_scenes

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from rpl_data.formats.recordings.ros.topics import Topics
+from rpl_data.formats.recordings.ros.wanted import Topics
 from rpl_data.types import DataError
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Literal
 
 from rpl_data.cli.building import HERE, run_build
-from rpl_data.formats.recordings.ros.topics import Topics
+from rpl_data.formats.recordings.ros.wanted import Topics
 from rpl_data.types import DataError
 
 

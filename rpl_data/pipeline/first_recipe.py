@@ -12,7 +12,7 @@ from rpl_data.clicks.table import keypoints_in_csv
 from rpl_data.doctor.findings import Diagnosis
 from rpl_data.doctor.pairing import SURE
 from rpl_data.files import read_text
-from rpl_data.formats.recordings.ros.topics import Topics
+from rpl_data.formats.recordings.ros.wanted import Topics
 from rpl_data.recordings.mend import Mend, in_recipe
 from rpl_data.types import DataError, Recording
 from rpl_data.untrusted.names import checked_keypoints, checked_name

@@ -13,7 +13,7 @@ from typing import Literal
 
 from rpl_data.drift.drift import MAX_DRIFT_MM
 from rpl_data.export.split import SplitRule
-from rpl_data.formats.recordings.ros.topics import Topics
+from rpl_data.formats.recordings.ros.wanted import Topics
 from rpl_data.recordings.mend import Mend
 from rpl_data.twin.spec import TwinSpec
 

@@ -11,17 +11,29 @@ from jaxtyping import Float64, Int64
 from rpl_data.geometry import spread_m
 from rpl_data.pose.correspondences import Correspondences
 from rpl_data.pose.refine import covariance_of, refined, reprojection_sigmas
-from rpl_data.pose.solvers import FEWEST, SOLVERS
+from rpl_data.pose.solvers import FEWEST, INLIER_SIGMAS, SOLVERS
 
 Method = Literal["epnp", "sqpnp", "ransac", "consensus"]
 
 Reason = Literal[
-    "too few keypoints", "keypoints on a line", "keypoints in a plane", "keypoints disagree", "not in front"
+    "too few keypoints",
+    "keypoints on a line",
+    "keypoints in a plane",
+    "keypoints coincide",
+    "keypoints disagree",
+    "not in front",
 ]
 
 THINNEST = 0.01
 """A point set this thin, relative to its extent, counts as a line or a plane: a plane seen with a few pixels
 of noise allows two poses (Schweighofer and Pinz, PAMI 28, 2006), and EPnP is unstable on it."""
+
+COINCIDENT_PX = 1.0
+"""Keypoints this near one another in the image count as one position."""
+
+LARGEST_ERROR = 0.5
+"""A pose whose reprojection error exceeds this share of the keypoints' spread in the image (both root mean
+squares) explains them little better than their mean does."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +67,9 @@ def estimate_pose(
 ) -> PoseEstimate | PoseFailure:
     """Estimate ``camera_from_object`` from keypoints, or say why not.
 
+    Keypoints mirrored in the image differ from those of another pose by perspective alone, so from a small or
+    distant object they yield a pose like any other; only its `error_sigmas` and its depth can tell.
+
     Args:
         given: what `correspondences` returned.
         method: `epnp` is the paper's, `sqpnp` is more accurate; both trust every keypoint. `ransac` and
@@ -65,27 +80,48 @@ def estimate_pose(
     if (refusal := _refusal(given)) is not None:
         return refusal
     attempt = SOLVERS[method](given)
-    if attempt is None:
+    if attempt is None or not np.isfinite(attempt[0]).all():
         return PoseFailure("keypoints disagree")
     pose, inliers = attempt
     rest = given.only(inliers)
     if (refusal := _refusal(rest)) is not None:
         return PoseFailure("keypoints disagree") if refusal.reason == "too few keypoints" else refusal
-    if refine:
-        pose = refined(pose[None], rest, robust=bool(np.isfinite(rest.depth_m).any()))[0]
+    try:
+        if refine:
+            pose = refined(pose[None], rest, robust=bool(np.isfinite(rest.depth_m).any()))[0]
+        covariance = covariance_of(pose, rest)
+    except np.linalg.LinAlgError:  # the keypoints leave a direction of the pose free
+        return PoseFailure("keypoints disagree")
     sigmas = reprojection_sigmas(pose[None], rest)[0]
     if not np.isfinite(sigmas).all():
         return PoseFailure("not in front")
-    return PoseEstimate(
-        pose, rest.keypoints, covariance_of(pose, rest), float(np.sqrt(np.mean(sigmas**2) / 2))
-    )
+    if np.mean(sigmas**2) > LARGEST_ERROR**2 * np.mean(_distances_sigmas(rest) ** 2):
+        return PoseFailure("keypoints disagree")
+    return PoseEstimate(pose, rest.keypoints, covariance, float(np.sqrt(np.mean(sigmas**2) / 2)))
 
 
 def _refusal(given: Correspondences) -> PoseFailure | None:
-    """Say why these points cannot determine a pose, whatever the image."""
+    """Say why these points, seen at these places, cannot determine a pose."""
     if len(given) < FEWEST:
         return PoseFailure("too few keypoints")
+    if _coincide(given):
+        return PoseFailure("keypoints coincide")
     length, width, height = spread_m(given.points_object)
     if width <= THINNEST * length:
         return PoseFailure("keypoints on a line")
     return PoseFailure("keypoints in a plane") if height <= THINNEST * length else None
+
+
+def _coincide(given: Correspondences) -> bool:
+    """Whether one point of the image explains all keypoints, or more than half of them are in one place."""
+    apart_px = np.linalg.norm(given.positions_px[:, None] - given.positions_px[None], axis=-1)
+    crowded = (apart_px < COINCIDENT_PX).sum(axis=1).max() > len(given) / 2
+    return bool(crowded or _distances_sigmas(given).max() < INLIER_SIGMAS)
+
+
+def _distances_sigmas(given: Correspondences) -> Float64[np.ndarray, " n"]:
+    """Distance of each keypoint in the image from the mean of all, in its standard deviations."""
+    off = given.positions_px - given.positions_px.mean(axis=0)
+    whitened = np.einsum("nij,nj->ni", given.whitening, off)
+    distances: Float64[np.ndarray, " n"] = np.linalg.norm(whitened, axis=1)
+    return distances

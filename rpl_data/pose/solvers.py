@@ -42,14 +42,17 @@ def sqpnp(given: Correspondences) -> Attempt | None:
 def ransac(given: Correspondences) -> Attempt | None:
     """OpenCV's RANSAC with EPnP; the threshold is `INLIER_SIGMAS` of the median keypoint."""
     sigma_px = np.median(1 / np.sqrt(np.abs(np.linalg.det(given.whitening))))
-    found, rotvec, translation, rows = cv2.solvePnPRansac(
-        given.points_object,
-        given.positions_px,
-        given.camera_matrix,
-        None,
-        flags=cv2.SOLVEPNP_EPNP,
-        reprojectionError=float(INLIER_SIGMAS * sigma_px),
-    )
+    try:
+        found, rotvec, translation, rows = cv2.solvePnPRansac(
+            given.points_object,
+            given.positions_px,
+            given.camera_matrix,
+            None,
+            flags=cv2.SOLVEPNP_EPNP,
+            reprojectionError=float(INLIER_SIGMAS * sigma_px),
+        )
+    except cv2.error:  # OpenCV checks its own intermediate results
+        return None
     if not found or rows is None:
         return None
     inliers = np.zeros(len(given), dtype=bool)
@@ -96,9 +99,12 @@ def _closed_form(
 ) -> Attempt | None:
     """Run OpenCV's solver on all rows, or on some."""
     rows = np.ones(len(given), dtype=bool) if rows is None else rows
-    found, rotvec, translation = cv2.solvePnP(
-        given.points_object[rows], given.positions_px[rows], given.camera_matrix, None, flags=flag
-    )
+    try:
+        found, rotvec, translation = cv2.solvePnP(
+            given.points_object[rows], given.positions_px[rows], given.camera_matrix, None, flags=flag
+        )
+    except cv2.error:  # OpenCV checks its own intermediate results
+        return None
     return (rigid(cv2.Rodrigues(rotvec)[0], translation[:, 0]), rows) if found else None
 
 

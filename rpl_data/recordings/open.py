@@ -20,7 +20,7 @@ from rpl_data.formats.recordings.nerfstudio import is_nerfstudio, read_nerfstudi
 from rpl_data.formats.recordings.polycam import is_polycam, read_polycam
 from rpl_data.formats.recordings.record3d import is_record3d, read_record3d
 from rpl_data.formats.recordings.ros.read import has_bags, read_ros
-from rpl_data.formats.recordings.ros.topics import Topics
+from rpl_data.formats.recordings.ros.wanted import Topics
 from rpl_data.formats.recordings.rpl import is_rpl_scene, read_rpl
 from rpl_data.formats.recordings.scanner_app import is_scanner_app, read_scanner_app
 from rpl_data.formats.recordings.scannet import is_sens, read_sens

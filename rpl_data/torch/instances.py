@@ -127,9 +127,13 @@ class InstanceDataset(Dataset[InstanceSample]):
         """Return an image (RGB; at half its size if `halved`) and the target at full size, untransformed."""
         if get_worker_info() is not None:
             cv2.setNumThreads(0)  # see KeypointDataset.__getitem__
+        file = str(self._folder / self._images[row]["file_name"])
+        return read_image(file, halved=halved), self.target(row)
+
+    def target(self, row: int) -> InstanceTarget:
+        """Return the target of an image at full size, untransformed, without reading the image."""
         entry = self._images[row]
-        target = _target(entry, self._annotations[entry["id"]], self._most_keypoints)
-        return read_image(str(self._folder / entry["file_name"]), halved=halved), target
+        return _target(entry, self._annotations[entry["id"]], self._most_keypoints)
 
 
 def collate(batch: Sequence[InstanceSample]) -> tuple[list[Tensor], list[InstanceTarget]]:

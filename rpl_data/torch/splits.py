@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from rpl_data.files import read_json
+from rpl_data.files import decoding, read_json
+from rpl_data.json_arrays import text
 from rpl_data.types import DataError
 from rpl_data.wording import counted
 
@@ -63,4 +64,8 @@ def _why(folder: Path, split: str, there: list[str]) -> str:
 
 def _scenes(folder: Path, there: list[str]) -> set[str]:
     """Names of the scenes that the images of these splits come from."""
-    return {image["scene"] for name in there for image in read_json(folder / f"{name}.json")["images"]}
+    scenes: set[str] = set()
+    for name in there:
+        with decoding(folder / f"{name}.json", "export the dataset again with `rpl export`"):
+            scenes |= {text(image["scene"]) for image in read_json(folder / f"{name}.json")["images"]}
+    return scenes

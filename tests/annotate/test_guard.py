@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import httpx
 import pytest
 from annotate_client import OBJECT, act, click, client_of
 from fastapi.routing import APIRoute
@@ -98,6 +99,24 @@ def test_another_site_may_only_open_the_page_itself_in_a_tab(client: TestClient)
     for path in (f"{LOOK}?u_px=1&v_px=1", "/api/workspace", "/static/app.js", OBJECT):
         assert client.get(path, headers=FOREIGN | {"Sec-Fetch-Dest": "document"}).status_code == 403
     assert client.post("/", headers=FOREIGN | {"Sec-Fetch-Dest": "document"}).status_code == 403
+
+
+@pytest.mark.parametrize("length", ["\xb2", "9" * 5000, "-1", "nan", ""])
+def test_a_length_that_is_no_number_is_refused(client: TestClient, length: str) -> None:
+    """Straight to the application: the network layer would refuse most of them before."""
+    found: list[int] = []
+
+    async def receive() -> dict[str, Any]:
+        return {"type": "http.request", "body": b"", "more_body": False}
+
+    async def send(message: dict[str, Any]) -> None:
+        found.append(message.get("status", 0))
+
+    host = httpx.URL(str(client.base_url)).netloc
+    headers = [(b"host", host), (b"content-length", length.encode("latin-1"))]
+    scope = {"type": "http", "method": "POST", "path": OBJECT, "query_string": b"", "headers": headers}
+    asyncio.run(client.app(scope, receive, send))  # type: ignore[arg-type]
+    assert found[0] == 413
 
 
 def test_bodies_at_once_are_bounded_together(client: TestClient, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -21,8 +21,8 @@ FAULTS = ("traceback", "signal", "hang", "difference", "500", "lost", "litter")
 def main() -> int:
     """Run the attacks that were asked for, all when none is named."""
     parser = argparse.ArgumentParser(prog="attack", description=__doc__)
-    parser.add_argument("--only", nargs="*", choices=("files", "parsers", "server", "kills"))
-    parser.add_argument("--rounds", type=int, default=16, help="damages per file: 16 are over 1,000 cases")
+    parser.add_argument("--only", nargs="*", choices=("files", "parsers", "server", "kills", "trainings"))
+    parser.add_argument("--rounds", type=int, default=8, help="damages per file: 8 are over 1,000 cases")
     parser.add_argument("--inputs", type=int, default=20_000, help="damaged files per parser")
     parser.add_argument("--requests", type=int, default=3000)
     parser.add_argument("--kills", type=int, default=60)
@@ -34,7 +34,7 @@ def main() -> int:
         root = Path(scratch)
         if "parsers" in wanted:
             counts += parsers.attack(root, chosen.inputs, tell)
-        if set(wanted) & {"server", "files", "kills"}:
+        if set(wanted) & {"server", "files", "kills", "trainings"}:
             base = built(root)
         if "server" in wanted:
             shutil.copytree(base, root / "served")
@@ -44,10 +44,13 @@ def main() -> int:
         if "kills" in wanted:
             counts += kills.builds(base, root, chosen.kills, tell)
             counts += kills.servers(base, root, chosen.kills, tell)
+        if set(wanted) & {"kills", "trainings"}:
+            counts += kills.trainings(base, root, chosen.kills, tell)
     for name, count in sorted(counts.items()):
         print(f"{count:8d}  {name}")
+    cases = sum(count for name, count in counts.items() if " MB " not in name)
     faults = sum(count for name, count in counts.items() if name.rsplit(" ", 1)[-1] in FAULTS)
-    print(f"{sum(counts.values())} cases in {time.perf_counter() - started:.0f} s, {faults} faults")
+    print(f"{cases} cases in {time.perf_counter() - started:.0f} s, {faults} faults")
     return 1 if faults else 0
 
 

@@ -34,7 +34,7 @@ def container_seeds(folder: Path) -> Iterator[tuple[str, Path, Parser]]:
 
 def _read_bag(path: Path, out: Path) -> None:
     from rpl_data.formats.recordings.ros.read import read_bag
-    from rpl_data.formats.recordings.ros.topics import Topics
+    from rpl_data.formats.recordings.ros.wanted import Topics
 
     read_bag("a", (path,), out, None, None, Topics())
 

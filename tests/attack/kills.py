@@ -1,8 +1,9 @@
-"""Builds and servers are killed at random moments: nothing acknowledged is lost, and a build goes on."""
+"""Builds, servers and trainings are killed at random moments: nothing acknowledged is lost, and all go on."""
 
 from __future__ import annotations
 
 import json
+import os
 import random
 import shutil
 import signal
@@ -12,8 +13,12 @@ import time
 import urllib.request
 from collections import Counter
 from collections.abc import Callable
+from importlib import import_module
+from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
+import torch
 from attack.children import files_in
 
 
@@ -118,6 +123,101 @@ def _posted(url: str, body: dict[str, object]) -> int:
     with urllib.request.urlopen(request, timeout=10) as answer:
         revision: int = json.load(answer)["revision"]
     return revision
+
+
+def trainings(base: Path, scratch: Path, kills: int, tell: Callable[[str], None]) -> Counter[str]:
+    """Kill trainings at random moments and go on until they end, again and again.
+
+    The weights must be those of a training left alone, bit by bit. Each child is a fork of this process, so
+    that kills fall into the training, its validation and its writing, not into the loading of torch.
+    """
+    for module in (
+        "keypoints.module",
+        "detection.module",
+        "runs.trainer",
+        "train_keypoints",
+        "train_detector",
+    ):
+        import_module(f"training.{module}")
+    import_module("rpl_data.torch.datamodule")
+    counts: Counter[str] = Counter()
+    chance = random.Random(3)
+    torch.set_num_threads(1)
+    for name, train in TRAININGS.items():
+        folder = scratch / f"trained-{name}"
+        started = time.monotonic()
+        assert _trained(train, base, folder / "straight", None) == 0
+        lasts_s = time.monotonic() - started
+        wanted, number = _weights(folder / "straight"), 0
+        while counts[f"training, {name}: killed"] < kills / len(TRAININGS):
+            out = folder / f"run{number}"
+            number += 1
+            started, before = time.monotonic(), counts[f"training, {name}: killed"]
+            while _trained(train, base, out, chance.uniform(0, lasts_s)) == -signal.SIGKILL:
+                counts[f"training, {name}: killed"] += 1
+            if before == counts[f"training, {name}: killed"]:  # too late: this machine has become faster
+                lasts_s = min(lasts_s, time.monotonic() - started)
+            same = _same(wanted, _weights(out))
+            counts[f"training, {name}, after kills: {'same' if same else 'difference'}"] += 1
+            if not same:
+                tell(f"difference: {name} {number}")
+            if left := [str(p) for p in out.rglob("*") if p.name.startswith((".", "tmp"))]:
+                counts[f"training, {name}, after kills: litter"] += 1
+                tell(f"litter: {left}")
+    return counts
+
+
+def _keypoints(coco: Path, out: Path) -> None:
+    from training.runs.options import Learning, Machine, Network
+    from training.train_keypoints import train_keypoints
+
+    network = Network(stacks=1, features=16, levels=2, input_px=32, heatmap_px=8, loss="entropy")
+    learning = Learning(epochs=4, batch=4, optimizer="adam", rate=2e-3, schedule="one_cycle")
+    train_keypoints(coco, "carton", out, network, learning, machine=Machine("cpu", threads=1), resume=True)
+
+
+def _detector(coco: Path, out: Path) -> None:
+    from training.runs.options import DetectorNetwork, Learning, Machine
+    from training.train_detector import train_detector
+
+    network = DetectorNetwork(width_px=64, features=32)
+    learning = Learning(epochs=4, batch=4, optimizer="sgd", rate=1e-3, schedule="one_cycle")
+    train_detector(coco, out, network, learning, machine=Machine("cpu", threads=1), resume=True)
+
+
+TRAININGS = {"keypoints": _keypoints, "detector": _detector}
+
+
+def _trained(train: Callable[[Path, Path], None], base: Path, out: Path, killed_after_s: float | None) -> int:
+    """Train in a fork of this process, which may be killed; its exit code, negative for a signal."""
+    child = get_context("fork").Process(target=_train, args=(train, base / "ws/export/coco", out))
+    child.start()
+    child.join(killed_after_s)
+    if child.exitcode is None:
+        child.kill()
+    child.join()
+    assert child.exitcode in (0, -signal.SIGKILL), f"a training ended with {child.exitcode}"
+    return child.exitcode or 0
+
+
+def _train(train: Callable[[Path, Path], None], coco: Path, out: Path) -> None:
+    null = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(null, 1)
+    train(coco, out)
+
+
+def _weights(run: Path) -> dict[str, Any]:
+    """Of the best and the last checkpoint."""
+    return {
+        f"{name} {key}": value
+        for name in ("best", "last")
+        for key, value in torch.load(run / f"{name}.ckpt", weights_only=True)["state_dict"].items()
+    }
+
+
+def _same(one: dict[str, Any], other: dict[str, Any]) -> bool:
+    """Bit by bit."""
+    return one.keys() == other.keys() and all(torch.equal(value, other[key]) for key, value in one.items())
 
 
 __all__ = ["builds", "exports", "files_in", "litter", "servers"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import random
 import time
 from collections import Counter
@@ -13,7 +14,7 @@ from typing import Any
 import numpy as np
 from attack.children import ended
 from attack.container_parsers import container_seeds
-from attack.damage import bytes_of, words_of
+from attack.damage import bytes_of, fields_of, words_of
 from attack.recorder_parsers import recorder_seeds
 
 BATCH = 500
@@ -98,10 +99,40 @@ def seeds(folder: Path) -> Iterator[tuple[str, Path, Parser]]:
         "label: {rate: 3}\nsplit: {test_scenes: 1}\nexport: [coco]\n"
     )
     yield "recipe", folder / "recipe.yaml", load_recipe
+    yield "COCO", _small_coco(folder), _read_coco
     (folder / "a.json").write_text('{"a": [1, 2.5, null, {"b": "c"}], "d": true}')
     yield "JSON", folder / "a.json", read_json
     yield from container_seeds(folder)
     yield from recorder_seeds(folder)
+
+
+def _small_coco(folder: Path) -> Path:
+    """An export of two objects in two images, whose masks have the forms that other programs write."""
+    from labelled_scenes import exported
+
+    path = exported(folder / "coco", frames=3) / "train.json"
+    data = json.loads(path.read_text())
+    x, y, w, h = data["annotations"][0]["bbox"]
+    data["annotations"][0]["segmentation"] = [[x, y, x + w, y, x + w, y + h, x, y + h]]
+    size = data["annotations"][1]["segmentation_full"]["size"]
+    data["annotations"][1]["segmentation_full"]["counts"] = [100, 50, size[0] * size[1] - 150]
+    data["annotations"].append(data["annotations"][2] | {"id": "90", "iscrowd": 1})
+    path.write_text(json.dumps(data))
+    return path
+
+
+def _read_coco(path: Path) -> None:
+    from rpl_data.formats.datasets import coco
+    from rpl_data.torch.instances import InstanceDataset
+    from rpl_data.torch.keypoints import KeypointDataset
+
+    data = coco.read_coco(path)
+    coco.labels_from_coco(data)
+    for item in coco.objects_from_coco(data):
+        len(KeypointDataset(path, object=item.model.name))
+    instances = InstanceDataset(path)
+    for row in range(len(instances)):
+        instances.target(row)
 
 
 def _read_klg(path: Path) -> None:
@@ -119,7 +150,13 @@ def attack(scratch: Path, inputs: int, tell: Callable[[str], None]) -> Counter[s
     """Feed each parser so many damaged files; the number of ends by parser and kind of end."""
     counts: Counter[str] = Counter()
     for name, path, parse in seeds(scratch):
-        mutate = words_of if path.suffix in (".txt", ".csv", ".yaml", ".pp", ".json") else bytes_of
+        mutate = (
+            fields_of
+            if name == "COCO"
+            else words_of
+            if path.suffix in (".txt", ".csv", ".yaml", ".pp", ".json")
+            else bytes_of
+        )
         good = path.read_bytes()
         for start in range(0, inputs, BATCH):
             batch = range(start, min(start + BATCH, inputs))

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from labelled_scenes import BOX, CAMERA, CAN, instance, rle
+from pycocotools import mask as masks
 from pycocotools.coco import COCO
 from pycocotools.cocoeval import COCOeval
 
@@ -174,10 +175,109 @@ def wrong(data, change):
         (lambda d: d["rpl"]["objects"][0]["points_object"].pop(), "one per keypoint"),
         (lambda d: d["images"][0].update(cam_K=[1.0]), "9 numbers"),
         (lambda d: d.update(images={}), "a list"),
+        (lambda d: d["images"][0].update(distortion=[0.0] * 15), "at most 14 numbers"),
+        (lambda d: d["images"][0].update(width="160"), "not a whole number"),
+        (lambda d: d["annotations"][0]["segmentation"].update(counts="o0" * 9), "annotation 1: segmentation"),
+        (lambda d: d["annotations"][0].update(sigma_px=["x"] * 4), "sigma_px"),
+        (lambda d: d["annotations"][0].update(visib_fract=None), "visib_fract"),
+        (lambda d: d["categories"][0].update(skeleton=[[1, 2, 3]]), "skeleton"),
+        (lambda d: d["rpl"].update(objects=None), "a list"),
     ],
 )
 def test_what_is_refused(data, change, message):
     assert message in wrong(data, change)
+
+
+def edited(data, tmp_path, change):
+    """`data` after a change by another program, as it is read."""
+    content = deepcopy(data)
+    change(content)
+    (tmp_path / "train.json").write_text(json.dumps(content))
+    return read_coco(tmp_path / "train.json")
+
+
+def as_text_ids(content):
+    for entry in (*content["images"], *content["annotations"], *content["categories"]):
+        for key in {"id", "image_id", "category_id"} & entry.keys():
+            entry[key] = str(entry[key])
+
+
+def as_plain_runs(content):
+    for annotation in content["annotations"]:
+        for key in ("segmentation", "segmentation_full"):
+            columns = masks.decode(annotation[key]).ravel("F").astype(int)
+            ends = [0, *(np.flatnonzero(np.diff(columns)) + 1), len(columns)]
+            runs = np.diff(ends).tolist()
+            annotation[key]["counts"] = [0, *runs] if columns[0] else runs
+
+
+def as_polygons(content):
+    for annotation in content["annotations"]:
+        for key, box in (("segmentation", "bbox"), ("segmentation_full", "bbox_full")):
+            x, y, w, h = annotation[box]
+            annotation[key] = [[x, y, x + w, y, x + w, y + h, x, y + h]]
+
+
+def with_more_keys(content):
+    content["annotations"][0]["attributes"] = {"checked": True}
+    content["licenses"] = None
+
+
+@pytest.mark.parametrize("change", [as_text_ids, as_plain_runs, as_polygons, with_more_keys])
+def test_what_other_programs_write_is_the_same_dataset(data, tmp_path, change):
+    for one, other in zip(
+        labels_from_coco(edited(data, tmp_path, change)), labels_from_coco(data), strict=True
+    ):
+        assert (one.scene, one.frame) == (other.scene, other.frame)
+        for a, b in zip(one.instances, other.instances, strict=True):
+            assert (a.object, a.mask, a.mask_full, a.box, a.box_full) == (
+                b.object,
+                b.mask,
+                b.mask_full,
+                b.box,
+                b.box_full,
+            )
+            assert a.visib_fract == pytest.approx(b.visib_fract)
+
+
+def test_a_mask_drawn_larger_than_the_object_makes_it_larger(data, tmp_path):
+    corners = [10.0, 20.0, 60.0, 20.0, 60.0, 60.0, 10.0, 60.0]
+    entry = edited(data, tmp_path, lambda d: d["annotations"][0].update(segmentation=[corners]))
+    entry = entry["annotations"][0]
+    assert entry["area"] == 50 * 40 and entry["bbox"] == [10, 20, 50, 40]
+    full = masks.decode(entry["segmentation_full"])
+    assert full[20:60, 10:60].all() and entry["visib_fract"] == pytest.approx(2000 / full.sum())
+
+
+def test_a_crowd_is_no_instance(data, tmp_path):
+    def crowd(content):
+        seen = content["annotations"][0]["segmentation"]
+        content["annotations"].append(
+            {"id": 9, "image_id": 1, "category_id": 1, "iscrowd": 1, "segmentation": seen}
+        )
+
+    back = edited(data, tmp_path, crowd)
+    assert back["annotations"] == data["annotations"]
+    assert back["crowds"][0]["area"] == data["annotations"][0]["area"]
+    assert labels_from_coco(back)[0].instances[0].object == "box"
+
+
+@pytest.mark.parametrize(
+    "segmentation",
+    [
+        [[0, 0, 1e308, 0, 5, 5]],
+        [[0, 0, 5, 5]],
+        [],
+        [["a"] * 6],
+        {"size": [120, 160], "counts": [-5, 19205]},
+        {"size": [120, 160], "counts": [7]},
+        "mask",
+        None,
+    ],
+)
+def test_masks_that_are_none_are_refused(data, tmp_path, segmentation):
+    with pytest.raises(DataError, match="annotation 1"):
+        edited(data, tmp_path, lambda d: d["annotations"][0].update(segmentation=segmentation))
 
 
 def test_broken_file_is_named(tmp_path):

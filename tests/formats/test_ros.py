@@ -18,7 +18,12 @@ from rpl_data.formats.recordings.ros import topics as naming
 from rpl_data.formats.recordings.ros.bags import bags_at
 from rpl_data.formats.recordings.ros.decode import color_of, depth_of
 from rpl_data.formats.recordings.ros.read import read_bag
-from rpl_data.formats.recordings.ros.topics import ImageTopic, Topics, choose_color, choose_depth
+from rpl_data.formats.recordings.ros.topics import (
+    ImageTopic,
+    choose_color,
+    choose_depth,
+)
+from rpl_data.formats.recordings.ros.wanted import Topics
 from rpl_data.geometry import from_rotvec, transform
 from rpl_data.images import read_color, read_depth_m
 from rpl_data.recordings.open import likely_formats, open_scenes

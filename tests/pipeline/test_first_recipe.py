@@ -9,7 +9,7 @@ import yaml
 from recordings import CAMERA
 
 from rpl_data.doctor.findings import Diagnosis, Finding
-from rpl_data.formats.recordings.ros.topics import Topics
+from rpl_data.formats.recordings.ros.wanted import Topics
 from rpl_data.pipeline.first_recipe import Told, keypoints_from, path_from, recipe_text
 from rpl_data.pipeline.recipe_file import parse_recipe
 from rpl_data.recordings.mend import Mend

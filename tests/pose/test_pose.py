@@ -160,6 +160,44 @@ def test_what_cannot_be_solved_says_why():
     )
 
 
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("refine", [True, False])
+@pytest.mark.parametrize("together", [5, 7, 8])
+def test_keypoints_in_one_place_are_no_pose(method, refine, together):
+    for seed in range(4):
+        rng, points, pose = some_pose(seed)
+        pixels = seen(pose, points)
+        pixels[:together] = pixels[0] + rng.normal(0, 0.1, (together, 2))
+        found = estimate_pose(correspondences(points, pixels, CAMERA), method=method, refine=refine)
+        assert found == PoseFailure("keypoints coincide")
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_an_object_smaller_than_its_noise_is_no_pose(method):
+    rng, points, _ = some_pose(1)
+    pixels = 200 + rng.normal(0, 2, (8, 2))
+    found = estimate_pose(correspondences(points, pixels, CAMERA), method=method)
+    assert found == PoseFailure("keypoints coincide")
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_no_method_raises_or_returns_what_cannot_be(method):
+    for seed in range(10):
+        rng, points, pose = some_pose(seed)
+        pixels = seen(pose, points)
+        for wrong in (
+            pixels * 1e12,
+            rng.permutation(pixels),
+            np.column_stack([pixels[:, 0], np.full(8, 240.0)]),
+            2 * pixels.mean(axis=0) - pixels,
+        ):
+            found = estimate_pose(correspondences(points, wrong, CAMERA), method=method)
+            if isinstance(found, PoseEstimate):
+                assert (transform(found.camera_from_object, points[found.keypoints])[:, 2] > 0).all()
+                off = seen(found.camera_from_object, points[found.keypoints]) - wrong[found.keypoints]
+                assert np.sqrt((off**2).mean()) < np.sqrt(wrong.var(axis=0).mean())
+
+
 def test_noise_alone_is_no_pose():
     found = []
     for seed in range(30):

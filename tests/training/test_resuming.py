@@ -15,6 +15,7 @@ from labelled_scenes import exported
 
 from rpl_data.types import DataError
 from training.runs.callbacks import Steps
+from training.runs.checkpoint_files import WholeCheckpoints, sweep_checkpoints
 from training.runs.folder import (
     changes,
     checkpoint_to_resume,
@@ -273,6 +274,27 @@ def test_a_foreign_file_is_no_checkpoint(tmp_path):
         (tmp_path / "file").write_bytes(content)
         with pytest.raises(DataError, match="cannot read .* as weights"):
             read_checkpoint(tmp_path / "file")
+
+
+@pytest.mark.parametrize("lost", ["epoch", "state_dict", "optimizer_states", "loops", "run", "callbacks"])
+def test_a_checkpoint_that_lost_a_part_is_one_line(finished, coco, tmp_path, lost):
+    train, straight = finished
+    content = torch.load(straight / "last.ckpt", weights_only=True)
+    longer = Learning(**content["run"]["learning"] | {"epochs": 4})
+    content[lost] = "gone"
+    torch.save(content, tmp_path / "last.ckpt")
+    with pytest.raises(DataError, match=r"last\.ckpt"):
+        train(coco, tmp_path, resume=True, learning=longer)
+
+
+def test_checkpoints_are_written_beside_their_place(tmp_path, monkeypatch):
+    """Another disk may hold the temporary folder, and a copy from there can be cut off."""
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "not there"))
+    (tmp_path / ".last.ckpt.a1b2c3d4").write_text("half")
+    WholeCheckpoints().save_checkpoint({"epoch": 3}, tmp_path / "last.ckpt")
+    sweep_checkpoints(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["last.ckpt"]
+    assert trained_epochs(tmp_path / "last.ckpt") == 4
 
 
 def test_ctrl_c_outside_of_the_training_is_one_line(capsys):

@@ -87,9 +87,10 @@ def score_split(
 
 def _without(truth: Json, image_ids: Collection[int]) -> Json:
     """A COCO file without some of its images."""
-    images = [image for image in truth["images"] if image["id"] not in image_ids]
-    annotations = [each for each in truth["annotations"] if each["image_id"] not in image_ids]
-    return {**truth, "images": images, "annotations": annotations}
+    kept = {"images": [image for image in truth["images"] if image["id"] not in image_ids]}
+    for key in ("annotations", "crowds"):
+        kept[key] = [each for each in truth.get(key, ()) if each["image_id"] not in image_ids]
+    return {**truth, **kept}
 
 
 def class_overlaps(truth: Json, results: Sequence[Json]) -> dict[int, tuple[list[float], int]]:
@@ -148,7 +149,8 @@ def average_precision(truth: Json, results: Sequence[Json], kind: str) -> Precis
         nothing = dict.fromkeys(present, 0.0)
         return Precision(0.0, 0.0, nothing, nothing)
     most = max(np.unique([a["image_id"] for a in truth["annotations"]], return_counts=True)[1])
-    judge = COCO(truth)
+    # What is found within a crowd counts neither for nor against.
+    judge = COCO({**truth, "annotations": [*truth["annotations"], *truth.get("crowds", ())]})
     # loadRes writes into what it is given.
     evaluation = COCOeval_faster(judge, judge.loadRes([dict(entry) for entry in results]), kind)
     evaluation.params.maxDets = [1, 10, max(100, int(most))]

@@ -14,7 +14,7 @@ from torchvision.models.detection import MaskRCNN
 
 from rpl_data.types import DataError
 from training.masks.mask_rcnn import build_model
-from training.runs.folder import read_checkpoint
+from training.runs.folder import read_checkpoint, reading_checkpoint
 from training.runs.options import MaskNetwork
 
 
@@ -68,9 +68,9 @@ def _fetched(backbone: str) -> Mapping[str, Tensor]:
 def _read(path: Path) -> Mapping[str, Tensor]:
     """Read the state dict of a file. Our own checkpoints hold it one level down, with a prefix."""
     content = read_checkpoint(path)
-    if "state_dict" in content:
-        return {key.removeprefix("model."): value for key, value in content["state_dict"].items()}
-    return content
+    with reading_checkpoint(path, "weights"):
+        state = content.get("state_dict", content)
+        return {key.removeprefix("model."): value for key, value in state.items()}
 
 
 @dataclass(frozen=True)
@@ -92,8 +92,9 @@ def load_segmenter(checkpoint: Path) -> Segmenter:
     content = read_checkpoint(checkpoint)
     if "masks" not in content:
         raise DataError(f"{checkpoint} is not a checkpoint of training.train_masks")
-    config, names = MaskNetwork(**content["masks"]["model"]), tuple(content["masks"]["names"])
-    model = build_model(config, len(names) - 1)
-    state = content["state_dict"]
-    model.load_state_dict({key.removeprefix("model."): value for key, value in state.items()})
+    with reading_checkpoint(checkpoint, "a checkpoint of training.train_masks"):
+        config, names = MaskNetwork(**content["masks"]["model"]), tuple(content["masks"]["names"])
+        model = build_model(config, len(names) - 1)
+        state = content["state_dict"]
+        model.load_state_dict({key.removeprefix("model."): value for key, value in state.items()})
     return Segmenter(model.eval(), config, names)

@@ -23,15 +23,16 @@ class Steps(Callback):
 
     Attributes:
         waiting_s: seconds that the training waited for images.
+        begun: whether the first epoch of this process has begun.
     """
 
     def __init__(self, learning: Learning, seed: int) -> None:
         self._learning, self._seed = learning, seed
-        self.waiting_s, self._ready_s = 0.0, 0.0
+        self.waiting_s, self._ready_s, self.begun = 0.0, 0.0, False
 
     def on_train_epoch_start(self, trainer: Trainer, module: LightningModule) -> None:
         """From here on the training waits for its first batch."""
-        self._ready_s = time.perf_counter()
+        self._ready_s, self.begun = time.perf_counter(), True
 
     def on_train_batch_start(
         self, trainer: Trainer, module: LightningModule, batch: object, batch_idx: int

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import fields
 from pathlib import Path
 from pickle import UnpicklingError
@@ -28,7 +29,7 @@ FOREIGN = (
     AttributeError,
     OSError,
 )
-"""What torch raises where a file is not one that it wrote."""
+"""What torch and Lightning raise where a file is not one that they wrote, or not whole."""
 
 LOGS = re.compile(r"logs\d*|csv|tensorboard")
 """Folders that runs write their logs into. Mask R-CNN runs of version 0.1 wrote csv and tensorboard."""
@@ -85,6 +86,21 @@ def new_logs(out: Path) -> str:
     return f"logs{number}" if number else "logs"
 
 
+@contextmanager
+def reading_checkpoint(path: Path, expected: str) -> Iterator[None]:
+    """Turn any fault in the content of a checkpoint into a DataError that names the file."""
+    try:
+        yield
+    except DataError:
+        raise
+    except FOREIGN as error:
+        lacks = "it lacks " if isinstance(error, KeyError) else ""
+        why = " ".join(str(error).split())[:200]
+        raise DataError(
+            f"cannot read {path} as {expected}: {lacks}{why}; give another one, or train again"
+        ) from error
+
+
 def read_checkpoint(path: Path) -> dict[str, Any]:
     """What `torch.save` wrote to a file, tensors and plain values only.
 
@@ -93,11 +109,8 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
     """
     if not path.is_file():
         raise DataError(f"{path} does not exist; expected a checkpoint or a file of weights")
-    try:
+    with reading_checkpoint(path, "weights"):
         content = torch.load(path, map_location="cpu", weights_only=True)
-    except FOREIGN as error:
-        why = str(error).partition("\n")[0]
-        raise DataError(f"cannot read {path} as weights: {why}; give a file that a training wrote") from error
     if not isinstance(content, dict):
         raise DataError(f"{path} holds a {type(content).__name__}; expected a dictionary of tensors")
     return content
@@ -105,7 +118,10 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
 
 def trained_epochs(checkpoint: Path) -> int:
     """How many epochs a checkpoint was trained for; 0 where there is none."""
-    return int(read_checkpoint(checkpoint)["epoch"]) + 1 if checkpoint.exists() else 0
+    if not checkpoint.exists():
+        return 0
+    with reading_checkpoint(checkpoint, "a checkpoint of a training"):
+        return int(read_checkpoint(checkpoint)["epoch"]) + 1
 
 
 def changes(checkpoint: Path, settings: Mapping[str, Any]) -> list[str]:
@@ -116,7 +132,8 @@ def changes(checkpoint: Path, settings: Mapping[str, Any]) -> list[str]:
     Raises:
         DataError: the optimizer or the seed differs, without which no run can be continued.
     """
-    before = _flat(_recorded(read_checkpoint(checkpoint)))
+    with reading_checkpoint(checkpoint, "a checkpoint of a training"):
+        before = _flat(_recorded(read_checkpoint(checkpoint)))
     now = _flat(settings)
     changed = {key: value for key, value in before.items() if key in now and now[key] != value}
     for key in ("learning.optimizer", "seed"):

@@ -23,6 +23,7 @@ from rpl_data.torch.epochs import Collate, training_batches, validation_batches
 from rpl_data.types import DataError
 from rpl_data.wording import counted
 from training.runs.callbacks import Checkpoints, EpochLines, Steps
+from training.runs.checkpoint_files import WholeCheckpoints, sweep_checkpoints
 from training.runs.folder import (
     FOREIGN,
     LAST,
@@ -30,6 +31,7 @@ from training.runs.folder import (
     checkpoint_to_resume,
     delete_run,
     new_logs,
+    reading_checkpoint,
     trained_epochs,
 )
 from training.runs.options import Machine, Run
@@ -115,6 +117,7 @@ def fit(lesson: Lesson, run: Run, *, resumed: Path | None) -> Path:
     if done >= (run.until or run.learning.epochs):
         say(f"{last} was trained for {counted(done, 'epoch')} already; ask for more with --learning.epochs")
         return last
+    rank_zero_only(sweep_checkpoints)(run.out)
     if resumed is None:
         rank_zero_only(delete_run)(run.out)
     steps = Steps(run.learning, run.seed)
@@ -122,7 +125,7 @@ def fit(lesson: Lesson, run: Run, *, resumed: Path | None) -> Path:
     kept = Checkpoints(run.out, monitor=lesson.monitor, settings=settings)
     trainer = _trainer(run, [steps, EpochLines(), kept])
     started = time.process_time(), time.perf_counter()
-    _fit(trainer, lesson.module, train, val, resumed, last)
+    _fit(trainer, steps, lesson.module, train, val, resumed, last)
     cpu_s, wall_s = time.process_time() - started[0], time.perf_counter() - started[1]
     waiting = f"{steps.waiting_s / wall_s:.0%} of {wall_s:.0f} s spent waiting for images"
     say(f"{last}: {cpu_s:.0f} s of CPU time, {waiting}")
@@ -165,6 +168,7 @@ def _trainer(run: Run, callbacks: list[Callback]) -> Trainer:
         gradient_clip_val=run.learning.clip or None,
         logger=[CSVLogger(run.out, name="", version=logs), TensorBoardLogger(run.out, name="", version=logs)],
         callbacks=callbacks,
+        plugins=[WholeCheckpoints()],
         enable_checkpointing=False,  # `Checkpoints` writes them
         check_val_every_n_epoch=max(run.validate_every, 1),
         num_sanity_val_steps=0,
@@ -192,6 +196,7 @@ def _quieten() -> None:
 
 def _fit(
     trainer: Trainer,
+    steps: Steps,
     module: LightningModule,
     train: DataLoader[Any],
     val: DataLoader[Any] | None,
@@ -201,6 +206,11 @@ def _fit(
     """Lightning's fit, with a word about how to go on after Ctrl-C."""
     try:
         trainer.fit(module, train, val, ckpt_path=resumed, weights_only=True)
+    except FOREIGN:
+        if resumed is None or steps.begun:
+            raise  # the training itself failed
+        with reading_checkpoint(resumed, "a checkpoint to go on with"):
+            raise
     except SystemExit:  # Lightning's answer to KeyboardInterrupt
         if trainer.is_global_zero:
             print(
@@ -252,8 +262,6 @@ def load_module(kind: type[Module], checkpoint: Path, program: str) -> Module:
     """
     if not checkpoint.exists():
         raise DataError(f"there is no checkpoint {checkpoint}; train one with {program}")
-    try:
+    with reading_checkpoint(checkpoint, f"a checkpoint of {program}"):
         loaded = kind.load_from_checkpoint(checkpoint, map_location="cpu", weights_only=True)
-    except FOREIGN as error:
-        raise DataError(f"{checkpoint} is no checkpoint of {program}: {error}") from error
     return loaded.eval()

@@ -24,6 +24,7 @@ from jaxtyping import Float64
 
 from rpl_data.files import read_json, writing
 from rpl_data.formats.datasets.coco_check import validate_coco
+from rpl_data.formats.datasets.coco_edited import as_exported
 from rpl_data.geometry import Transform
 from rpl_data.json_arrays import Json, asdict_values, matrix_from_json, numbers, rows_from_json, rows_to_json
 from rpl_data.types import (
@@ -293,8 +294,7 @@ def write_coco(path: Path, data: Json) -> None:
 
 
 def read_coco(path: Path) -> Json:
-    """Read and validate a file; DataError when it is missing, damaged or not our dialect."""
-    data = read_json(path)
+    """Read and validate a file, which may be edited elsewhere; DataError when it is damaged or foreign."""
+    data = as_exported(read_json(path), source=str(path))
     validate_coco(data, source=str(path))
-    content: Json = data
-    return content
+    return data

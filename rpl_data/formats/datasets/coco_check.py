@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
-from rpl_data.json_arrays import Json, matrix_from_json
+from rpl_data.files import FAULTS, decoding
+from rpl_data.formats.datasets.coco_edited import REMEDY, check_packed
+from rpl_data.json_arrays import Json, each, flag, matrix_from_json, number, optional, text, whole
 from rpl_data.types import DataError
 
 TOP_KEYS = ("images", "annotations", "categories", "rpl")
@@ -23,6 +24,40 @@ ANNOTATION_KEYS = (
     *("num_keypoints", "camera_from_object", "visib_fract", "truncated", "segmentation_full", "bbox_full"),
     *("square_box", "sigma_px", "quality"),
 )
+Fields = Mapping[str, Callable[[Any], object]]
+BOX_PX = 1e-2
+"""By how much a box may differ from that of its mask: a rounding."""
+SKEW = 2e-5
+"""By how much a rotation may fail to be one."""
+LONGEST_DISTORTION = 14
+"""OpenCV has no more coefficients."""
+CATEGORY_FIELDS: Fields = {"name": text, "keypoints": each(text), "skeleton": each(each(whole))}
+OBJECT_FIELDS: Fields = {
+    "name": text,
+    "category_id": whole,
+    "points_object": each(optional(each(number))),
+    "mesh": optional(text),
+    "symmetries": each(each(number)),
+}
+IMAGE_FIELDS: Fields = {
+    "file_name": text,
+    "width": whole,
+    "height": whole,
+    "scene": text,
+    "frame": whole,
+    "timestamp_s": number,
+    "distortion": each(number),
+    "depth_file_name": optional(text),
+}
+ANNOTATION_FIELDS: Fields = {
+    "area": number,
+    "num_keypoints": whole,
+    "visib_fract": number,
+    "truncated": flag,
+    "sigma_px": each(optional(number)),
+    "quality": number,
+}
+"""What the fields of an entry are, where no other check says it."""
 
 
 def validate_coco(data: Any, *, source: str) -> None:
@@ -31,6 +66,11 @@ def validate_coco(data: Any, *, source: str) -> None:
     Raises:
         DataError: the first fault, with the entry's id, what was expected and what was found.
     """
+    with decoding(source, REMEDY):
+        _validate(data, source)
+
+
+def _validate(data: Any, source: str) -> None:
     _check_keys(data, TOP_KEYS, source)
     _check_keys(data["rpl"], ("version", "objects"), f"{source}: rpl")
     categories = {c["id"]: c for c in _unique(data["categories"], CATEGORY_KEYS, f"{source}: category")}
@@ -38,6 +78,10 @@ def validate_coco(data: Any, *, source: str) -> None:
     _check_categories(categories, data["rpl"]["objects"], source)
     for image in images.values():
         where = f"{source}: image {image['id']}"
+        _check_fields(image, IMAGE_FIELDS, where)
+        if len(image["distortion"]) > LONGEST_DISTORTION:
+            found = len(image["distortion"])
+            raise _wrong(f"{where}: distortion", f"at most {LONGEST_DISTORTION} numbers", found)
         _check_numbers(image["cam_K"], 9, f"{where}: cam_K")
         _check_rigid(image["scene_from_camera"], f"{where}: scene_from_camera")
     for annotation in _unique(data["annotations"], ANNOTATION_KEYS, f"{source}: annotation"):
@@ -60,13 +104,20 @@ def _check_keys(entry: Any, keys: tuple[str, ...], where: str) -> None:
         raise _wrong(where, "a JSON object", type(entry).__name__)
     missing = [key for key in keys if key not in entry]
     if missing:
-        raise DataError(f"{where}: {', '.join(missing)} missing; export the dataset again with `rpl export`")
+        raise DataError(f"{where}: {', '.join(missing)} missing; {REMEDY}")
+
+
+def _check_fields(entry: Json, fields: Fields, where: str) -> None:
+    """DataError unless each field converts."""
+    for name, convert in fields.items():
+        try:
+            convert(entry[name])
+        except FAULTS as error:
+            raise DataError(f"{where}: {name}: {error}; {REMEDY}") from error
 
 
 def _wrong(where: str, expected: str, found: Any) -> DataError:
-    return DataError(
-        f"{where}: expected {expected}, found {found}; export the dataset again with `rpl export`"
-    )
+    return DataError(f"{where}: expected {expected}, found {found!s:.200}; {REMEDY}")
 
 
 def _unique(entries: Any, keys: tuple[str, ...], what: str) -> list[Json]:
@@ -74,10 +125,10 @@ def _unique(entries: Any, keys: tuple[str, ...], what: str) -> list[Json]:
     if not isinstance(entries, list):
         raise _wrong(what, "a list", type(entries).__name__)
     seen: set[int] = set()
-    for number, entry in enumerate(entries):
-        _check_keys(entry, keys, f"{what} number {number}")
-        if not isinstance(entry["id"], int) or entry["id"] in seen:
-            raise _wrong(f"{what} number {number}", "a unique whole number as id", entry["id"])
+    for row, entry in enumerate(entries):
+        _check_keys(entry, keys, f"{what} number {row}")
+        if type(entry["id"]) is not int or entry["id"] in seen:
+            raise _wrong(f"{what} number {row}", "a unique whole number as id", entry["id"])
         seen.add(entry["id"])
     return entries
 
@@ -85,8 +136,13 @@ def _unique(entries: Any, keys: tuple[str, ...], what: str) -> list[Json]:
 def _check_categories(categories: Mapping[int, Json], objects: Any, source: str) -> None:
     if sorted(categories) != list(range(1, len(categories) + 1)):
         raise _wrong(f"{source}: categories", "ids from 1 without gaps", sorted(categories))
+    for category in categories.values():
+        _check_fields(category, CATEGORY_FIELDS, f"{source}: category {category['id']}")
+    if not isinstance(objects, list):
+        raise _wrong(f"{source}: rpl.objects", "a list", type(objects).__name__)
     for item in objects:
         _check_keys(item, OBJECT_KEYS, f"{source}: rpl.objects")
+        _check_fields(item, OBJECT_FIELDS, f"{source}: rpl.objects")
     if {o["category_id"]: o["name"] for o in objects} != {n: c["name"] for n, c in categories.items()}:
         raise _wrong(f"{source}: rpl.objects", "one per category", [o["name"] for o in objects])
     for item in objects:
@@ -97,16 +153,21 @@ def _check_categories(categories: Mapping[int, Json], objects: Any, source: str)
         for point in item["points_object"]:
             if point is not None:
                 _check_numbers(point, 3, f"{where}: points_object")
-        if any(not 1 <= end <= count for pair in category["skeleton"] for end in pair):
-            raise _wrong(where, f"skeleton ends from 1 to {count}", category["skeleton"])
+        for pair in category["skeleton"]:
+            if len(pair) != 2 or not all(1 <= end <= count for end in pair):
+                raise _wrong(where, f"skeleton ends from 1 to {count}", category["skeleton"])
+        for transform in (*item["symmetries"], *filter(None, [item.get("object_from_grasp")])):
+            _check_rigid(transform, f"{where}: symmetries, object_from_grasp")
 
 
 def _check_instance(annotation: Json, image: Json, category: Json, where: str) -> None:
     count = len(category["keypoints"])
+    _check_fields(annotation, ANNOTATION_FIELDS, where)
     _check_rigid(annotation["camera_from_object"], f"{where}: camera_from_object")
     _check_numbers(annotation["keypoints"], 3 * count, f"{where}: keypoints")
     keypoints = np.array(annotation["keypoints"], dtype=float).reshape(-1, 3)
-    if not np.isin(keypoints[:, 2], (0, 1, 2)).all() or keypoints[keypoints[:, 2] == 0, :2].any():
+    seen = keypoints[:, 2]
+    if any(v not in (0, 1, 2) for v in seen.tolist()) or keypoints[seen == 0, :2].any():
         raise _wrong(
             where, "keypoints with v of 0, 1 or 2 and x = y = 0 where v = 0", annotation["keypoints"]
         )
@@ -129,9 +190,12 @@ def _check_mask(annotation: Json, mask_key: str, box_key: str, image: Json, wher
     _check_keys(mask, ("size", "counts"), f"{where}: {mask_key}")
     if list(mask["size"]) != [image["height"], image["width"]]:
         raise _wrong(f"{where}: {mask_key}", f"size [{image['height']}, {image['width']}]", mask["size"])
+    with decoding(f"{where}: {mask_key}", REMEDY):
+        check_packed(mask)
     _check_numbers(annotation[box_key], 4, f"{where}: {box_key}")
-    if not np.allclose(masks.toBbox(mask), annotation[box_key], atol=1e-3):
-        raise _wrong(f"{where}: {box_key}", f"the box of the mask {masks.toBbox(mask)}", annotation[box_key])
+    box = masks.toBbox(mask)
+    if np.abs(box - annotation[box_key]).max() > BOX_PX:
+        raise _wrong(f"{where}: {box_key}", f"the box of the mask {box}", annotation[box_key])
     if mask_key == "segmentation" and int(masks.area(mask)) != annotation["area"]:
         raise _wrong(f"{where}: area", f"the mask's {int(masks.area(mask))} px", annotation["area"])
     if mask_key == "segmentation" and annotation["area"] == 0:
@@ -141,14 +205,18 @@ def _check_mask(annotation: Json, mask_key: str, box_key: str, image: Json, wher
 def _check_numbers(values: Any, count: int, where: str) -> None:
     if not isinstance(values, list) or len(values) != count:
         raise _wrong(where, f"a list of {count} numbers", values)
-    if not all(isinstance(value, int | float) and math.isfinite(value) for value in values):
-        raise _wrong(where, "finite numbers", values)
+    try:
+        each(number)(values)
+    except FAULTS as error:
+        raise _wrong(where, "finite numbers", values) from error
 
 
 def _check_rigid(values: Any, where: str) -> None:
     _check_numbers(values, 16, where)
     matrix = matrix_from_json(values)
     rotation = matrix[:3, :3]
-    proper = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-5) and np.linalg.det(rotation) > 0
-    if not proper or not np.allclose(matrix[3], (0, 0, 0, 1)):
+    with np.errstate(over="ignore", invalid="ignore"):  # of numbers near the largest there are
+        skew = np.abs(rotation @ rotation.T - np.eye(3)).max()
+    proper = skew <= SKEW and np.linalg.det(rotation) > 0
+    if not proper or np.abs(matrix[3] - (0, 0, 0, 1)).max() > SKEW:
         raise _wrong(where, "a rigid transform, row-major", values)

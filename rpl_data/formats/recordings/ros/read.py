@@ -27,7 +27,10 @@ from rpl_data.formats.recordings.ros.decode import color_of, decoded, depth_of
 from rpl_data.formats.recordings.ros.poses import POSE_TYPES, TF_TYPES, poses_from_messages, poses_from_tree
 from rpl_data.formats.recordings.ros.streams import Streams, streams_of
 from rpl_data.formats.recordings.ros.survey import Survey, survey_of, times_ns
-from rpl_data.formats.recordings.ros.topics import ImageTopic, Topics
+from rpl_data.formats.recordings.ros.topics import (
+    ImageTopic,
+)
+from rpl_data.formats.recordings.ros.wanted import Topics
 from rpl_data.formats.recordings.saved_images import write_color
 from rpl_data.formats.recordings.scene_folders import chosen
 from rpl_data.types import DataError, Recording

@@ -13,11 +13,11 @@ from rpl_data.formats.recordings.ros.decode import size_of
 from rpl_data.formats.recordings.ros.survey import Survey, times_ns
 from rpl_data.formats.recordings.ros.topics import (
     ImageTopic,
-    Topics,
     choose_color,
     choose_depth,
     is_aligned_by_name,
 )
+from rpl_data.formats.recordings.ros.wanted import Topics
 from rpl_data.geometry import Transform, resized
 from rpl_data.types import DataError, Intrinsics
 

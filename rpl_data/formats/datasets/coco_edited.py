@@ -1,0 +1,151 @@
+"""An export that was edited elsewhere, brought back to our dialect of COCO.
+
+Annotation programs write ids as text, masks as polygons or as plain run lengths, and mark regions that hold
+more objects than they care to separate (`iscrowd`). Nothing else that they change is guessed at.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from rpl_data.files import decoding
+from rpl_data.json_arrays import Json, number, whole
+from rpl_data.types import DataError
+from rpl_data.untrusted.rle import pixels_of_rle
+
+REMEDY = "undo what another program changed, or export the dataset again with `rpl export`"
+LARGEST_SIDE_PX = 2**16
+"""Of an image: a mask of one is unpacked to so many bytes."""
+MASKS = (("segmentation", "bbox"), ("segmentation_full", "bbox_full"))
+
+
+def as_exported(data: Any, *, source: str) -> Json:
+    """Bring ids, masks and crowds of a file into the form that `rpl export` gives them.
+
+    Crowds leave `annotations` for a list of their own, `crowds`, since they are no instances: they have
+    neither pose nor keypoints. Where a mask was drawn anew, its area, boxes and visible share follow from it.
+
+    Raises:
+        DataError: a mask or an id is damaged. Everything else is left to `coco_check.validate_coco`.
+    """
+    if not isinstance(data, dict):
+        raise DataError(f"{source}: expected a JSON object, found {type(data).__name__}; {REMEDY}")
+    with decoding(source, REMEDY):
+        if not all(isinstance(data.get(key), list) for key in ("images", "annotations", "categories")):
+            return data
+        _number_ids(data)
+        sizes = {image["id"]: (_side(image["height"]), _side(image["width"])) for image in data["images"]}
+        crowds = [each for each in data["annotations"] if each.get("iscrowd")]
+        for annotation in data["annotations"]:
+            if _is_exported(annotation):
+                continue
+            with decoding(f"{source}: annotation {annotation['id']!r:.40}", REMEDY):
+                _redraw(annotation, sizes.get(annotation["image_id"]), crowd=bool(annotation.get("iscrowd")))
+        if crowds:
+            data["annotations"] = [each for each in data["annotations"] if not each.get("iscrowd")]
+            data["crowds"] = crowds
+    return data
+
+
+def _is_exported(annotation: Json) -> bool:
+    """Whether an annotation has packed masks and is no crowd, as nearly all are."""
+    packed = all(isinstance(annotation.get(key), dict) for key, _ in MASKS)
+    texts = packed and all(isinstance(annotation[key].get("counts"), str) for key, _ in MASKS)
+    return texts and not annotation.get("iscrowd")
+
+
+def _number_ids(data: Json) -> None:
+    """Turn ids that are texts or floats into whole numbers."""
+    described = data.get("rpl", {}).get("objects", [])
+    for entry in (*data["images"], *data["annotations"], *data["categories"], *described):
+        for key in entry.keys() & {"id", "image_id", "category_id"}:
+            entry[key] = _whole_id(entry[key])
+
+
+def _whole_id(value: Any) -> int:
+    if isinstance(value, str) and value.isascii() and value.isdecimal() and len(value) < 19:
+        return int(value)
+    return whole(int(value) if isinstance(value, float) and value.is_integer() else value)
+
+
+def _side(value: Any) -> int:
+    if not 1 <= whole(value) <= LARGEST_SIDE_PX:
+        raise ValueError(f"an image of {value} px per side; expected 1 to {LARGEST_SIDE_PX}")
+    return whole(value)
+
+
+def _redraw(annotation: Json, size: tuple[int, int] | None, *, crowd: bool) -> None:
+    """Pack the masks of an annotation, and make what follows from them agree."""
+    if size is None:
+        return  # no such image: the check says so
+    redrawn = [key for key, _ in MASKS if key in annotation and _pack(annotation, key, size)]
+    if redrawn and not crowd and "segmentation_full" in annotation:
+        _show_whole(annotation)
+    if redrawn or crowd:
+        _measure(annotation)
+
+
+def _pack(annotation: Json, key: str, size: tuple[int, int]) -> bool:
+    """Pack a mask in place; whether it was in another form than ours."""
+    from pycocotools import mask as masks
+
+    given, (height, width) = annotation[key], size
+    if isinstance(given, list):
+        polygons = [_polygon(polygon, height, width) for polygon in given]
+        if not polygons:
+            raise ValueError(f"{key}: it has no polygon")
+        packed = masks.merge(masks.frPyObjects(polygons, height, width))
+    elif isinstance(given, dict) and isinstance(given.get("counts"), list):
+        runs = [whole(run) for run in given["counts"]]
+        if sum(runs) != height * width or min(runs) < 0 or list(given["size"]) != [height, width]:
+            raise ValueError(f"{key}: its runs are not those of {width} x {height} pixels")
+        packed = masks.frPyObjects({"size": [height, width], "counts": runs}, height, width)
+    else:
+        return False
+    annotation[key] = {"size": [height, width], "counts": packed["counts"].decode("ascii")}
+    return True
+
+
+def _polygon(values: Any, height: int, width: int) -> list[float]:
+    """Corners of a polygon, x and y in turn, checked before pycocotools walks along its edges."""
+    if not isinstance(values, list) or len(values) < 6 or len(values) % 2:
+        raise ValueError("a polygon is not a list of at least three corners, x and y in turn")
+    corners = np.array([number(value) for value in values])
+    if corners.min() < -1 or corners[::2].max() > width + 1 or corners[1::2].max() > height + 1:
+        raise ValueError(f"a polygon leaves its image of {width} x {height} px")
+    return [float(value) for value in corners]
+
+
+def _show_whole(annotation: Json) -> None:
+    """Make the full mask hold the visible one, which was drawn without it, and count the visible share."""
+    from pycocotools import mask as masks
+
+    check_packed(annotation["segmentation"])
+    check_packed(annotation["segmentation_full"])
+    both = masks.merge([annotation["segmentation"], annotation["segmentation_full"]])
+    annotation["segmentation_full"] = {"size": list(both["size"]), "counts": both["counts"].decode("ascii")}
+    annotation["visib_fract"] = int(masks.area(annotation["segmentation"])) / max(int(masks.area(both)), 1)
+
+
+def _measure(annotation: Json) -> None:
+    """Boxes and area of the masks that are there."""
+    from pycocotools import mask as masks
+
+    for key, box in MASKS:
+        if key in annotation:
+            check_packed(annotation[key])
+            annotation[box] = [float(side) for side in masks.toBbox(annotation[key])]
+    annotation["area"] = int(masks.area(annotation["segmentation"]))
+
+
+def check_packed(mask: Json) -> None:
+    """Refuse a packed mask whose runs are not those of an image of its size: pycocotools trusts them.
+
+    Raises:
+        ValueError: with what is wrong.
+    """
+    height, width = (_side(side) for side in mask["size"])
+    if not isinstance(mask["counts"], str) or pixels_of_rle(mask["counts"]) != height * width:
+        raise ValueError(f"the runs of a mask are not those of {width} x {height} pixels")
