@@ -15,11 +15,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from rpl_data.geometry import Transform
-from rpl_data.reconstruct.comparison import Compared, Pixels, chosen_pixels, compare
+from rpl_data.reconstruct.comparison import Compared, compare
 from rpl_data.reconstruct.evidence import LEAST_PIXELS, of_brightness, of_depth
 from rpl_data.reconstruct.information import Estimate, motion_between, moved
 from rpl_data.reconstruct.model_map import Keyframe
-from rpl_data.reconstruct.view import View
+from rpl_data.reconstruct.view import Pixels, View
 
 ITERATIONS = 4
 """Largest number of Gauss-Newton steps per level."""
@@ -67,7 +67,7 @@ def align(
     """
     pose = start
     for level in levels:
-        pixels = chosen_pixels(view.levels[level])
+        pixels = view.levels[level].pixels
         for _ in range(ITERATIONS):
             compared, axes = compare(pixels, keyframe, level, pose)
             bright, deep = of_brightness(pixels, compared), of_depth(compared)

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool
 
-from rpl_data.reconstruct.comparison import Compared, Derivative, Pixels, Values
+from rpl_data.reconstruct.comparison import Compared, Values, Vectors, by_motion
 from rpl_data.reconstruct.information import INDEPENDENT, Information, Motion, above_noise
+from rpl_data.reconstruct.view import Pixels
 
 LEAST_PIXELS = 100
 """With fewer pixels than this, the differences are ignored."""
@@ -36,9 +37,11 @@ class Evidence:
     def above_noise(self, compared: Compared) -> Information:
         """The information less that which the noise of the slopes alone would give."""
         weights = self.weights * np.float32(self.slope_noise**2)
-        u, v = compared.u_by_motion, compared.v_by_motion
-        noise = (u * weights) @ u.T + (v * weights) @ v.T
-        return above_noise(self.information, noise.astype(float))
+        noise = np.zeros((6, 6))
+        for by_shift in (compared.u_by_shift, compared.v_by_shift):
+            derivative = by_motion(compared.arms, by_shift)
+            noise += (derivative * weights) @ derivative.T
+        return above_noise(self.information, noise)
 
 
 def of_brightness(pixels: Pixels, compared: Compared) -> Evidence:
@@ -46,20 +49,31 @@ def of_brightness(pixels: Pixels, compared: Compared) -> Evidence:
     gain, offset = _exposure(compared.grey[compared.agrees], pixels.grey[compared.agrees])
     residuals = pixels.grey - (gain * compared.grey + offset)
     return _evidence(
-        residuals, gain * compared.grey_by_motion, compared.agrees, slope_noise=GREY_NOISE, floor=1.0
+        residuals,
+        compared.arms,
+        gain * compared.grey_by_shift,
+        compared.agrees,
+        slope_noise=GREY_NOISE,
+        floor=1.0,
     )
 
 
 def of_depth(compared: Compared) -> Evidence:
-    """Evidence from depth."""
+    """Evidence from depth, in standard deviations of its noise."""
     return _evidence(
-        -compared.step_m, compared.step_by_motion, compared.smooth, slope_noise=DEPTH_NOISE, floor=5e-4
+        -compared.step,
+        compared.arms,
+        compared.step_by_shift,
+        compared.smooth,
+        slope_noise=DEPTH_NOISE,
+        floor=0.25,
     )
 
 
 def _evidence(
     residuals: Values,
-    derivative: Derivative,
+    arms: Vectors,
+    by_shift: Vectors,
     use: Bool[np.ndarray, " n"],
     *,
     slope_noise: float,
@@ -70,14 +84,14 @@ def _evidence(
     Args:
         slope_noise: noise of the slopes for residuals of scale 1.
     """
-    count = int(np.count_nonzero(use))
+    sizes = np.abs(residuals[use])
+    count = len(sizes)
     if count < LEAST_PIXELS:
         return Evidence(np.zeros((6, 6)), np.zeros(6), np.zeros_like(residuals), slope_noise)
-    sizes = np.abs(residuals[use])
     sigma = 1.4826 * float(np.partition(sizes, count // 2)[count // 2]) + floor
     weights = use * np.float32(INDEPENDENT / sigma**2) / (1 + (residuals / np.float32(2 * sigma)) ** 2)
-    weighted = np.where(use, derivative * weights, np.float32(0))
-    derivative = np.where(use, derivative, np.float32(0))  # NaN near missing depth
+    derivative = by_motion(arms, by_shift)
+    weighted = derivative * weights
     information = (weighted @ derivative.T).astype(float)
     return Evidence(information, (weighted @ residuals).astype(float), weights, slope_noise * sigma)
 
