@@ -25,6 +25,7 @@ MISALIGNED_M = 0.01
 
 Values = Float32[np.ndarray, " n"]
 Vectors = Float32[np.ndarray, "3 n"]
+Value = Values | float
 Derivative = Float32[np.ndarray, "6 n"]
 
 
@@ -38,10 +39,11 @@ class Compared:
         smooth: the pixel agrees, and the keyframe has depth all around it.
         grey: brightness of the keyframe there.
         step: depth of the keyframe there, minus that of the pixel, per `Pixels.noise_m`.
+        grey_by_uv, step_by_uv: derivatives of `grey` and `step` by u and v.
+        step_by_z: derivative of `step` by the z of the pixel's point in the keyframe's frame.
         arms: from the frame's camera to the pixel's point, along the keyframe's axes.
-        grey_by_shift, step_by_shift: derivatives of `grey` and `step` by a shift of the point along the
-            keyframe's axes.
-        u_by_shift, v_by_shift: derivatives of the projection by the same shift.
+        xy_per_z: the point's x and y in the keyframe's frame, per z.
+        focal_per_z: focal lengths per z.
     """
 
     seen: Bool[np.ndarray, " n"]
@@ -49,11 +51,37 @@ class Compared:
     smooth: Bool[np.ndarray, " n"]
     grey: Values
     step: Values
+    grey_by_uv: tuple[Values, Values]
+    step_by_uv: tuple[Values, Values]
+    step_by_z: Values
     arms: Vectors
-    grey_by_shift: Vectors
-    step_by_shift: Vectors
-    u_by_shift: Vectors
-    v_by_shift: Vectors
+    xy_per_z: tuple[Values, Values]
+    focal_per_z: tuple[Values, Values]
+
+    @property
+    def grey_by_motion(self) -> Derivative:
+        """Derivatives of `grey` by a motion of the frame along the keyframe's axes."""
+        return self.by_motion(*self.grey_by_uv)
+
+    @property
+    def step_by_motion(self) -> Derivative:
+        """Derivatives of `step` by the same motion."""
+        return self.by_motion(*self.step_by_uv, self.step_by_z)
+
+    def by_motion(self, by_u: Value, by_v: Value, by_z: Value = 0.0) -> Derivative:
+        """Derivatives, by a motion along the keyframe's axes, of what changes so with u, v and z.
+
+        A motion (w, t) moves a point by ``w x arm + t``.
+        """
+        derivative = np.empty((6, self.arms.shape[1]), np.float32)
+        (ax, ay, az), (x, y) = self.arms, self.xy_per_z
+        sx, sy = by_u * self.focal_per_z[0], by_v * self.focal_per_z[1]
+        sz = by_z - (sx * x + sy * y)
+        derivative[0] = ay * sz - az * sy
+        derivative[1] = az * sx - ax * sz
+        derivative[2] = ax * sy - ay * sx
+        derivative[3], derivative[4], derivative[5] = sx, sy, sz
+        return derivative
 
 
 def compare(
@@ -70,39 +98,31 @@ def compare(
     """
     camera = keyframe.levels[number].camera
     keyframe_from_camera = invert(keyframe.scene_from_camera) @ scene_from_camera
-    rotation = keyframe_from_camera[:3, :3].astype(np.float32)
-    arms = rotation @ pixels.points
+    arms = keyframe_from_camera[:3, :3].astype(np.float32) @ pixels.points
     x, y, z = arms + keyframe_from_camera[:3, 3:].astype(np.float32)
     per_z = 1 / np.maximum(z, np.float32(1e-3))
-    x_per_z, y_per_z = x * per_z, y * per_z
-    u, v = np.float32(camera.fx) * x_per_z, np.float32(camera.fy) * y_per_z
-    u += np.float32(camera.cx)
-    v += np.float32(camera.cy)
+    x, y = x * per_z, y * per_z
+    u, v = camera.fx * x + np.float32(camera.cx), camera.fy * y + np.float32(camera.cy)
     seen = (z > 1e-3) & (u >= 1) & (u < camera.width - 2) & (v >= 1) & (v < camera.height - 2)
-    u, v = u * seen, v * seen
+    u, v = np.where(seen, u, np.float32(0)), np.where(seen, v, np.float32(0))
     nearest_m = _read(keyframe.levels[number].depth_m, u, v, cv2.INTER_NEAREST)[0]
     seen &= nearest_m > 0
     agrees = seen & (np.abs(nearest_m - z) < AGREEING_SIGMAS * pixels.noise_m + np.float32(MISALIGNED_M))
     grey, grey_by_u, grey_by_v = _read(keyframe.grey[number], u, v)
     depth_m, depth_by_u, depth_by_v, whole = _read(keyframe.depth[number], u, v)
-
-    zero = np.zeros_like(z)
-    fx_per_z, fy_per_z = np.float32(camera.fx) * per_z, np.float32(camera.fy) * per_z
-    u_by = np.stack([fx_per_z, zero, -fx_per_z * x_per_z])
-    v_by = np.stack([zero, fy_per_z, -fy_per_z * y_per_z])
-    step_by = depth_by_u * u_by + depth_by_v * v_by
-    step_by[2] -= 1
+    per_noise = 1 / pixels.noise_m
     compared = Compared(
         seen,
         agrees,
         agrees & (whole > 0.999),
         grey,
-        (depth_m - z) / pixels.noise_m,
+        (depth_m - z) * per_noise,
+        (grey_by_u, grey_by_v),
+        (depth_by_u * per_noise, depth_by_v * per_noise),
+        -per_noise,
         arms,
-        grey_by_u * u_by + grey_by_v * v_by,
-        step_by / pixels.noise_m,
-        u_by,
-        v_by,
+        (x, y),
+        (camera.fx * per_z, camera.fy * per_z),
     )
     axes = np.zeros((6, 6))
     axes[:3, :3] = axes[3:, 3:] = keyframe_from_camera[:3, :3]
@@ -111,15 +131,4 @@ def compare(
 
 def _read(image: np.ndarray, u: Values, v: Values, how: int = cv2.INTER_LINEAR) -> np.ndarray:
     """The channels of an image at some places, one row per channel."""
-    return cv2.remap(image, u, v, how).reshape(len(u), -1).T
-
-
-def by_motion(arms: Vectors, by_shift: Vectors) -> Derivative:
-    """Derivatives by a motion (w, t) of the frame, which shifts a point by ``w x arm + t``."""
-    derivative = np.empty((6, arms.shape[1]), np.float32)
-    (ax, ay, az), (sx, sy, sz) = arms, by_shift
-    derivative[0] = ay * sz - az * sy
-    derivative[1] = az * sx - ax * sz
-    derivative[2] = ax * sy - ay * sx
-    derivative[3:] = by_shift
-    return derivative
+    return np.ascontiguousarray(cv2.remap(image, u, v, how).reshape(len(u), -1).T)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool
 
-from rpl_data.reconstruct.comparison import Compared, Values, Vectors, by_motion
+from rpl_data.reconstruct.comparison import Compared, Derivative, Values
 from rpl_data.reconstruct.information import INDEPENDENT, Information, Motion, above_noise
 from rpl_data.reconstruct.view import Pixels
 
@@ -38,8 +38,7 @@ class Evidence:
         """The information less that which the noise of the slopes alone would give."""
         weights = self.weights * np.float32(self.slope_noise**2)
         noise = np.zeros((6, 6))
-        for by_shift in (compared.u_by_shift, compared.v_by_shift):
-            derivative = by_motion(compared.arms, by_shift)
+        for derivative in (compared.by_motion(1.0, 0.0), compared.by_motion(0.0, 1.0)):
             noise += (derivative * weights) @ derivative.T
         return above_noise(self.information, noise)
 
@@ -48,32 +47,21 @@ def of_brightness(pixels: Pixels, compared: Compared) -> Evidence:
     """Evidence from brightness; a gain and an offset between the exposures are removed first."""
     gain, offset = _exposure(compared.grey[compared.agrees], pixels.grey[compared.agrees])
     residuals = pixels.grey - (gain * compared.grey + offset)
-    return _evidence(
-        residuals,
-        compared.arms,
-        gain * compared.grey_by_shift,
-        compared.agrees,
-        slope_noise=GREY_NOISE,
-        floor=1.0,
-    )
+    derivative = compared.grey_by_motion
+    derivative *= gain
+    return _evidence(residuals, derivative, compared.agrees, slope_noise=GREY_NOISE, floor=1.0)
 
 
 def of_depth(compared: Compared) -> Evidence:
     """Evidence from depth, in standard deviations of its noise."""
     return _evidence(
-        -compared.step,
-        compared.arms,
-        compared.step_by_shift,
-        compared.smooth,
-        slope_noise=DEPTH_NOISE,
-        floor=0.25,
+        -compared.step, compared.step_by_motion, compared.smooth, slope_noise=DEPTH_NOISE, floor=0.25
     )
 
 
 def _evidence(
     residuals: Values,
-    arms: Vectors,
-    by_shift: Vectors,
+    derivative: Derivative,
     use: Bool[np.ndarray, " n"],
     *,
     slope_noise: float,
@@ -90,7 +78,6 @@ def _evidence(
         return Evidence(np.zeros((6, 6)), np.zeros(6), np.zeros_like(residuals), slope_noise)
     sigma = 1.4826 * float(np.partition(sizes, count // 2)[count // 2]) + floor
     weights = use * np.float32(INDEPENDENT / sigma**2) / (1 + (residuals / np.float32(2 * sigma)) ** 2)
-    derivative = by_motion(arms, by_shift)
     weighted = derivative * weights
     information = (weighted @ derivative.T).astype(float)
     return Evidence(information, (weighted @ residuals).astype(float), weights, slope_noise * sigma)

@@ -89,17 +89,18 @@ class ModelMap:
         self._gaussians = small_gicp.GaussianVoxelMap(VOXEL_M)
         self._gaussians.set_lru(horizon=1_000_000, clear_cycle=1_000)  # forget nothing
         self.keyframes: list[Keyframe] = []
+        self._poses = np.zeros((0, 4, 4))
 
     def add(self, index: int, view: View, scene_from_camera: Transform) -> Keyframe:
         """Add a frame as a keyframe."""
         self._gaussians.insert(view.cloud, scene_from_camera)
         self.keyframes.append(keyframe_of(index, view, scene_from_camera))
+        self._poses = np.concatenate([self._poses, scene_from_camera[None]])
         return self.keyframes[-1]
 
     def by_distance(self, scene_from_camera: Transform) -> Sequence[tuple[float, Keyframe]]:
         """The keyframes, most similar view first, each with its distance from this pose (`size_m`)."""
-        poses = np.stack([keyframe.scene_from_camera for keyframe in self.keyframes])
-        found_m = distances_m(poses, scene_from_camera)
+        found_m = distances_m(self._poses, scene_from_camera)
         return [(float(found_m[row]), self.keyframes[row]) for row in np.argsort(found_m)]
 
     def align(self, view: View, guess: Transform) -> Estimate:

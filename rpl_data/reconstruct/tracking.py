@@ -17,7 +17,7 @@ from enum import Enum
 import numpy as np
 
 from rpl_data.geometry import Transform
-from rpl_data.reconstruct.alignment import PLAIN, Fit, align
+from rpl_data.reconstruct.alignment import PLAIN, Fit, align, approach
 from rpl_data.reconstruct.information import Estimate, motion_between, moved, size_m, weakest_sigma_m
 from rpl_data.reconstruct.model_map import Keyframe, ModelMap
 from rpl_data.reconstruct.relocalise import keyframe_from_camera, landmarks_of
@@ -215,17 +215,16 @@ class Tracker:
         keyframe = self._map.by_distance(guess)[0][1]
         prior = Estimate(guess, PREDICTED)
         trust = self._color_trust
-        fit = align(view, keyframe, guess, prior, levels=(2, 1))  # a shift of depth is small at these sizes
-        near = fit.estimate.scene_from_camera
+        near = approach(view, keyframe, guess, prior)
         if size_m(motion_between(guess, near)) > KEYFRAME_M:
             keyframe = self._map.by_distance(near)[0][1]
-        fit = align(view, keyframe, near, prior, levels=(0,), color_trust=trust)
+        fit = align(view, keyframe, near, prior, color_trust=trust)
         if weakest_sigma_m(fit.estimate.information - PREDICTED) < SURE_M:
             return fit
         known = self._map.align(view, fit.estimate.scene_from_camera)
         # The map may know nothing, or not how the camera slides along a plane: the prediction still holds.
         known = Estimate(known.scene_from_camera, known.information + PREDICTED)
-        return align(view, keyframe, known.scene_from_camera, known, levels=(0,), color_trust=trust)
+        return align(view, keyframe, known.scene_from_camera, known, color_trust=trust)
 
 
 def dissimilarity(fit: Fit) -> float:

@@ -33,6 +33,9 @@ STEEP_PIXELS = 2000
 EVEN_PIXELS = 600
 """Pixels compared per level: about this many where brightness changes steeply, and this many elsewhere."""
 
+SMALL_PX = 80
+"""Width of a small image."""
+
 JUMP, JUMP_SIGMAS = 0.02, 3.0
 """Depth jumps where it changes by more than this share of itself and more than this many standard deviations
 of its noise."""
@@ -140,17 +143,20 @@ class Viewer:
 
 def _chosen_pixels(level: Level) -> Pixels:
     """Choose pixels where brightness is steep, and some others: a few edges may constrain one side only."""
-    measured = level.depth_m > 0
-    steep = cv2.magnitude(cv2.Sobel(level.grey, cv2.CV_32F, 1, 0), cv2.Sobel(level.grey, cv2.CV_32F, 0, 1))
-    sample = steep[measured][::7]
-    threshold = float(np.median(sample)) if len(sample) else 0.0
+    step = 2 if level.camera.width > 2 * SMALL_PX else 1  # of a large image, every other row and column do
+    depth_m, grey = level.depth_m[1:-1:step, 1:-1:step], level.grey
+    steep = np.abs(grey[1:-1:step, 2::step][:, : depth_m.shape[1]] - grey[1:-1:step, :-2:step])
+    steep += np.abs(grey[2::step, 1:-1:step][: depth_m.shape[0]] - grey[:-2:step, 1:-1:step])
+    measured = np.flatnonzero(depth_m)
+    slopes = steep.ravel()[measured]
+    threshold = float(np.median(slopes[::7])) if len(slopes) else 0.0
     chosen = np.concatenate(
         [
-            _thinned(np.flatnonzero(measured & (steep > threshold)), STEEP_PIXELS),
-            _thinned(np.flatnonzero(measured & (steep <= threshold)), EVEN_PIXELS),
+            _thinned(measured[slopes > threshold], STEEP_PIXELS),
+            _thinned(measured[slopes <= threshold], EVEN_PIXELS),
         ]
     )
-    rows, columns = np.divmod(chosen, level.camera.width)
+    rows, columns = (1 + step * number for number in np.divmod(chosen, depth_m.shape[1]))
     camera, depth_m = level.camera, level.depth_m[rows, columns]
     x = (columns - camera.cx) / camera.fx * depth_m
     y = (rows - camera.cy) / camera.fy * depth_m

@@ -7,8 +7,8 @@ import pytest
 from made_scenes import CAMERA, orbit, shot
 
 from rpl_data.geometry import from_rotvec
-from rpl_data.reconstruct.alignment import align
-from rpl_data.reconstruct.comparison import AGREEING_SIGMAS, by_motion, compare
+from rpl_data.reconstruct.alignment import align, approach
+from rpl_data.reconstruct.comparison import AGREEING_SIGMAS, compare
 from rpl_data.reconstruct.evidence import of_brightness, of_depth
 from rpl_data.reconstruct.information import (
     Estimate,
@@ -54,8 +54,7 @@ def test_derivatives_are_those_of_small_steps(axis: int) -> None:
     at, axes = compare(pixels, there, 0, pose)
     use = before.smooth & at.smooth & after.smooth
     # Slopes of brightness are taken over three pixels, which rounds off its short waves by a tenth.
-    for name, by_shift, within in (("grey", at.grey_by_shift, 0.12), ("step", at.step_by_shift, 0.02)):
-        derivative = by_motion(at.arms, by_shift)
+    for name, derivative, within in (("grey", at.grey_by_motion, 0.12), ("step", at.step_by_motion, 0.02)):
         change = (getattr(after, name) - getattr(before, name))[use]
         said = (2 * axes @ step @ derivative.astype(float))[use]
         large = np.abs(said) > np.median(np.abs(said))
@@ -64,7 +63,8 @@ def test_derivatives_are_those_of_small_steps(axis: int) -> None:
 
 def test_a_fit_finds_a_camera_that_stands_a_few_centimetres_away() -> None:
     there, pose = keyframe(), orbit(24)[3]
-    fit = align(look(pose), there, np.eye(4), NOTHING_KNOWN, levels=(2, 1, 0))
+    view = look(pose)
+    fit = align(view, there, approach(view, there, np.eye(4), NOTHING_KNOWN), NOTHING_KNOWN)
     assert size_m(motion_between(pose, fit.estimate.scene_from_camera)) < 1e-3
     assert fit.correlation > 0.9 and fit.agreeing > 0.9
 
