@@ -31,7 +31,7 @@ CLOUD_NOISE_M = 0.04
 
 STEEP_PIXELS = 2000
 EVEN_PIXELS = 600
-"""Pixels compared per level: about this many where brightness changes steeply, and this many elsewhere."""
+"""Pixels compared per level: at most this many where brightness changes steeply, and this many elsewhere."""
 
 SMALL_PX = 80
 """Width of a small image."""
@@ -143,7 +143,7 @@ class Viewer:
 
 def _chosen_pixels(level: Level) -> Pixels:
     """Choose pixels where brightness is steep, and some others: a few edges may constrain one side only."""
-    step = 2 if level.camera.width > 2 * SMALL_PX else 1  # of a large image, every other row and column do
+    step = 2 if level.camera.width > SMALL_PX else 1  # of a large image, every other row and column do
     depth_m, grey = level.depth_m[1:-1:step, 1:-1:step], level.grey
     steep = np.abs(grey[1:-1:step, 2::step][:, : depth_m.shape[1]] - grey[1:-1:step, :-2:step])
     steep += np.abs(grey[2::step, 1:-1:step][: depth_m.shape[0]] - grey[:-2:step, 1:-1:step])
@@ -167,7 +167,7 @@ def _chosen_pixels(level: Level) -> Pixels:
 
 
 def _thinned(numbers: np.ndarray, count: int) -> np.ndarray:
-    return numbers[:: max(1, len(numbers) // count)]
+    return numbers[:: max(1, -(-len(numbers) // count))]
 
 
 def halved_depth(depth_m: DepthImage) -> Image:
