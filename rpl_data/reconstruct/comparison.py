@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float32
 
-from rpl_data.geometry import Transform, invert
+from rpl_data.geometry import Transform
 from rpl_data.reconstruct.information import Information
 from rpl_data.reconstruct.model_map import Keyframe
 from rpl_data.reconstruct.view import Pixels
@@ -97,7 +97,7 @@ def compare(
         keyframe's.
     """
     camera = keyframe.levels[number].camera
-    keyframe_from_camera = invert(keyframe.scene_from_camera) @ scene_from_camera
+    keyframe_from_camera = keyframe.camera_from_scene @ scene_from_camera
     arms = keyframe_from_camera[:3, :3].astype(np.float32) @ pixels.points
     x, y, z = arms + keyframe_from_camera[:3, 3:].astype(np.float32)
     per_z = 1 / np.maximum(z, np.float32(1e-3))

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import cv2
 import numpy as np
 from jaxtyping import Float32
 
-from rpl_data.geometry import Transform, depth_sigma_m
+from rpl_data.geometry import Transform, depth_sigma_m, invert
 from rpl_data.reconstruct.information import (
     INDEPENDENT,
     Estimate,
@@ -63,6 +64,11 @@ class Keyframe:
     depth: tuple[Deep, ...]
     landmarks: Landmarks
 
+    @cached_property
+    def camera_from_scene(self) -> Transform:
+        """Inverse of its pose."""
+        return invert(self.scene_from_camera)
+
 
 def keyframe_of(index: int, view: View, scene_from_camera: Transform) -> Keyframe:
     """Make a keyframe of a frame's view and pose."""
@@ -89,18 +95,17 @@ class ModelMap:
         self._gaussians = small_gicp.GaussianVoxelMap(VOXEL_M)
         self._gaussians.set_lru(horizon=1_000_000, clear_cycle=1_000)  # forget nothing
         self.keyframes: list[Keyframe] = []
-        self._poses = np.zeros((0, 4, 4))
 
     def add(self, index: int, view: View, scene_from_camera: Transform) -> Keyframe:
         """Add a frame as a keyframe."""
         self._gaussians.insert(view.cloud, scene_from_camera)
         self.keyframes.append(keyframe_of(index, view, scene_from_camera))
-        self._poses = np.concatenate([self._poses, scene_from_camera[None]])
         return self.keyframes[-1]
 
     def by_distance(self, scene_from_camera: Transform) -> Sequence[tuple[float, Keyframe]]:
         """The keyframes, most similar view first, each with its distance from this pose (`size_m`)."""
-        found_m = distances_m(self._poses, scene_from_camera)
+        poses = np.array([keyframe.scene_from_camera for keyframe in self.keyframes])
+        found_m = distances_m(poses, scene_from_camera)
         return [(float(found_m[row]), self.keyframes[row]) for row in np.argsort(found_m)]
 
     def align(self, view: View, guess: Transform) -> Estimate:

@@ -149,7 +149,8 @@ def _chosen_pixels(level: Level) -> Pixels:
     steep += np.abs(grey[2::step, 1:-1:step][: depth_m.shape[0]] - grey[:-2:step, 1:-1:step])
     measured = np.flatnonzero(depth_m)
     slopes = steep.ravel()[measured]
-    threshold = float(np.median(slopes[::7])) if len(slopes) else 0.0
+    sample = slopes[::7]
+    threshold = np.partition(sample, len(sample) // 2)[len(sample) // 2] if len(sample) else 0.0
     chosen = np.concatenate(
         [
             _thinned(measured[slopes > threshold], STEEP_PIXELS),
@@ -175,8 +176,7 @@ def halved_depth(depth_m: DepthImage) -> Image:
     height, width = depth_m.shape[0] // 2, depth_m.shape[1] // 2
     even = depth_m[: 2 * height, : 2 * width]
     mean = cv2.resize(even, (width, height), interpolation=cv2.INTER_AREA)
-    rows = np.minimum(even[::2], even[1::2])
-    nearest = np.minimum(rows[:, ::2], rows[:, 1::2])
+    nearest = cv2.erode(even, np.ones((2, 2), np.uint8), anchor=(0, 0))[::2, ::2]
     allowed_m = np.maximum(JUMP * mean, JUMP_SIGMAS * depth_sigma_m(mean))
     mean[(mean - nearest > allowed_m) | (nearest == 0)] = 0
     return mean
