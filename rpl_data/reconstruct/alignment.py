@@ -24,7 +24,7 @@ from rpl_data.reconstruct.view import Pixels, View
 ITERATIONS = 4
 """Largest number of Gauss-Newton steps per level."""
 
-NEAR, CONVERGED = 1e-3, 3e-4
+NEAR, CONVERGED = 2e-3, 3e-4
 """The iteration ends after a step smaller than this, in radians and metres: on small images, and on the
 largest."""
 
