@@ -81,7 +81,7 @@ class Tracked:
 def track(
     scene: Scene, images: Iterable[tuple[Frame, GreyImage, DepthImage]], *, again: Look | None = None
 ) -> Iterator[Tracked]:
-    """Track the frames in order; the first frame with depth defines the scene frame.
+    """Track the frames in order; the first frame that another can be tracked from defines the scene frame.
 
     Memory grows with what the camera sees, not with the number of frames.
 
@@ -89,14 +89,25 @@ def track(
         images: frames in the order of time, with their brightness at `1 / view.REDUCE` of the size and their
             depth at full size.
         again: reads the images of a frame again. With it, lost frames are tried again at the end, and those
-            found are yielded a second time.
+            found are yielded a second time; of a frame that is yielded twice, the last word counts.
     """
     viewer = Viewer(scene.intrinsics)
-    tracker = Tracker(color_trust=1.0 if scene.registered else UNREGISTERED_TRUST)
+    trust = 1.0 if scene.registered else UNREGISTERED_TRUST
+    tracker = Tracker(color_trust=trust)
     found: dict[int, Transform] = {}
     lost: list[Frame] = []
+    start: Frame | None = None
     for frame, grey, depth_m in images:
-        result = tracker.step(frame, viewer.look(grey, depth_m))
+        view = viewer.look(grey, depth_m)
+        result = tracker.step(frame, view)
+        if start is not None and len(found) == 1 and result.loss is Loss.UNLIKE:
+            yield Tracked(start, None, Loss.UNLIKE)  # nothing follows from the start: start here
+            lost.append(start)
+            found.clear()
+            tracker = Tracker(color_trust=trust)
+            result = tracker.step(frame, view)
+        if result.scene_from_camera is not None and not found:
+            start = frame
         yield result
         if result.scene_from_camera is not None:
             found[frame.index] = result.scene_from_camera

@@ -145,8 +145,8 @@ def _chosen_pixels(level: Level) -> Pixels:
     """Choose pixels where brightness is steep, and some others: a few edges may constrain one side only."""
     step = 2 if level.camera.width > SMALL_PX else 1  # of a large image, every other row and column do
     depth_m, grey = level.depth_m[1:-1:step, 1:-1:step], level.grey
-    steep = np.abs(grey[1:-1:step, 2::step][:, : depth_m.shape[1]] - grey[1:-1:step, :-2:step])
-    steep += np.abs(grey[2::step, 1:-1:step][: depth_m.shape[0]] - grey[:-2:step, 1:-1:step])
+    steep = np.abs(grey[1:-1:step, 2::step] - grey[1:-1:step, :-2:step])
+    steep += np.abs(grey[2::step, 1:-1:step] - grey[:-2:step, 1:-1:step])
     measured = np.flatnonzero(depth_m)
     slopes = steep.ravel()[measured]
     sample = slopes[::7]

@@ -81,9 +81,16 @@ def test_frames_in_any_order_are_found_or_named() -> None:
 def test_two_frames_that_share_nothing_are_lost_by_name() -> None:
     apart = np.stack([np.eye(4), from_rotvec(np.array([0, 0.9, 0]), np.array([0.5, 0.0, 0.0]))])
     with pytest.raises(
-        DataError, match=r"of 2 frames, frame 1 \(c\) is blurred or shows too little of what the tracked"
+        DataError, match=r"of 2 frames, frame 0 \(c\) is blurred or shows too little of what the tracked"
     ):
         tracked(apart)
+
+
+def test_a_start_from_which_nothing_follows_is_left_out() -> None:
+    away = from_rotvec(np.array([0, 0.9, 0]), np.array([0.5, 0.0, 0.0]))
+    found = tracked(np.concatenate([away[None], orbit()[:6]]))
+    assert found.lost == (0,)
+    assert errors(found.trajectory, np.concatenate([away[None], orbit()[:6]]))[0].max() < 3
 
 
 def test_a_blurred_frame_and_a_covered_lens_lose_themselves_only() -> None:
