@@ -9,6 +9,7 @@ import numpy as np
 
 from rpl_data.reconstruct.tracking import Loss, Tracked
 from rpl_data.types import DataError, Frame, Scene, Trajectory
+from rpl_data.wording import counted
 
 REMEDIES = {
     Loss.NO_DEPTH: "keep the lens free and the camera at the distance its maker gives",
@@ -52,7 +53,7 @@ def collected(scene: Scene, tracked: Iterable[Tracked]) -> Track:
     losses = {index: item.loss for index, item in found.items() if item.loss is not None}
     if len(good) < 2:
         raise DataError(
-            f"scene {scene.name}: the camera could not be tracked: of {len(found)} frames, "
+            f"scene {scene.name}: the camera could not be tracked: of {counted(len(found), 'frame')}, "
             f"{_told(scene, losses) or 'none could be compared with another'}; or give it poses"
         )
     trajectory = Trajectory(
