@@ -1,4 +1,8 @@
-"""Compare the pixels of a frame with a keyframe: residuals of brightness and depth, and their derivatives."""
+"""Compare the pixels of a frame with a keyframe: differences of brightness and depth, and their derivatives.
+
+Differences of depth count in standard deviations of the depth noise, which grows with the square of the
+depth: 5 cm are much on a table and nothing on the far wall of a room.
+"""
 
 from __future__ import annotations
 
@@ -8,25 +12,21 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float32
 
-from rpl_data.geometry import Transform, invert
+from rpl_data.geometry import Transform
 from rpl_data.reconstruct.information import Information
 from rpl_data.reconstruct.model_map import Keyframe
-from rpl_data.reconstruct.view import Level
+from rpl_data.reconstruct.view import Pixels
 
-STEEP_PIXELS = 2000
-EVEN_PIXELS = 600
-"""Pixels compared per level: about this many where brightness changes steeply, and this many elsewhere."""
+AGREEING_SIGMAS = 3.0
+"""Depths agree that differ by less than this many standard deviations of their difference."""
+
+MISALIGNED_M = 0.01
+"""Difference allowed beyond the noise: while the pose is still off, a pixel falls beside its own place."""
 
 Values = Float32[np.ndarray, " n"]
+Vectors = Float32[np.ndarray, "3 n"]
+Value = Values | float
 Derivative = Float32[np.ndarray, "6 n"]
-
-
-@dataclass(frozen=True)
-class Pixels:
-    """Pixels of a frame: their points in its camera frame, one column per pixel, and their brightness."""
-
-    points: Float32[np.ndarray, "3 n"]
-    grey: Values
 
 
 @dataclass(frozen=True)
@@ -35,47 +35,53 @@ class Compared:
 
     Attributes:
         seen: the pixel projects into the keyframe's image, where that has depth.
-        agrees: the pixel is seen, and its depth differs from the keyframe's by less than 2 % and 5 mm.
+        agrees: the pixel is seen, and its depth agrees with the keyframe's.
         smooth: the pixel agrees, and the keyframe has depth all around it.
         grey: brightness of the keyframe there.
-        step_m: depth of the keyframe there, minus that of the pixel.
-        u_by_motion, v_by_motion: derivatives of the projection by a motion of the frame along the keyframe's
-            axes.
-        grey_by_motion, step_by_motion: derivatives of `grey` and `step_m` by the same motion.
+        step: depth of the keyframe there, minus that of the pixel, per `Pixels.noise_m`.
+        grey_by_uv, step_by_uv: derivatives of `grey` and `step` by u and v.
+        step_by_z: derivative of `step` by the z of the pixel's point in the keyframe's frame.
+        arms: from the frame's camera to the pixel's point, along the keyframe's axes.
+        xy_per_z: the point's x and y in the keyframe's frame, per z.
+        focal_per_z: focal lengths per z.
     """
 
     seen: Bool[np.ndarray, " n"]
     agrees: Bool[np.ndarray, " n"]
     smooth: Bool[np.ndarray, " n"]
     grey: Values
-    step_m: Values
-    u_by_motion: Derivative
-    v_by_motion: Derivative
-    grey_by_motion: Derivative
-    step_by_motion: Derivative
+    step: Values
+    grey_by_uv: tuple[Values, Values]
+    step_by_uv: tuple[Values, Values]
+    step_by_z: Values
+    arms: Vectors
+    xy_per_z: tuple[Values, Values]
+    focal_per_z: tuple[Values, Values]
 
+    @property
+    def grey_by_motion(self) -> Derivative:
+        """Derivatives of `grey` by a motion of the frame along the keyframe's axes."""
+        return self.by_motion(*self.grey_by_uv)
 
-def chosen_pixels(level: Level) -> Pixels:
-    """Choose pixels where brightness is steep, and some others: a few edges may constrain one side only."""
-    measured = level.depth_m > 0
-    steep = cv2.magnitude(cv2.Sobel(level.grey, cv2.CV_32F, 1, 0), cv2.Sobel(level.grey, cv2.CV_32F, 0, 1))
-    sample = steep[measured][::7]
-    threshold = float(np.median(sample)) if len(sample) else 0.0
-    chosen = np.concatenate(
-        [
-            _thinned(np.flatnonzero(measured & (steep > threshold)), STEEP_PIXELS),
-            _thinned(np.flatnonzero(measured & (steep <= threshold)), EVEN_PIXELS),
-        ]
-    )
-    rows, columns = np.divmod(chosen, level.camera.width)
-    camera, depth_m = level.camera, level.depth_m[rows, columns]
-    x = (columns - camera.cx) / camera.fx * depth_m
-    y = (rows - camera.cy) / camera.fy * depth_m
-    return Pixels(np.stack([x, y, depth_m]).astype(np.float32), level.grey[rows, columns])
+    @property
+    def step_by_motion(self) -> Derivative:
+        """Derivatives of `step` by the same motion."""
+        return self.by_motion(*self.step_by_uv, self.step_by_z)
 
+    def by_motion(self, by_u: Value, by_v: Value, by_z: Value = 0.0) -> Derivative:
+        """Derivatives, by a motion along the keyframe's axes, of what changes so with u, v and z.
 
-def _thinned(numbers: np.ndarray, count: int) -> np.ndarray:
-    return numbers[:: max(1, len(numbers) // count)]
+        A motion (w, t) moves a point by ``w x arm + t``.
+        """
+        derivative = np.empty((6, self.arms.shape[1]), np.float32)
+        (ax, ay, az), (x, y) = self.arms, self.xy_per_z
+        sx, sy = by_u * self.focal_per_z[0], by_v * self.focal_per_z[1]
+        sz = by_z - (sx * x + sy * y)
+        derivative[0] = ay * sz - az * sy
+        derivative[1] = az * sx - ax * sz
+        derivative[2] = ax * sy - ay * sx
+        derivative[3], derivative[4], derivative[5] = sx, sy, sz
+        return derivative
 
 
 def compare(
@@ -90,49 +96,39 @@ def compare(
         The comparison, and the matrix that turns a motion along the frame's axes into one along the
         keyframe's.
     """
-    level = keyframe.levels[number]
-    camera = level.camera
-    keyframe_from_camera = (invert(keyframe.scene_from_camera) @ scene_from_camera).astype(np.float32)
-    turned = keyframe_from_camera[:3, :3] @ pixels.points
-    x, y, z = turned + keyframe_from_camera[:3, 3:]
+    camera = keyframe.levels[number].camera
+    keyframe_from_camera = keyframe.camera_from_scene @ scene_from_camera
+    arms = keyframe_from_camera[:3, :3].astype(np.float32) @ pixels.points
+    x, y, z = arms + keyframe_from_camera[:3, 3:].astype(np.float32)
     per_z = 1 / np.maximum(z, np.float32(1e-3))
-    u, v = camera.fx * x * per_z + camera.cx, camera.fy * y * per_z + camera.cy
+    x, y = x * per_z, y * per_z
+    u, v = camera.fx * x + np.float32(camera.cx), camera.fy * y + np.float32(camera.cy)
     seen = (z > 1e-3) & (u >= 1) & (u < camera.width - 2) & (v >= 1) & (v < camera.height - 2)
     u, v = np.where(seen, u, np.float32(0)), np.where(seen, v, np.float32(0))
-    nearest_m = level.depth_m[np.rint(v).astype(int), np.rint(u).astype(int)]
+    nearest_m = _read(keyframe.levels[number].depth_m, u, v, cv2.INTER_NEAREST)[0]
     seen &= nearest_m > 0
-    agrees = seen & (np.abs(nearest_m - z) < 0.02 * z + 0.005)
-    grey, depth_m, *slopes = (
-        channel
-        for image in (level.grey, level.depth_m, keyframe.slopes[number])
-        for channel in cv2.remap(image, u, v, cv2.INTER_LINEAR).reshape(len(u), -1).T
-    )
-    u_by, v_by, z_by = _by_motion(turned, per_z * camera.fx, per_z * camera.fy, x * per_z, y * per_z)
+    agrees = seen & (np.abs(nearest_m - z) < AGREEING_SIGMAS * pixels.noise_m + np.float32(MISALIGNED_M))
+    grey, grey_by_u, grey_by_v = _read(keyframe.grey[number], u, v)
+    depth_m, depth_by_u, depth_by_v, whole = _read(keyframe.depth[number], u, v)
+    per_noise = 1 / pixels.noise_m
     compared = Compared(
         seen,
         agrees,
-        agrees & np.isfinite(slopes[2]),
+        agrees & (whole > 0.999),
         grey,
-        depth_m - z,
-        u_by,
-        v_by,
-        slopes[0] * u_by + slopes[1] * v_by,
-        slopes[2] * u_by + slopes[3] * v_by - z_by,
+        (depth_m - z) * per_noise,
+        (grey_by_u, grey_by_v),
+        (depth_by_u * per_noise, depth_by_v * per_noise),
+        -per_noise,
+        arms,
+        (x, y),
+        (camera.fx * per_z, camera.fy * per_z),
     )
-    return compared, np.kron(np.eye(2), keyframe_from_camera[:3, :3].astype(float))
+    axes = np.zeros((6, 6))
+    axes[:3, :3] = axes[3:, 3:] = keyframe_from_camera[:3, :3]
+    return compared, axes
 
 
-def _by_motion(
-    turned: Float32[np.ndarray, "3 n"], fx_per_z: Values, fy_per_z: Values, x_per_z: Values, y_per_z: Values
-) -> tuple[Derivative, Derivative, Derivative]:
-    """Derivatives of u, v and z of points by a motion along the keyframe's axes.
-
-    A motion (w, t) moves a point by ``w x turned + t``.
-    """
-    qx, qy, qz = turned
-    zero = np.zeros_like(qx)
-    du, dv = -fx_per_z * x_per_z, -fy_per_z * y_per_z  # by z
-    u_by = np.stack([qy * du, qz * fx_per_z - qx * du, -qy * fx_per_z, fx_per_z, zero, du])
-    v_by = np.stack([qy * dv - qz * fy_per_z, -qx * dv, qx * fy_per_z, zero, fy_per_z, dv])
-    z_by = np.stack([qy, -qx, zero, zero, zero, zero + 1])
-    return u_by, v_by, z_by
+def _read(image: np.ndarray, u: Values, v: Values, how: int = cv2.INTER_LINEAR) -> np.ndarray:
+    """The channels of an image at some places, one row per channel."""
+    return np.ascontiguousarray(cv2.remap(image, u, v, how).reshape(len(u), -1).T)

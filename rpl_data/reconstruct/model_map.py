@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import cv2
 import numpy as np
 from jaxtyping import Float32
 
-from rpl_data.geometry import Transform
+from rpl_data.geometry import Transform, depth_sigma_m, invert
 from rpl_data.reconstruct.information import (
     INDEPENDENT,
     Estimate,
@@ -19,7 +20,7 @@ from rpl_data.reconstruct.information import (
     distances_m,
 )
 from rpl_data.reconstruct.relocalise import Landmarks, landmarks_of
-from rpl_data.reconstruct.view import Level, View
+from rpl_data.reconstruct.view import Image, Level, View
 
 VOXEL_M = 0.04
 """Edge of a voxel; each voxel holds one Gaussian. Of all sizes tried, 2 to 4 cm were best."""
@@ -27,11 +28,22 @@ VOXEL_M = 0.04
 NORMALS_RAD = 0.15
 """Standard deviation of a point's normal, which is fitted to the noisy depth of its neighbours."""
 
+LEAST_INLIERS = 100
+"""Fewer points than this say nothing about the pose."""
+
 BIAS = 0.02
 """Voxels blur edges, so errors of many points are correlated: the map's information is scaled by this."""
 
-Slopes = Float32[np.ndarray, "_ _ 4"]
-"""Change of brightness per pixel in u and in v, then of depth in metres; NaN near missing depth."""
+Bright = Float32[np.ndarray, "_ _ 3"]
+"""Brightness, and its change per pixel in u and in v."""
+
+Deep = Float32[np.ndarray, "_ _ 4"]
+"""Depth in metres, its change per pixel in u and in v, and 1 where all depth around belongs to one
+surface."""
+
+STEEPEST, STEEPEST_SIGMAS = 0.1, 6.0
+"""Depths in a window of 5 x 5 pixels belong to one surface when they differ by less than this share of the
+nearest, or by less than this many standard deviations of its noise. A slope over an edge means nothing."""
 
 
 @dataclass(frozen=True)
@@ -40,21 +52,34 @@ class Keyframe:
 
     Attributes:
         index: `Frame.index`.
-        levels, slopes: its images and their derivatives, largest first.
+        levels: its images, largest first.
+        grey, depth: for each level, brightness and depth with their derivatives.
         landmarks: corners by which the camera is relocalised after the track was lost.
     """
 
     index: int
     scene_from_camera: Transform
     levels: tuple[Level, ...]
-    slopes: tuple[Slopes, ...]
+    grey: tuple[Bright, ...]
+    depth: tuple[Deep, ...]
     landmarks: Landmarks
+
+    @cached_property
+    def camera_from_scene(self) -> Transform:
+        """Inverse of its pose."""
+        return invert(self.scene_from_camera)
 
 
 def keyframe_of(index: int, view: View, scene_from_camera: Transform) -> Keyframe:
     """Make a keyframe of a frame's view and pose."""
-    slopes = tuple(_slopes(level) for level in view.levels)
-    return Keyframe(index, scene_from_camera, view.levels, slopes, landmarks_of(view.levels[0]))
+    return Keyframe(
+        index,
+        scene_from_camera,
+        view.levels,
+        tuple(np.dstack([level.grey, *_slopes(level.grey)]) for level in view.levels),
+        tuple(_deep(level) for level in view.levels),
+        landmarks_of(view.levels[0]),
+    )
 
 
 class ModelMap:
@@ -79,14 +104,19 @@ class ModelMap:
 
     def by_distance(self, scene_from_camera: Transform) -> Sequence[tuple[float, Keyframe]]:
         """The keyframes, most similar view first, each with its distance from this pose (`size_m`)."""
-        poses = np.stack([keyframe.scene_from_camera for keyframe in self.keyframes])
+        poses = np.array([keyframe.scene_from_camera for keyframe in self.keyframes])
         found_m = distances_m(poses, scene_from_camera)
         return [(float(found_m[row]), self.keyframes[row]) for row in np.argsort(found_m)]
 
     def align(self, view: View, guess: Transform) -> Estimate:
-        """Fit a frame's points to the Gaussians of all keyframes, starting at a guess of its pose."""
+        """Fit a frame's points to the Gaussians of all keyframes, starting at a guess of its pose.
+
+        Where too few points meet any Gaussian, the guess comes back with no information.
+        """
         import small_gicp
 
+        if view.cloud.size() < LEAST_INLIERS:
+            return Estimate(guess, np.zeros((6, 6)))
         found = small_gicp.align(
             self._gaussians,
             view.cloud,
@@ -96,6 +126,8 @@ class ModelMap:
             rotation_epsilon=5e-4,
             translation_epsilon=3e-4,
         )
+        if found.num_inliers < LEAST_INLIERS or not np.isfinite(found.T_target_source).all():
+            return Estimate(guess, np.zeros((6, 6)))
         return Estimate(found.T_target_source, _information(view, found))
 
 
@@ -126,13 +158,14 @@ def _outer(points: Any, directions: Any) -> Information:
     return product
 
 
-def _slopes(level: Level) -> Slopes:
-    smooth_m = cv2.blur(level.depth_m, (3, 3))
-    slopes = [
-        cv2.Scharr(image, cv2.CV_32F, *axes, scale=1 / 32)
-        for image in (level.grey, smooth_m)
-        for axes in ((1, 0), (0, 1))
-    ]
-    missing = cv2.dilate((level.depth_m == 0).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
-    slopes[2][missing] = np.nan
-    return np.dstack(slopes)
+def _deep(level: Level) -> Deep:
+    window = np.ones((5, 5), np.uint8)
+    nearest, farthest = cv2.erode(level.depth_m, window), cv2.dilate(level.depth_m, window)
+    allowed_m = np.maximum(STEEPEST * nearest, STEEPEST_SIGMAS * depth_sigma_m(nearest))
+    whole = (nearest > 0) & (farthest - nearest < allowed_m)
+    slopes = [np.where(whole, slope, np.float32(0)) for slope in _slopes(cv2.blur(level.depth_m, (3, 3)))]
+    return np.dstack([level.depth_m, *slopes, whole.astype(np.float32)])
+
+
+def _slopes(image: Image) -> Sequence[Any]:
+    return [cv2.Scharr(image, cv2.CV_32F, *axes, scale=1 / 32) for axes in ((1, 0), (0, 1))]

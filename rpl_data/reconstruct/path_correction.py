@@ -18,7 +18,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from rpl_data.geometry import Pixels, Transform, invert, project, transform
-from rpl_data.reconstruct.alignment import Fit, align
+from rpl_data.reconstruct.alignment import Fit, align, approach
 from rpl_data.reconstruct.information import Estimate, distances_m, motion_between, moved, size_m
 from rpl_data.reconstruct.model_map import Keyframe, keyframe_of
 from rpl_data.reconstruct.pose_graph import KERNEL_SCALE_SIGMAS, Edge, optimise
@@ -184,7 +184,8 @@ def _edge(view: View, index: int, keyframe: Keyframe, guess: Transform, trust: f
 
 
 def _aligned(view: View, keyframe: Keyframe, start: Transform, trust: float) -> Fit:
-    return align(view, keyframe, start, Estimate(start, PREDICTED), levels=(2, 1, 0), color_trust=trust)
+    prior = Estimate(start, PREDICTED)
+    return align(view, keyframe, approach(view, keyframe, start, prior), prior, color_trust=trust)
 
 
 def _align_between(

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float32
 
-from rpl_data.geometry import Points, rays, resized
+from rpl_data.geometry import Points, depth_sigma_m, rays, resized
 from rpl_data.types import DepthImage, GreyImage, Intrinsics
 
 REDUCE = 2
@@ -23,7 +23,42 @@ LEVELS = 3
 SPACING_M = 0.03
 """The point cloud is thinned to one point per cube with this edge."""
 
+NEIGHBOURS = 10
+"""Points that a normal of the cloud is fitted to."""
+
+CLOUD_NOISE_M = 0.04
+"""Points with a larger standard deviation of depth are left out of the cloud: at 3.6 m and beyond."""
+
+STEEP_PIXELS = 2000
+EVEN_PIXELS = 600
+"""Pixels compared per level: at most this many where brightness changes steeply, and this many elsewhere."""
+
+SMALL_PX = 80
+"""Width of a small image."""
+
+JUMP, JUMP_SIGMAS = 0.02, 3.0
+"""Depth jumps where it changes by more than this share of itself and more than this many standard deviations
+of its noise."""
+
+DEPTH_STEP_M = 0.0005
+"""Standard deviation of depth that is stored in whole millimetres, and somewhat more."""
+
 Image = Float32[np.ndarray, "rows columns"]
+
+
+@dataclass(frozen=True)
+class Pixels:
+    """Some pixels of an image.
+
+    Attributes:
+        points: their points in the camera frame, one column per pixel.
+        grey: their brightness.
+        noise_m: standard deviation of the difference of two measurements of their depth.
+    """
+
+    points: Float32[np.ndarray, "3 n"]
+    grey: Float32[np.ndarray, " n"]
+    noise_m: Float32[np.ndarray, " n"]
 
 
 @dataclass(frozen=True)
@@ -40,6 +75,11 @@ class Level:
     grey: Image
     depth_m: Image
 
+    @cached_property
+    def pixels(self) -> Pixels:
+        """The pixels that are compared with keyframes."""
+        return _chosen_pixels(self)
+
 
 @dataclass(frozen=True)
 class View:
@@ -47,7 +87,7 @@ class View:
 
     Attributes:
         levels: the pyramid, largest level first.
-        points: points of the second level, in the camera frame.
+        points: points of the last level, those measured to better than `CLOUD_NOISE_M`; camera frame.
     """
 
     levels: tuple[Level, ...]
@@ -58,7 +98,11 @@ class View:
         """Thinned points with normals and covariances (`small_gicp.PointCloud`), camera frame."""
         import small_gicp
 
-        cloud, _ = small_gicp.preprocess_points(self.points, downsampling_resolution=SPACING_M)
+        if len(self.points) < NEIGHBOURS:
+            return small_gicp.PointCloud(self.points)
+        cloud, _ = small_gicp.preprocess_points(
+            self.points, downsampling_resolution=SPACING_M, num_neighbors=NEIGHBOURS
+        )
         return cloud
 
 
@@ -69,7 +113,7 @@ class Viewer:
         small = resized(intrinsics, width=intrinsics.width // REDUCE, height=intrinsics.height // REDUCE)
         self._undistort = _maps(small) if any(small.distortion) else None
         self._cameras = _halvings(replace(small, distortion=()))
-        camera = self._cameras[1]
+        camera = self._cameras[-1]
         v, u = np.mgrid[0 : camera.height, 0 : camera.width]
         directions = rays(camera, np.column_stack([u.ravel(), v.ravel()]).astype(float))
         self._directions = directions.reshape(camera.height, camera.width, 3)
@@ -92,22 +136,49 @@ class Viewer:
             size = (camera.width, camera.height)
             bright = cv2.resize(levels[-1].grey, size, interpolation=cv2.INTER_AREA)
             levels.append(Level(camera, bright, halved_depth(levels[-1].depth_m)))
-        seen = levels[1].depth_m > 0
-        return View(tuple(levels), self._directions[seen] * levels[1].depth_m[seen, None])
+        depth = levels[-1].depth_m
+        seen = (depth > 0) & (depth_sigma_m(depth) < CLOUD_NOISE_M)
+        return View(tuple(levels), self._directions[seen] * depth[seen, None])
 
 
-def halved_depth(depth_m: DepthImage, *, max_step: float = 0.02) -> Image:
-    """Halve a depth image: the mean of four pixels, 0 unless all four have depth and lie on one surface.
+def _chosen_pixels(level: Level) -> Pixels:
+    """Choose pixels where brightness is steep, and some others: a few edges may constrain one side only."""
+    step = 2 if level.camera.width > SMALL_PX else 1  # of a large image, every other row and column do
+    depth_m, grey = level.depth_m[1:-1:step, 1:-1:step], level.grey
+    steep = np.abs(grey[1:-1:step, 2::step] - grey[1:-1:step, :-2:step])
+    steep += np.abs(grey[2::step, 1:-1:step] - grey[:-2:step, 1:-1:step])
+    measured = np.flatnonzero(depth_m)
+    slopes = steep.ravel()[measured]
+    sample = slopes[::7]
+    threshold = np.partition(sample, len(sample) // 2)[len(sample) // 2] if len(sample) else 0.0
+    chosen = np.concatenate(
+        [
+            _thinned(measured[slopes > threshold], STEEP_PIXELS),
+            _thinned(measured[slopes <= threshold], EVEN_PIXELS),
+        ]
+    )
+    rows, columns = (1 + step * number for number in np.divmod(chosen, depth_m.shape[1]))
+    camera, depth_m = level.camera, level.depth_m[rows, columns]
+    x = (columns - camera.cx) / camera.fx * depth_m
+    y = (rows - camera.cy) / camera.fy * depth_m
+    noise_m = np.sqrt(2) * np.hypot(depth_sigma_m(depth_m), DEPTH_STEP_M)
+    return Pixels(
+        np.stack([x, y, depth_m]).astype(np.float32), level.grey[rows, columns], noise_m.astype(np.float32)
+    )
 
-    Args:
-        max_step: share of the depth by which the nearest of the four may lie in front of the mean.
-    """
+
+def _thinned(numbers: np.ndarray, count: int) -> np.ndarray:
+    return numbers[:: max(1, -(-len(numbers) // count))]
+
+
+def halved_depth(depth_m: DepthImage) -> Image:
+    """Halve a depth image: the mean of four pixels, 0 unless all four have depth and lie on one surface."""
     height, width = depth_m.shape[0] // 2, depth_m.shape[1] // 2
     even = depth_m[: 2 * height, : 2 * width]
     mean = cv2.resize(even, (width, height), interpolation=cv2.INTER_AREA)
-    rows = np.minimum(even[::2], even[1::2])
-    nearest = np.minimum(rows[:, ::2], rows[:, 1::2])
-    mean[mean - nearest > max_step * mean] = 0  # a missing pixel is 0, far before the mean, too
+    nearest = cv2.erode(even, np.ones((2, 2), np.uint8), anchor=(0, 0))[::2, ::2]
+    allowed_m = np.maximum(JUMP * mean, JUMP_SIGMAS * depth_sigma_m(mean))
+    mean[(mean - nearest > allowed_m) | (nearest == 0)] = 0
     return mean
 
 

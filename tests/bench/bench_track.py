@@ -1,6 +1,7 @@
 """Tracking: error, cost and memory, each beside what it is compared with in the same run.
 
-Renders a partial orbit of 20 s once (ten minutes on one core; kept in the folder RPL_BENCH_CACHE names).
+Renders partial orbits of 20 s and a full one of 30 s once (fifteen minutes on one core; kept in the folder
+RPL_BENCH_CACHE names).
 The real recordings are looked for where RPL_REAL_DATA points.
 """
 
@@ -11,6 +12,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -22,9 +24,10 @@ from rpl_data.geometry import fit_rigid, invert, resized, transform
 from rpl_data.images import depth_reader, read_color, read_depth_m, read_grey
 from rpl_data.pipeline.stages.track import decoded
 from rpl_data.reconstruct.path import Track, collected
+from rpl_data.reconstruct.path_correction import correct_path
 from rpl_data.reconstruct.surface import fuse_surface
-from rpl_data.reconstruct.tracking import Tracker, track
-from rpl_data.reconstruct.view import REDUCE, Viewer
+from rpl_data.reconstruct.tracking import Tracked, Tracker, track
+from rpl_data.reconstruct.view import REDUCE, View, Viewer
 from rpl_data.recordings.open import open_scenes
 from rpl_data.types import DataError, DepthImage, Frame, GreyImage, Recording, Scene, Trajectory
 from rpl_data.workspace.workspace import Workspace
@@ -32,17 +35,36 @@ from rpl_data.workspace.workspace import Workspace
 DESK_GAPS, KITCHEN_GAPS = (3, 9, 18), (9, 30, 75)
 
 
-@pytest.fixture(scope="module")
-def twin(tmp_path_factory: pytest.TempPathFactory) -> Recording:
-    """A hand-held camera goes 160 degrees around two objects and clutter in 20 s; its sensors err."""
+def rendered(tmp_path_factory: pytest.TempPathFactory, name: str, **options: Any) -> Recording:
+    """A hand-held camera goes around two objects and clutter; its sensors err."""
     from rpl_data.twin.spec import TwinSpec
     from rpl_data.twin.write import write_twin
 
     kept = os.environ.get("RPL_BENCH_CACHE")
-    folder = (Path(kept) if kept else tmp_path_factory.mktemp("track")) / "orbit"
+    folder = (Path(kept) if kept else tmp_path_factory.mktemp("track")) / name
     if not (folder / "camera.txt").exists():
-        write_twin(folder, TwinSpec(objects=("carton", "kettle"), scenes=1, seconds=20.0, seed=7), workers=2)
+        write_twin(folder, TwinSpec(objects=("carton", "kettle"), scenes=1, seed=7, **options), workers=2)
     return open_scenes(folder, "rpl", metres_per_unit=0.001)[0]
+
+
+@pytest.fixture(scope="module")
+def twin(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    """160 degrees in 20 s."""
+    return rendered(tmp_path_factory, "orbit", seconds=20.0, keep_hz=15.0)
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    """The same where table, floor and walls are of one even colour each."""
+    return rendered(tmp_path_factory, "orbit_plain", seconds=20.0, keep_hz=15.0, plain_room=True)
+
+
+@pytest.fixture(scope="module")
+def loop(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    """360 degrees in 30 s, among plain walls."""
+    return rendered(
+        tmp_path_factory, "loop_plain", seconds=30.0, keep_hz=10.0, sweep_deg=360.0, plain_room=True
+    )
 
 
 @pytest.fixture(scope="module")
@@ -71,15 +93,47 @@ def rmse_mm(recording: Recording, trajectory: Trajectory) -> float:
     return float(np.sqrt(((fitted - true[:, :3, 3]) ** 2).sum(axis=1).mean()) * 1e3)
 
 
-def test_partial_orbit_with_clutter(twin: Recording) -> None:
-    found = follow(twin.scene)
-    true, ours = from_first(twin, found.trajectory)
+@pytest.mark.parametrize("name", ["twin", "plain"])
+def test_partial_orbit_with_clutter(name: str, request: pytest.FixtureRequest) -> None:
+    recording: Recording = request.getfixturevalue(name)
+    found = follow(recording.scene)
+    true, ours = from_first(recording, found.trajectory)
     mm, deg = errors(ours, true)
     median_mm, median_deg = float(np.median(mm)), float(np.median(deg))
-    print(f"\n20-s partial orbit, {len(twin.scene.frames)} frames, {len(found.lost)} lost")
+    print(f"\n{name}: 20-s partial orbit, {len(recording.scene.frames)} frames, {len(found.lost)} lost")
     print(f"  position  median {median_mm:.2f} mm (5 allowed: {5 / median_mm:.1f}x), largest {mm.max():.2f}")
     print(f"  rotation  median {median_deg:.3f} deg (0.3: {0.3 / median_deg:.1f}x), largest {deg.max():.3f}")
     assert median_mm <= 5 and median_deg <= 0.3
+
+
+class OpenChain(Tracker):
+    """Knows the newest keyframe only, so that no view is recognised and no loop closes."""
+
+    def step(self, frame: Frame, view: View) -> Tracked:
+        result = super().step(frame, view)
+        del self._map.keyframes[:-1]
+        return result
+
+
+def test_a_full_orbit_closes(loop: Recording) -> None:
+    """The error of the last frame relative to the first, whose views overlap, and of the whole path."""
+    scene, viewer, read = loop.scene, Viewer(loop.scene.intrinsics), depth_reader(loop.scene)
+
+    def look(frame: Frame) -> View:
+        return viewer.look(read_grey(frame, reduce=REDUCE), read(frame))
+
+    chain = OpenChain(color_trust=1.0)
+    paths = {"open chain": collected(scene, (chain.step(f, look(f)) for f in scene.frames)).trajectory}
+    paths["chain and pose graph"] = correct_path(scene, paths["open chain"], look).trajectory
+    paths["tracker"] = follow(scene).trajectory
+    paths["tracker and pose graph"] = correct_path(scene, paths["tracker"], look).trajectory
+    print(f"\nfull orbit, plain walls, {len(scene.frames)} frames")
+    ends_mm = {}
+    for name, path in paths.items():
+        true, ours = from_first(loop, path)
+        ends_mm[name] = errors(ours, true)[0][-1]
+        print(f"  {name:24s} last to first {ends_mm[name]:5.2f} mm, whole path {rmse_mm(loop, path):5.2f} mm")
+    assert ends_mm["chain and pose graph"] < ends_mm["open chain"] / 2
 
 
 def test_bare_plane() -> None:
@@ -121,11 +175,11 @@ def test_kitchen_without_its_poses(kitchen: Recording) -> None:
 # Cost ---------------------------------------------------------------------------------------------
 
 
-def test_cost_against_open3d(twin: Recording, kitchen: Recording) -> None:
+def test_cost_against_open3d(twin: Recording, plain: Recording, kitchen: Recording) -> None:
     """Open3D's dense SLAM at 1 cm on half-sized images; decoding is not counted."""
     cv2.setNumThreads(1)
     print("\nCPU a frame, decoding excluded")
-    for name, recording, step in (("twin", twin, 2), ("kitchen", kitchen, 3)):
+    for name, recording, step in (("twin", twin, 1), ("plain", plain, 1), ("kitchen", kitchen, 3)):
         scene = replace(recording.scene, frames=recording.scene.frames[: 80 * step : step])
         images = list(decoded(scene.frames, depth_reader(scene), lambda done, total: None))
         (mine_ms, mine), (other_ms, other) = ours(scene, images), open3d_slam(scene, images)
@@ -208,7 +262,7 @@ def test_memory_is_flat(twin: Recording) -> None:
     viewer, tracker = Viewer(scene.intrinsics), Tracker(color_trust=1.0)
     print("\nframes  resident MB  keyframes")
     for number, frame in enumerate(to_and_fro(scene.frames, times=5)):
-        moment = replace(frame, timestamp_s=number / 30)
+        moment = replace(frame, timestamp_s=number / 15)
         tracker.step(moment, viewer.look(read_grey(frame, reduce=REDUCE), read_depth_m(scene, frame)))
         if (number + 1) % len(scene.frames) == 0:
             print(f"{number + 1:6d}  {resident_mb():11.0f}  {len(tracker.keyframes):9d}", flush=True)

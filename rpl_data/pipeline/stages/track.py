@@ -28,7 +28,7 @@ from rpl_data.types import (
 )
 from rpl_data.workspace.workspace import Workspace
 
-VERSION = 2
+VERSION = 3
 """Increase it when the stage writes something else for the same input: its steps then run again."""
 
 AHEAD = 8
@@ -97,10 +97,15 @@ def compute_path(workspace: Workspace, scene: Scene, advance: Advance) -> Found:
     """Compute the path from the images alone: track it, then correct it by pairs of frames."""
     from rpl_data.reconstruct.path import collected, losses
     from rpl_data.reconstruct.tracking import track
+    from rpl_data.reconstruct.view import REDUCE
 
     frames = [frame for frame in scene.frames if frame.depth is not None]
-    images = decoded(frames, workspace.depth_reader(scene, keep=True), advance)
-    found = collected(scene, track(scene, images))
+    read = workspace.depth_reader(scene, keep=True)
+
+    def again(frame: Frame) -> tuple[GreyImage, DepthImage]:
+        return read_grey(frame, reduce=REDUCE), read(frame)
+
+    found = collected(scene, track(scene, decoded(frames, read, advance), again=again))
     corrected = correct(workspace, scene, found.trajectory, advance)
     path = corrected.trajectory
     return Found(path, path, tuple(losses(scene, found)), {"lost": len(found.lost)})
