@@ -239,7 +239,7 @@ def strayed(tiny_workspace: Workspace, tmp_path_factory: pytest.TempPathFactory)
 def test_a_build_cuts_what_strays_and_its_labels_are_better(
     tiny_workspace: Workspace, strayed: Path, tmp_path: Path
 ) -> None:
-    errors_px = {}
+    errors_mm = {}
     context = context_of(tiny_workspace)
     recipe = replace(
         context.recipe, twin=None, objects=context.objects, truth=tiny_workspace.truth,
@@ -250,13 +250,13 @@ def test_a_build_cuts_what_strays_and_its_labels_are_better(
         recipe = replace(recipe, reconstruct=options)
         workspace = Workspace(tmp_path)
         ledger = build(recipe, workspace, until="quality", workers=1)
-        errors_px[limit_mm] = quality_rows(ledger)[0].error_2d_mean_px
+        errors_mm[limit_mm] = quality_rows(ledger)[0].position_mm  # what strays moves along the axis
         if limit_mm == 1000:
             assert workspace.scene_names() == ["00", "01", "02"]
     assert workspace.scene_names() == ["00.1", "00.2", "01", "02"]  # the sound ones are whole
     assert {"00.1", "00.2"} <= set(workspace.load_solution("carton").scene_from_object)
     assert [label.frame for label in workspace.load_labels("00")] == list(range(6))
-    assert errors_px[15.0] < 0.75 * errors_px[1000.0]  # one scene of three strayed
+    assert errors_mm[15.0] < 0.75 * errors_mm[1000.0]  # one scene of three strayed
     ledger = build(replace(recipe, reconstruct=replace(options, method="auto")), workspace, until="track")
     assert "too few of its frames see the same" in ledger.entries["track/00"].outcome.messages[0]
     assert not ledger.entries["track/01"].outcome.messages  # its images agree with its poses

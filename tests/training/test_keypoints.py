@@ -178,7 +178,7 @@ def test_checkpoints_of_something_else(coco, run, tmp_path):
     with pytest.raises(DataError, match="there is no checkpoint"):
         load_keypoints(tmp_path / "last.ckpt")
     (tmp_path / "no.ckpt").write_bytes(b"no checkpoint")
-    with pytest.raises(DataError, match="is no checkpoint of"):
+    with pytest.raises(DataError, match="as a checkpoint of .*: it is damaged, or something else"):
         load_keypoints(tmp_path / "no.ckpt")
     other = Network(stacks=1, features=32, levels=2, input_px=32, heatmap_px=8, loss="entropy")
     with pytest.raises(DataError, match="resume with the options"):

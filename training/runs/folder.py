@@ -94,10 +94,10 @@ def reading_checkpoint(path: Path, expected: str) -> Iterator[None]:
     except DataError:
         raise
     except FOREIGN as error:
-        lacks = "it lacks " if isinstance(error, KeyError) else ""
-        why = " ".join(str(error).split())[:200]
+        lacks_a_part = isinstance(error, KeyError)  # what torch says of others is pages about pickle
+        why = f"it lacks {error}" if lacks_a_part else "it is damaged, or something else wrote it"
         raise DataError(
-            f"cannot read {path} as {expected}: {lacks}{why}; give another one, or train again"
+            f"cannot read {path} as {expected}: {why}; give another one, or train again"
         ) from error
 
 
