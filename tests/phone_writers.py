@@ -168,6 +168,6 @@ def write_nerfstudio(folder: Path, film: Film) -> None:
                 "transform_matrix": pose.tolist(),
             }
         )
-    said = {"fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy, "w": film.size[0], "h": film.size[1],
+    said = {"fl_x": fx, "fl_y": fy, "cx": cx + 0.5, "cy": cy + 0.5, "w": film.size[0], "h": film.size[1],
             "camera_model": "OPENCV", "k1": 0.0, "frames": frames[::-1]}  # fmt: skip
     (folder / "transforms.json").write_text(json.dumps(said))

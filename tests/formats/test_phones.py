@@ -285,6 +285,7 @@ def test_nerfstudio_units_scale_and_names_without_suffix(tmp_path: Path) -> None
     ("change", "message"),
     [
         ({"camera_model": "OPENCV_FISHEYE"}, "camera model is OPENCV_FISHEYE"),
+        ({"k4": 0.1}, "k4 of the lens cannot be read"),
         ({"frames": [{"file_path": "a"}]}, "names no depth image"),
         ({"frames": 3}, "export it again"),
         ({"w": 60, "h": 60}, "camera is for images of 60 x 60 px"),
@@ -301,7 +302,7 @@ def test_what_nerfstudio_files_may_not_say(change: dict[str, object], message: s
 def test_a_camera_for_images_of_twice_the_size_is_halved(tmp_path: Path) -> None:
     write_nerfstudio(tmp_path / "a", film())
     path = tmp_path / "a/transforms.json"
-    bigger = {"fl_x": 100, "fl_y": 102, "cx": 63.5, "cy": 47.5, "w": 128, "h": 96}
+    bigger = {"fl_x": 100, "fl_y": 102, "cx": 64, "cy": 48, "w": 128, "h": 96}
     path.write_text(json.dumps(json.loads(path.read_text()) | bigger))
     camera = read(tmp_path / "a", "nerfstudio").scene.intrinsics
     assert (camera.fx, camera.cx, camera.width) == (50, 31.5, 64)

@@ -9,7 +9,9 @@
 `transform_matrix` is scene_from_camera of a camera with y up that looks along -z (docs.nerf.studio, "Data
 conventions"; nerfstudio's dataparser has 1e-3 m as its default `depth_unit_scale_factor`, which some tools
 write into the file). Some tools shrink the world: `applied_scale` undoes it, and where nothing is said,
-`rpl check` sees that depth and poses disagree. There are no times: 30 frames per second are assumed.
+`rpl check` sees that depth and poses disagree. The centre of the first pixel is (0.5, 0.5) there (nerfstudio's
+cameras.py, `get_image_coords(pixel_offset=0.5)`), so half a pixel is taken off `cx cy`. There are no times: 30
+frames per second are assumed.
 """
 
 from __future__ import annotations
@@ -33,6 +35,8 @@ from rpl_data.types import DataError, Recording
 
 RATE_HZ = 30.0
 """Assumed frame rate: the file has no times."""
+
+HALF_PIXEL = 0.5
 
 LIST = "transforms.json"
 _PINHOLE = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "PERSPECTIVE")
@@ -141,7 +145,9 @@ def _camera(said: Mapping[str, Any]) -> Camera:
     else:
         fx = float(said["w"]) / 2 / math.tan(float(said["camera_angle_x"]) / 2)
     fy = float(said.get("fl_y", fx))
-    cx, cy = (float(said[key]) if key in said else (float(said[size]) - 1) / 2
+    cx, cy = (float(said[key] if key in said else said[size] / 2) - HALF_PIXEL
               for key, size in (("cx", "w"), ("cy", "h")))  # fmt: skip
+    if float(said.get("k4", 0.0)):
+        raise DataError(f"{LIST}: k4 of the lens cannot be read; undistort the images first")
     distortion = tuple(float(said.get(key, 0.0)) for key in ("k1", "k2", "p1", "p2", "k3"))
     return (fx, fy, cx, cy, *(distortion if any(distortion) else ()))
