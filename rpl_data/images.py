@@ -142,7 +142,10 @@ def read_depth_units(scene: Scene, frame: Frame) -> UInt16[np.ndarray, "height w
         units = turned_back(units)
     if scene.depth_coding.along_ray:
         units = np.rint(units / _ray_lengths(scene.depth_intrinsics)).astype(np.uint16)
-    return units if scene.depth_warp is None else _warped(units, scene.depth_warp)
+    if scene.depth_warp is None:
+        return units
+    own, color = scene.depth_intrinsics, scene.intrinsics
+    return _warped(units, scene.depth_warp, (own.fx / color.fx, own.fy / color.fy))
 
 
 def turned_back(units: DepthUnits) -> DepthUnits:
@@ -159,9 +162,16 @@ def _ray_lengths(camera: Intrinsics) -> Float64[np.ndarray, "height width"]:
     return lengths
 
 
-def _warped(raw: UInt16[np.ndarray, "height width"], warp: DepthWarp) -> UInt16[np.ndarray, "height width"]:
-    """Move depth onto the colour image; each pixel takes the nearest value, 0 where there is none."""
+def _warped(
+    raw: UInt16[np.ndarray, "height width"], warp: DepthWarp, depth_per_color: tuple[float, float]
+) -> UInt16[np.ndarray, "height width"]:
+    """Move depth onto the colour image; each pixel takes the nearest value, 0 where there is none.
+
+    Args:
+        depth_per_color: pixels of the depth image per pixel of the colour image, right and down.
+    """
     height, width = raw.shape
-    offset = (1 - warp.zoom) * (np.array([width, height]) - 1) / 2 + warp.shift_px
+    shift_px = np.array(warp.shift_px) * depth_per_color
+    offset = (1 - warp.zoom) * (np.array([width, height]) - 1) / 2 + shift_px
     matrix = np.column_stack([warp.zoom * np.eye(2), offset])
     return np.asarray(cv2.warpAffine(raw, matrix, (width, height), flags=cv2.INTER_NEAREST), np.uint16)

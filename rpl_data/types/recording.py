@@ -61,8 +61,9 @@ class Frame:
 class DepthWarp:
     """Map from a depth image that was not registered to the pixels of the colour image.
 
-    With the centre m of the image: colour pixel = m + zoom * (depth pixel - m) + shift. The shift of two
-    cameras side by side depends on the distance, so this is right at one distance only.
+    With the centre m of the image: colour pixel = m + zoom * (depth pixel - m) + shift. The shift counts
+    pixels of the colour image, also where depth has a size of its own. The shift of two cameras side by side
+    depends on the distance, so this is right at one distance only.
     """
 
     zoom: float = 1.0

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from rpl_data.geometry import from_rotvec, invert
+from rpl_data.geometry import from_rotvec, invert, resized
 from rpl_data.images import read_depth_m
 from rpl_data.recordings.mend import Mend, mended, mended_poses
-from rpl_data.types import DataError, Frame, Intrinsics, Recording, Scene, Trajectory
+from rpl_data.types import DataError, DepthCamera, Frame, Intrinsics, Recording, Scene, Trajectory
 
 POSES = np.array(
     [from_rotvec(np.array([0.3 * n, -0.2, 0.5]), np.array([0.1 * n, 0.2, -0.4])) for n in range(8)]
@@ -95,6 +95,20 @@ def test_depth_of_another_camera_is_put_on_the_colour_image(tmp_path: Path) -> N
     rows, columns = np.nonzero(read_depth_m(found, frame))
     np.testing.assert_allclose([columns.mean(), rows.mean()], [320 + 94, 240 + 39], atol=0.5)
     assert read_depth_m(found, frame).max() == pytest.approx(0.8)  # nearest, never a mean of two surfaces
+
+
+def test_a_shift_counts_pixels_of_the_colour_image_where_depth_is_coarser(tmp_path: Path) -> None:
+    """Depth of a fifth of the size: 20 colour pixels to the right are 4 of its own."""
+    camera = Intrinsics(600.0, 600.0, 319.5, 239.5, 640, 480)
+    small = resized(camera, width=128, height=96)
+    raw = np.zeros((96, 128), np.uint16)
+    raw[40:50, 60:70] = 800
+    cv2.imwrite(str(tmp_path / "0.png"), raw)
+    frame = Frame(0, 0.0, tmp_path / "rgb.png", tmp_path / "0.png")
+    scene = Scene("a", camera, 0.001, (frame,), depth_camera=DepthCamera(small))
+    found = mended(Recording(scene, None), Mend(depth_shift_px=(20.0, -10.0))).scene
+    before, after = (np.argwhere(read_depth_m(each, frame)).mean(axis=0) for each in (scene, found))
+    np.testing.assert_allclose(after - before, [-10, 20], atol=0.5)
 
 
 def test_repeated_depth_is_left_out_with_its_pose(tmp_path: Path) -> None:
