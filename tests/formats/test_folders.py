@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from recordings import LENS, color_image, cut, depth_image, poses, write_color, write_depth
 
+from rpl_data.formats.recordings.matrices import read_matrix_camera
 from rpl_data.images import read_color, read_depth_m
 from rpl_data.recordings.open import likely_formats, open_scenes
 from rpl_data.types import DataError, Recording
@@ -107,7 +108,35 @@ def test_units_and_distortion_that_a_camera_file_names(tmp_path: Path) -> None:
                "k1": 0.1, "k2": 0, "p1": 0, "p2": 0}}  # fmt: skip
     (tmp_path / "cam_params.json").write_text(json.dumps(content))
     scene = read(tmp_path).scene
-    assert scene.metres_per_unit == 0.0005 and scene.intrinsics.distortion == (0.1, 0.0, 0.0, 0.0, 0.0)
+    assert scene.metres_per_unit == 0.0005 and scene.intrinsics.distortion == (0.1, 0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("lens", "expected"),
+    [
+        ({"k1": 0.1, "k3": 0.2}, (0.1, 0.0, 0.0, 0.0, 0.2)),
+        ({"k1": 0.1, "k6": 0.3}, (0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.3)),
+        ({"distortion": [0.1, 0, 0, 0, 0, 0.3]}, None),
+        ({"distortion": [0.1] * 12}, None),
+    ],
+)
+def test_no_part_of_a_lens_is_dropped(
+    lens: dict[str, object], expected: tuple[float, ...] | None, tmp_path: Path
+) -> None:
+    path = tmp_path / "camera.json"
+    path.write_text(json.dumps({"fx": 50, "fy": 51, "cx": 31.5, "cy": 23.5} | lens))
+    if expected is not None:
+        assert read_matrix_camera(path).camera[4:] == expected
+        return
+    with pytest.raises(DataError, match="numbers of lens distortion, expected 4, 5 or 8"):
+        read_matrix_camera(path)
+
+
+def test_a_camera_without_its_middle_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "camera.json"
+    path.write_text(json.dumps({"fx": 50, "fy": 51}))
+    with pytest.raises(DataError, match="expected fx fy cx cy or a matrix K"):
+        read_matrix_camera(path)
 
 
 @pytest.mark.parametrize(

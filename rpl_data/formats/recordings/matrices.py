@@ -90,7 +90,7 @@ def _from_json(path: Path, data: Any) -> CameraSaid:
     keys = {key.lower(): value for key, value in found.items()}
     named = _flat([keys.get(name, keys.get(other, math.nan)) for name, other in _SYNONYMS])
     if any(map(math.isnan, named)):
-        named = _flat(next(found[key] for key in _MATRIX_KEYS if key in found))
+        named = _flat(next((found[key] for key in _MATRIX_KEYS if key in found), []))
     camera = camera_of(named, path)
     width, height = (keys.get(name, keys.get(name[0])) for name in ("width", "height"))
     size = (int(width), int(height)) if width and height else None
@@ -121,12 +121,17 @@ def _flat(value: Any) -> list[float]:
 
 
 def _distortion(keys: Mapping[str, Any]) -> tuple[float, ...]:
-    """OpenCV's coefficients, where the file names 4, 5 or 8 of them and one is not 0."""
+    """OpenCV's coefficients, where the file names any that are not 0; ValueError for those of another lens."""
     listed = next((keys[key] for key in ("distortion", "dist", "dist_coeffs", "coeffs") if key in keys), None)
     if listed is None and "k1" in keys:
-        listed = [keys.get(key, 0.0) for key in ("k1", "k2", "p1", "p2", "k3")]
+        listed = [keys.get(key, 0.0) for key in ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")]
     values = tuple(_flat(listed)) if isinstance(listed, list) else ()
-    return values if len(values) in (4, 5, 8) and any(values) else ()
+    if not any(values):
+        return ()
+    count = next((n for n in (4, 5, 8) if len(values) >= n and not any(values[n:])), None)
+    if count is None:
+        raise ValueError(f"{len(values)} numbers of lens distortion, expected 4, 5 or 8")
+    return values[:count]
 
 
 def _unit(keys: Mapping[str, Any]) -> float | None:
