@@ -88,8 +88,8 @@ def test_a_bag_without_images_is_told_so(tmp_path: Path) -> None:
 
 
 def test_a_folder_without_metadata_and_in_parts(tmp_path: Path) -> None:
-    """metadata.yaml is written on closing; parts follow one another by number, 10 after 9."""
-    for part, name in enumerate(("run_9", "run_10")):
+    """metadata.yaml is written on closing; parts follow one another by number."""
+    for part, name in enumerate(("run_0", "run_1")):
         with bag(tmp_path / f"{name}.mcap") as writing:
             for number in range(3 * part, 3 * part + 3):
                 writing.info(f"{COLOR}/camera_info", stamp(number))
@@ -98,9 +98,39 @@ def test_a_folder_without_metadata_and_in_parts(tmp_path: Path) -> None:
         (tmp_path / name / f"{name}.mcap").rename(tmp_path / f"{name}.mcap")
         (tmp_path / name / "metadata.yaml").unlink()
     assert {name: [file.name for file in files] for name, files in bags_at(tmp_path).items()} == {
-        "run": ["run_9.mcap", "run_10.mcap"]
+        "run": ["run_0.mcap", "run_1.mcap"]
     }
-    check_frames(read(tmp_path), range(6))
+    recording = read(tmp_path)
+    check_frames(recording, range(6))
+    assert "run_0.mcap, run_1.mcap are read as one recording" in recording.notes
+
+
+def test_which_files_are_parts_of_one_bag(tmp_path: Path) -> None:
+    """A recorder counts its parts from 0 without a gap, 10 after 9; a person counts recordings."""
+    for name in (
+        *(f"a/run_{n}" for n in range(11)),
+        "a/mug_1",
+        "a/mug_2",
+        "b/gap_0",
+        "b/gap_2",
+        "b/desk",
+        "c/desk",
+    ):
+        file = tmp_path / f"{name}.mcap"
+        file.parent.mkdir(exist_ok=True)
+        file.touch()
+    found = bags_at(tmp_path)
+    assert [file.stem for file in found.pop("run")] == [f"run_{n}" for n in range(11)]
+    assert {
+        name: [file.relative_to(tmp_path).as_posix() for file in files] for name, files in found.items()
+    } == {
+        "mug_1": ["a/mug_1.mcap"],
+        "mug_2": ["a/mug_2.mcap"],
+        "gap_0": ["b/gap_0.mcap"],
+        "gap_2": ["b/gap_2.mcap"],
+        "b_desk": ["b/desk.mcap"],
+        "c_desk": ["c/desk.mcap"],
+    }
 
 
 @pytest.mark.parametrize("mode", ["MESSAGE", "FILE"])

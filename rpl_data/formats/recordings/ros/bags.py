@@ -7,12 +7,15 @@
     <name>/metadata.yaml                ROS 2: a folder is one bag, whose files follow one another
            <name>_0.mcap, <name>_1.mcap ...
 
-metadata.yaml is written when the recorder ends, so a recorder that was killed leaves none; it is not needed.
+metadata.yaml is written when the recorder ends, so a recorder that was killed leaves none. Files without it
+are one bag where they are called as recorders call their parts: <name>_0, <name>_1 and so on without a gap.
+Others, such as mug_1.bag and mug_2.bag, are a bag each.
 """
 
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
@@ -44,10 +47,13 @@ def bags_at(path: Path) -> dict[str, tuple[Path, ...]]:
     """The bags at a path by name, each with its files in order: a file, or a folder of files or of bags."""
     if not path.is_dir():
         return {_stem(path): (path,)} if is_ros_file(path) else {}
-    found = _bags_in(path)
-    for folder in folders_in(path):
-        found |= _bags_in(folder)
-    return found
+    places = [(path, _bags_in(path)), *((folder, _bags_in(folder)) for folder in folders_in(path))]
+    often = Counter(name for _, bags in places for name in bags)
+    return {
+        f"{folder.name}_{name}" if often[name] > 1 else name: files
+        for folder, bags in places
+        for name, files in bags.items()
+    }
 
 
 def is_ros_file(path: Path) -> bool:
@@ -61,11 +67,16 @@ def _bags_in(folder: Path) -> dict[str, tuple[Path, ...]]:
     files = sorted((path for path in folder.iterdir() if is_ros_file(path)), key=_in_order)
     if files and (folder / "metadata.yaml").exists():
         return {folder.name: tuple(files)}
-    bags: dict[str, tuple[Path, ...]] = {}
+    series: dict[str, list[Path]] = {}
     for file in files:
         part = _PART.fullmatch(_stem(file))
-        name = part[1] if part else _stem(file)
-        bags[name] = (*bags.get(name, ()), file)
+        series.setdefault(part[1] if part else _stem(file), []).append(file)
+    bags: dict[str, tuple[Path, ...]] = {}
+    for name, parts in series.items():
+        if [_stem(file) for file in parts] == [f"{name}_{number}" for number in range(len(parts))]:
+            bags[name] = tuple(parts)
+        else:
+            bags |= {_stem(file): (file,) for file in parts}
     return bags
 
 

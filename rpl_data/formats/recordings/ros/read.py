@@ -27,9 +27,7 @@ from rpl_data.formats.recordings.ros.decode import color_of, decoded, depth_of
 from rpl_data.formats.recordings.ros.poses import POSE_TYPES, TF_TYPES, poses_from_messages, poses_from_tree
 from rpl_data.formats.recordings.ros.streams import Streams, streams_of
 from rpl_data.formats.recordings.ros.survey import Survey, survey_of, times_ns
-from rpl_data.formats.recordings.ros.topics import (
-    ImageTopic,
-)
+from rpl_data.formats.recordings.ros.topics import ImageTopic
 from rpl_data.formats.recordings.ros.wanted import Topics
 from rpl_data.formats.recordings.saved_images import write_color
 from rpl_data.formats.recordings.scene_folders import chosen
@@ -121,10 +119,15 @@ def read_bag(
         registered=streams.registered,
         depth_camera=None if streams.depth_camera is None else camera_numbers(streams.depth_camera),
         color_from_depth=streams.color_from_depth,
-        notes=streams.notes,
+        notes=(*streams.notes, *_parts(files)),
         skipped=(*bag.lost, *skipped),
     )
     return _posed(examine(listing), survey, streams.color, topics)
+
+
+def _parts(files: Sequence[Path]) -> list[str]:
+    """A note that several files are taken for one recording."""
+    return [f"{', '.join(file.name for file in files)} are read as one recording"] if len(files) > 1 else []
 
 
 def _unpack(
