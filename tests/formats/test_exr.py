@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -52,4 +53,13 @@ def test_a_wavelet_compression_is_named(tmp_path: Path) -> None:
         exr_bytes(DEPTH, compression=0).replace(b"compression\0\x01\0\0\0\0", b"compression\0\x01\0\0\0\4")
     )
     with pytest.raises(DataError, match="compression 4"):
+        read_exr(path)
+
+
+def test_a_few_bytes_that_promise_a_line_of_gigabytes_are_refused(tmp_path: Path) -> None:
+    """Before any memory is taken: 16 lines of 4 million pixels would be unpacked at once."""
+    narrow, wide = (struct.pack("<4i", 0, 0, right, 0) for right in (51, 2**22 - 1))
+    path = tmp_path / "a.exr"
+    path.write_bytes(exr_bytes(DEPTH[:1]).replace(narrow, wide))
+    with pytest.raises(DataError, match="1 channel of 4194304 pixels per line"):
         read_exr(path)

@@ -18,6 +18,7 @@ from jaxtyping import Float32
 
 from rpl_data.files import read_bytes
 from rpl_data.types import DataError
+from rpl_data.wording import counted
 
 MOST_PIXELS = 2**26
 """Largest image that is read: 8192 x 8192 pixels."""
@@ -26,6 +27,9 @@ _MAGIC = b"\x76\x2f\x31\x01"
 _TYPES: dict[int, np.dtype] = {0: np.dtype("<u4"), 1: np.dtype("<f2"), 2: np.dtype("<f4")}
 _LINES = {0: 1, 1: 1, 2: 1, 3: 16}
 """Scan lines per block by compression: none, RLE, zip of a line, zip of 16 lines."""
+
+_MOST_BLOCK_BYTES = 2**26
+"""Of 16 scan lines: of 8192 pixels in 128 channels of 4 bytes. A few bytes never unpack to gigabytes."""
 
 _BEST = ("Z", "depth", "D", "R", "Y", "A", "G", "B")
 """Names of the channel with the depth, the likeliest first."""
@@ -75,6 +79,8 @@ def _decode(data: bytes) -> Float32[np.ndarray, "height width"]:
         before += kind.itemsize * header.width
     kind = header.channels[name]
     line_bytes = sum(one.itemsize for one in header.channels.values()) * header.width
+    if _LINES[header.compression] * line_bytes > _MOST_BLOCK_BYTES:
+        raise ValueError(f"{counted(len(header.channels), 'channel')} of {header.width} pixels per line")
     for row, block in _blocks(data, header, line_bytes):
         for number in range(len(block) // line_bytes):
             at = number * line_bytes + before

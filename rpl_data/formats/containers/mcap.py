@@ -25,7 +25,7 @@ _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _DATA_END = 2, 3, 4, 5, 6, 15
 _RECORD = struct.Struct("<BQ")
 _FOOTER_BYTES = 20 + _RECORD.size + len(_MAGIC)
 _LARGEST_CHUNK_BYTES = 2**29
-"""Recorders close a chunk at about a megabyte; what promises more than this is not a chunk."""
+"""Recorders close a chunk at about a megabyte; of no record more than this is read."""
 
 
 @dataclass(frozen=True)
@@ -96,11 +96,10 @@ class McapFile:
                 at += _RECORD.size
                 left = min(length, size - at)
                 if kind == _CHUNK:
-                    for inner, content in _records(self._chunk(file.read(left))):
+                    for inner, content in _records(self._chunk(file.read(min(left, _LARGEST_CHUNK_BYTES)))):
                         yield from self._take(inner, content, topics)
-                elif length <= left:
-                    wanted = kind in (_SCHEMA, _CHANNEL, _MESSAGE)
-                    yield from self._take(kind, file.read(length) if wanted else b"", topics)
+                elif length <= min(left, _LARGEST_CHUNK_BYTES) and kind in (_SCHEMA, _CHANNEL, _MESSAGE):
+                    yield from self._take(kind, file.read(length), topics)
                 at += left
                 file.seek(at)
 
