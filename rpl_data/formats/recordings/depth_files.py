@@ -13,9 +13,8 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, UInt16
 
-from rpl_data.files import FAULTS, write_bytes
+from rpl_data.files import FAULTS
 from rpl_data.formats.containers.exr import MOST_PIXELS, read_exr
-from rpl_data.formats.recordings.saved_images import encoded
 from rpl_data.types import DataError
 
 STORED_UNIT_M = 0.00025
@@ -101,10 +100,3 @@ def unit_of_decimals(depth: np.ndarray) -> float:
     """Metres per unit of decimal depth: 1, or 0.001 where its median could not be metres of a room."""
     measured = depth[np.isfinite(depth) & (depth > 0)]
     return 0.001 if len(measured) and float(np.median(measured)) > MOST_METRES else 1.0
-
-
-def write_depth(folder: Path, index: int, units: UInt16[np.ndarray, "height width"]) -> Path:
-    """Write a depth image of a scene that is being unpacked; returns its path."""
-    path = folder / "depth" / f"{index:06d}.png"
-    write_bytes(path, encoded(units, "png"))
-    return path

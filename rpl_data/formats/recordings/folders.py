@@ -35,7 +35,6 @@ from rpl_data.formats.recordings.depth_files import (
     read_depth_file,
     stored_units,
     unit_of_decimals,
-    write_depth,
 )
 from rpl_data.formats.recordings.frame_files import (
     Camera,
@@ -54,6 +53,7 @@ from rpl_data.formats.recordings.matrices import (
     read_matrix_pose,
     rigid_or_none,
 )
+from rpl_data.formats.recordings.saved_images import write_depth
 from rpl_data.formats.recordings.scene_folders import chosen, scene_folders
 from rpl_data.geometry import Transform
 from rpl_data.types import DataError, Recording

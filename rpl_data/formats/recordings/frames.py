@@ -30,6 +30,7 @@ from rpl_data.formats.recordings.frame_files import (
     with_poses,
     without_poses,
 )
+from rpl_data.formats.recordings.matrices import rigid_or_none
 from rpl_data.formats.recordings.scene_folders import chosen, scene_folders
 from rpl_data.geometry import Transform
 from rpl_data.types import DataError, Intrinsics, Recording
@@ -125,15 +126,10 @@ def _pose_file(color: Path) -> Path:
 def _read_pose(path: Path) -> Transform | None:
     """Read scene_from_camera; None where a lost tracker left no rigid transform."""
     try:
-        values = np.array([float(token) for token in read_text(path).split()])
+        values = [float(token) for token in read_text(path).split()]
     except ValueError:  # 7-Scenes' tracker writes "-1.#IND"
         return None
-    if values.shape != (16,) or not np.isfinite(values).all():
-        return None
-    pose = values.reshape(4, 4)
-    rotation = pose[:3, :3]
-    rigid = np.allclose(rotation @ rotation.T, np.eye(3), atol=0.01) and np.linalg.det(rotation) > 0
-    return pose if rigid and np.allclose(pose[3], [0, 0, 0, 1]) else None
+    return rigid_or_none(values) if len(values) == 16 else None
 
 
 # Writing ------------------------------------------------------------------------------------------

@@ -30,7 +30,6 @@ from rpl_data.formats.containers.k4a_calibration import (
 )
 from rpl_data.formats.containers.matroska import missing_bytes
 from rpl_data.formats.recordings.color_lens import camera_numbers
-from rpl_data.formats.recordings.depth_files import write_depth
 from rpl_data.formats.recordings.frame_files import (
     Camera,
     Listing,
@@ -40,7 +39,7 @@ from rpl_data.formats.recordings.frame_files import (
     without_poses,
 )
 from rpl_data.formats.recordings.partners import partners
-from rpl_data.formats.recordings.saved_images import write_color
+from rpl_data.formats.recordings.saved_images import write_color, write_depth
 from rpl_data.formats.recordings.scene_folders import chosen
 from rpl_data.types import DataError, Recording
 from rpl_data.untrusted.child import in_child

@@ -15,7 +15,7 @@ from jaxtyping import Float64
 from rpl_data.files import decoding, read_json, read_text
 from rpl_data.formats.recordings.depth_files import read_npy
 from rpl_data.formats.recordings.frame_files import Camera
-from rpl_data.geometry import Transform
+from rpl_data.geometry import Transform, is_rotation
 from rpl_data.types import DataError
 
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|[-+]?(?:nan|inf)\b", re.IGNORECASE)
@@ -121,7 +121,7 @@ def _flat(value: Any) -> list[float]:
 
 
 def _distortion(keys: Mapping[str, Any]) -> tuple[float, ...]:
-    """OpenCV's coefficients, where the file names any that are not 0; ValueError for those of another lens."""
+    """OpenCV's coefficients where the file names any but 0; ValueError for those of another lens."""
     listed = next((keys[key] for key in ("distortion", "dist", "dist_coeffs", "coeffs") if key in keys), None)
     if listed is None and "k1" in keys:
         listed = [keys.get(key, 0.0) for key in ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")]
@@ -151,11 +151,9 @@ def rigid_or_none(values: Sequence[float]) -> Transform | None:
         return None
     pose = np.eye(4)
     pose[: len(values) // 4] = np.array(values, dtype=float).reshape(-1, 4)
-    rotation = pose[:3, :3]
     if not np.isfinite(pose).all() or not np.allclose(pose[3], [0, 0, 0, 1], atol=1e-6):
         return None
-    rigid = np.allclose(rotation @ rotation.T, np.eye(3), atol=0.01) and np.linalg.det(rotation) > 0
-    return pose if rigid else None
+    return pose if is_rotation(pose[:3, :3]) else None
 
 
 def read_matrix_pose(path: Path) -> Transform | None:

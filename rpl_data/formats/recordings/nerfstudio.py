@@ -9,9 +9,9 @@
 `transform_matrix` is scene_from_camera of a camera with y up that looks along -z (docs.nerf.studio, "Data
 conventions"; nerfstudio's dataparser has 1e-3 m as its default `depth_unit_scale_factor`, which some tools
 write into the file). Some tools shrink the world: `applied_scale` undoes it, and where nothing is said,
-`rpl check` sees that depth and poses disagree. The centre of the first pixel is (0.5, 0.5) there (nerfstudio's
-cameras.py, `get_image_coords(pixel_offset=0.5)`), so half a pixel is taken off `cx cy`. There are no times: 30
-frames per second are assumed.
+`rpl check` sees that depth and poses disagree. The centre of the first pixel is (0.5, 0.5) there
+(nerfstudio's cameras.py, `get_image_coords(pixel_offset=0.5)`), so half a pixel is taken off `cx cy`. There
+are no times: 30 frames per second are assumed.
 """
 
 from __future__ import annotations

@@ -18,7 +18,6 @@ from rpl_data.formats.recordings.depth_files import (
     read_depth_file,
     stored_units,
     unit_of_decimals,
-    write_depth,
 )
 from rpl_data.formats.recordings.frame_files import (
     Camera,
@@ -30,6 +29,7 @@ from rpl_data.formats.recordings.frame_files import (
 )
 from rpl_data.formats.recordings.image_headers import probe
 from rpl_data.formats.recordings.matrices import median_camera, rigid_or_none
+from rpl_data.formats.recordings.saved_images import write_depth
 from rpl_data.geometry import Transform
 from rpl_data.types import DataError, Recording
 

@@ -12,6 +12,7 @@ in ARKit's axes. Depth is in mm, of its own size; confidence 0, 127 or 255, of w
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -81,9 +82,7 @@ def _capture(name: str, folder: Path) -> Phone:
     frames, broken, sizes = [], [], set()
     for index, stamp in enumerate(stamps):
         said = json_or_empty(place / f"{prefix}cameras/{stamp}.json")
-        values = _numbers(
-            said, ("fx", "fy", "cx", "cy", *(f"t_{row}{column}" for row in range(3) for column in range(4)))
-        )
+        values = _numbers(said)
         if values is None:
             broken.append(index)
             continue
@@ -112,9 +111,7 @@ def _capture(name: str, folder: Path) -> Phone:
     )
 
 
-def _numbers(said: Mapping[str, Any], names: Sequence[str]) -> list[float] | None:
-    """The named numbers; None where one is missing or none."""
-    values = [said.get(name) for name in names]
-    if not all(isinstance(value, (int, float)) for value in values):
-        return None
-    return [float(value) for value in values if value is not None]
+def _numbers(said: Mapping[str, Any]) -> list[float] | None:
+    """The camera and the pose of a frame; None where a number is missing, or is none."""
+    values = [float(x) for x in map(said.get, _KEYS) if isinstance(x, (int, float)) and math.isfinite(x)]
+    return values if len(values) == len(_KEYS) else None

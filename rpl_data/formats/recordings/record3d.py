@@ -28,10 +28,11 @@ import numpy as np
 from rpl_data.files import decoding, write_bytes
 from rpl_data.formats.containers.cut_zip import Members, members_of
 from rpl_data.formats.containers.exr import MOST_PIXELS, decoded_exr
-from rpl_data.formats.recordings.depth_files import STORED_UNIT_M, stored_units, write_depth
+from rpl_data.formats.recordings.depth_files import STORED_UNIT_M, stored_units
 from rpl_data.formats.recordings.frame_files import Camera, grouped
 from rpl_data.formats.recordings.matrices import camera_of
 from rpl_data.formats.recordings.phones import DOUBTED, OPENGL, Phone, PhoneFrame, phone_recording
+from rpl_data.formats.recordings.saved_images import write_depth
 from rpl_data.formats.recordings.scene_folders import chosen, folders_in
 from rpl_data.geometry import Transform, from_quaternion_xyzw
 from rpl_data.types import DataError, Recording

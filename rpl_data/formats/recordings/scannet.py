@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 
 from rpl_data.formats.containers.sens import Sens, index_sens, sens_color, sens_depth
-from rpl_data.formats.recordings.depth_files import write_depth
 from rpl_data.formats.recordings.frame_files import (
     Camera,
     Listing,
@@ -19,9 +18,9 @@ from rpl_data.formats.recordings.frame_files import (
     with_poses,
     without_poses,
 )
-from rpl_data.formats.recordings.saved_images import write_color
+from rpl_data.formats.recordings.matrices import rigid_or_none
+from rpl_data.formats.recordings.saved_images import write_color, write_depth
 from rpl_data.formats.recordings.scene_folders import chosen
-from rpl_data.geometry import Transform, is_rotation
 from rpl_data.types import DataError, Recording
 
 RATE_HZ = 30.0
@@ -135,17 +134,11 @@ def _loss(sens: Sens) -> list[str]:
 def _posed(recording: Recording, sens: Sens) -> Recording:
     """Add the poses that are rigid; none where all are the same, as before a reconstruction."""
     found = {
-        frame.index: _pose(sens.frames[frame.index].scene_from_camera) for frame in recording.scene.frames
+        frame.index: rigid_or_none(sens.frames[frame.index].scene_from_camera)
+        for frame in recording.scene.frames
     }
     poses = {index: pose for index, pose in found.items() if pose is not None}
     stacked = np.array(list(poses.values()))
     if not poses or (len(poses) > 1 and np.ptp(stacked, axis=0).max() < 1e-9):
         return without_poses(recording, "poses in the file")
     return with_poses(recording, poses, without="without a valid pose (the tracker was lost there)")
-
-
-def _pose(values: tuple[float, ...]) -> Transform | None:
-    pose = np.array(values, float).reshape(4, 4)
-    if not np.isfinite(pose).all() or not np.allclose(pose[3], [0, 0, 0, 1]):
-        return None
-    return pose if is_rotation(pose[:3, :3]) else None

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from rpl_data.formats.recordings.color_lens import camera_numbers
-from rpl_data.formats.recordings.depth_files import STORED_UNIT_M, stored_units, write_depth
+from rpl_data.formats.recordings.depth_files import STORED_UNIT_M, stored_units
 from rpl_data.formats.recordings.frame_files import (
     Camera,
     Listing,
@@ -29,7 +29,7 @@ from rpl_data.formats.recordings.ros.streams import Streams, streams_of
 from rpl_data.formats.recordings.ros.survey import Survey, survey_of, times_ns
 from rpl_data.formats.recordings.ros.topics import ImageTopic
 from rpl_data.formats.recordings.ros.wanted import Topics
-from rpl_data.formats.recordings.saved_images import write_color
+from rpl_data.formats.recordings.saved_images import write_color, write_depth
 from rpl_data.formats.recordings.scene_folders import chosen
 from rpl_data.types import DataError, Recording
 from rpl_data.untrusted.child import in_child
