@@ -159,6 +159,17 @@ def test_a_camera_for_images_of_another_size_is_refused(tmp_path: Path) -> None:
         read(tmp_path)
 
 
+def test_camera_txt_says_the_unit_beside_another_file_with_the_camera(tmp_path: Path) -> None:
+    make_folders(tmp_path)
+    (tmp_path / "camera.txt").write_text("50 51 31.5 23.5\nmetres_per_unit 0.0005\n")
+    assert read(tmp_path).scene.metres_per_unit == 0.0005
+    (tmp_path / "camera.txt").write_text("75 76 31.5 23.5\n")
+    with pytest.raises(
+        DataError, match=r"cam_K.txt says .* = 50 51 .*camera.txt says 75 76 .*correct or delete"
+    ):
+        read(tmp_path)
+
+
 def test_without_a_camera_it_says_where_to_write_one(tmp_path: Path) -> None:
     make_folders(tmp_path)
     (tmp_path / "cam_K.txt").unlink()

@@ -31,6 +31,9 @@ def test_an_exported_folder(tmp_path: Path) -> None:
     assert [frame.index for frame in scene.frames] == list(range(540, 546))
     np.testing.assert_allclose(read_depth_m(scene, scene.frames[3]), depth_image(3) * 0.001, atol=1e-6)
     assert "no timestamps: 30 frames per second assumed" in recording.notes
+    (tmp_path / "desk/camera.txt").write_text("50 51 31.5 23.5\nmetres_per_unit 0.0005\n")
+    scene = open_scenes(tmp_path, "zed")[0].scene
+    assert (scene.intrinsics.fx, scene.intrinsics.cy, scene.metres_per_unit) == (50, 23.5, 0.0005)
 
 
 def test_the_cameras_own_file_is_told_how_to_be_exported(tmp_path: Path) -> None:

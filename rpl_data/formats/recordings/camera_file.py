@@ -8,7 +8,8 @@
 
 The two tools read the first line only; the other lines are ours. `rpl capture` writes them, so that a
 recording holds everything that its camera reported. Many tools write the matrix K instead, in three lines of
-three numbers or four of four; it is read too. What the file says holds for every format that it lies beside.
+three numbers or four of four; it is read too. What the file says holds for every format that brings no
+calibration of its own from the camera or its app.
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from rpl_data.files import read_text
-from rpl_data.formats.recordings.camera_file import read_camera
+from rpl_data.formats.recordings.camera_file import CameraFile, Told, told_of
 from rpl_data.formats.recordings.color_lens import COLOR_LENS
 from rpl_data.formats.recordings.depth_files import (
     PACKED_UNIT_M,
@@ -66,7 +66,7 @@ DEPTH_FOLDERS = ("depth", "depths", "depth_images")
 COLOR_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp")
 CAMERA_FILES = (
     "cam_K.txt", "K.txt", "intrinsics.txt", "intrinsic.txt", "intrinsic/intrinsic_color.txt",
-    "intrinsic_color.txt", "camera_intrinsics.txt", "camera-intrinsics.txt", "camera.txt",
+    "intrinsic_color.txt", "camera_intrinsics.txt", "camera-intrinsics.txt",
     "camera_intrinsics.json", "camera_intrinsic.json", "intrinsic.json", "intrinsics.json",
     "camera.json", "cam_params.json", "camera_matrix.csv",
 )  # fmt: skip
@@ -126,17 +126,16 @@ def _read_scene(
     color_folder, depth_folder = _first(folder, COLOR_FOLDERS), _first(folder, DEPTH_FOLDERS)
     assert color_folder is not None and depth_folder is not None  # is_folder_scene
     pairs, skipped = _pairs(color_folder, depth_folder)
-    lens, source = _camera_of(folder, camera)
-    _refuse_other_size(pairs, lens, source)
-    usual_m = lens.metres_per_unit if unit_m is None else unit_m
+    told = _told_of(folder, pairs, camera, unit_m)
+    usual_m = told.metres_per_unit
     pairs, found_m, notes = _as_png(pairs, usual_m, lambda: unpack(name))
     listing = Listing(
         name,
         folder,
         "folders",
         pairs,
-        lens.camera,
-        source,
+        told.camera or (),
+        told.source,
         found_m or usual_m or 0.001,
         assumed_unit=found_m is None and usual_m is None,
         depth_camera=_depth_camera(folder),
@@ -229,20 +228,22 @@ def _as_png(
 # Camera and poses ---------------------------------------------------------------------------------
 
 
-def _camera_of(folder: Path, camera: Camera | None) -> tuple[CameraSaid, Path]:
+def _told_of(folder: Path, pairs: Sequence[Pair], camera: Camera | None, unit_m: float | None) -> Told:
+    """Camera and depth unit, by the first of `CAMERA_FILES` and by camera.txt; DataError without a camera."""
     files = [place / name for place in (folder, folder.parent) for name in CAMERA_FILES]
     found = next((path for path in files if path.is_file()), None)
-    if camera is not None:
-        return CameraSaid(camera), folder
-    if found is None:
+    own = None
+    if found is not None and camera is None:
+        said = read_matrix_camera(found)
+        _refuse_other_size(pairs, said, found)
+        own = CameraFile(said.camera, said.metres_per_unit)
+    told = told_of(folder, camera=camera, metres_per_unit=unit_m, own=own, own_source=found)
+    if told.camera is None:
         raise DataError(
             f"{folder} has no file with its camera; write fx fy cx cy, or the matrix K, into cam_K.txt, or "
             "give `camera: [fx, fy, cx, cy]`"
         )
-    if found.name == "camera.txt":
-        said = read_camera(found)
-        return CameraSaid(said.camera, None, said.metres_per_unit), found
-    return read_matrix_camera(found), found
+    return told
 
 
 def _depth_camera(folder: Path) -> Camera:

@@ -16,6 +16,7 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
+from rpl_data.formats.recordings.camera_file import told_of
 from rpl_data.formats.recordings.frame_files import (
     Camera,
     Listing,
@@ -45,8 +46,9 @@ def read_zed(
     Args:
         path: a folder with left<number>.png and depth<number>.png, or with such folders.
         names: which scenes to read, by folder name.
-        metres_per_unit: unit of the depth images; 0.001 when not given.
-        camera: the rectified left camera; needed, since the export does not hold it.
+        metres_per_unit: unit of the depth images; that of camera.txt when not given, else 0.001.
+        camera: the rectified left camera; needed, unless a camera.txt beside the images holds it: the export
+            does not.
 
     Raises:
         DataError: there is no such folder, no camera, or only the camera's own file, with how to export it.
@@ -56,11 +58,6 @@ def read_zed(
     if not found:
         _refuse_svo(path)
         raise DataError(f"{path} has no left<number>.png with depth<number>.png, nor has any folder in it")
-    if camera is None:
-        raise DataError(
-            f"{path}: ZED's export does not hold the camera; give `camera: [fx, fy, cx, cy]` in pixels, the "
-            "left camera of `get_camera_information().camera_configuration.calibration_parameters`"
-        )
     return [
         _read_scene(name, folder, metres_per_unit, camera)
         for name, folder in chosen(found, names, path).items()
@@ -92,7 +89,13 @@ def _refuse_svo(path: Path) -> None:
         )
 
 
-def _read_scene(name: str, folder: Path, unit_m: float | None, camera: Camera) -> Recording:
+def _read_scene(name: str, folder: Path, unit_m: float | None, camera: Camera | None) -> Recording:
+    told = told_of(folder, camera=camera, metres_per_unit=unit_m)
+    if told.camera is None:
+        raise DataError(
+            f"{folder}: ZED's export does not hold the camera; give `camera: [fx, fy, cx, cy]` in pixels, or "
+            "write these four numbers into camera.txt beside the images: the left camera of `get_camera_information().camera_configuration.calibration_parameters`"
+        )
     pairs = []
     for file in sorted(folder.iterdir()):
         left = _LEFT.fullmatch(file.name)
@@ -104,9 +107,9 @@ def _read_scene(name: str, folder: Path, unit_m: float | None, camera: Camera) -
         folder,
         "zed",
         pairs,
-        camera,
-        folder,
-        0.001 if unit_m is None else unit_m,
+        told.camera,
+        told.source,
+        0.001 if told.metres_per_unit is None else told.metres_per_unit,
         notes=(f"no timestamps: {RATE_HZ:g} frames per second assumed",),
     )
     return without_poses(examine(listing), "poses in ZED's export")
