@@ -29,6 +29,9 @@ from rpl_data.types import (
 AS_STORED = cv2.IMREAD_IGNORE_ORIENTATION
 """A tag may ask viewers to turn an image; depth has no such tag, so pixels stay where they are stored."""
 
+MOST_UNITS = np.iinfo(np.uint16).max
+"""What 16 bits hold; a Kinect writes it where it measured nothing."""
+
 REDUCED_GREY = {
     1: cv2.IMREAD_GRAYSCALE,
     2: cv2.IMREAD_REDUCED_GRAYSCALE_2,
@@ -119,8 +122,8 @@ def registered_units(scene: Scene, frame: Frame) -> DepthUnits:
     units = read_depth_units(scene, frame)
     if scene.depth_camera is None:
         return units
-    found: DepthUnits = np.rint(in_metres(scene, units) / scene.metres_per_unit).astype(np.uint16)
-    return found
+    found = np.rint(in_metres(scene, units) / scene.metres_per_unit)
+    return np.where(found < MOST_UNITS, found, 0).astype(np.uint16)
 
 
 def read_depth_units(scene: Scene, frame: Frame) -> UInt16[np.ndarray, "height width"]:

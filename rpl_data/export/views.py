@@ -14,6 +14,7 @@ from rpl_data.export.dialect import Split
 from rpl_data.export.folder import link
 from rpl_data.files import write_bytes
 from rpl_data.formats.datasets.coco import intrinsics_from_coco
+from rpl_data.formats.recordings.plausibility import SATURATED
 from rpl_data.formats.recordings.saved_images import encoded
 from rpl_data.geometry import Transform, invert
 from rpl_data.json_arrays import Json, matrix_from_json
@@ -111,9 +112,9 @@ def write_view(
 
 
 def _in_mm(raw: UInt16[np.ndarray, "h w"], metres_per_unit: float) -> UInt16[np.ndarray, "h w"]:
-    """Depth in whole millimetres; none where it is farther than 16 bits hold."""
+    """Depth in whole millimetres; none where it is farther than 16 bits hold, or saturated."""
     mm = np.rint(raw * (metres_per_unit / MILLIMETRE))
-    return np.where(mm > MOST_MM, 0, mm).astype(np.uint16)
+    return np.where((mm > MOST_MM) | (raw == SATURATED), 0, mm).astype(np.uint16)
 
 
 def _read(path: Path, flags: int) -> np.ndarray:

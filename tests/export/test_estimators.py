@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -12,9 +13,10 @@ import yaml
 from labelled_scenes import BOX, CAMERA, CAN, labelled_scene
 
 from rpl_data.export import ExportScene, export_bundlesdf, export_coco, export_foundationpose
+from rpl_data.export.dialect import splits_of
 from rpl_data.export.foundationpose import reference_views
 from rpl_data.export.split import SplitRule
-from rpl_data.export.views import View, views_of
+from rpl_data.export.views import View, views_of, write_view
 from rpl_data.types import DataError
 
 PLAIN = CAMERA.__class__(150.0, 151.0, 79.5, 59.5, 160, 120)
@@ -87,6 +89,21 @@ def test_videos_hold_every_frame_of_a_scene(coco: Path, tmp_path: Path) -> None:
     assert sum(summary.images.values()) == summary.instances
 
 
+def test_saturated_depth_becomes_none_not_sixteen_metres(coco: Path, tmp_path: Path) -> None:
+    train = next(splits_of(coco))
+    (view, *_) = views_of(train, 1)
+    color, depth = (tmp_path / name for name in ("color.png", "depth.png"))
+    raw = np.full((120, 160), 4000, np.uint16)
+    raw[0] = 65535
+    cv2.imwrite(str(color), np.zeros((120, 160, 3), np.uint8))
+    cv2.imwrite(str(depth), raw)
+    image = view.image | {"file_name": "color.png", "depth_file_name": "depth.png", "scene": "a"}
+    written = {kind: tmp_path / f"out/{kind}.png" for kind in ("color", "depth", "mask")}
+    write_view(replace(view, image=image), tmp_path, **written, metres_per_unit={"a": 0.00025})
+    found = cv2.imread(str(written["depth"]), -1)
+    assert not found[0].any() and (found[1:] == 1000).all()
+
+
 def _seen_from(direction: np.ndarray, *, quality: float = 0.8, width: int = 160) -> View:
     pose = np.eye(4)
     pose[:3, 3] = direction
@@ -121,8 +138,6 @@ def test_a_path_that_leads_the_readers_astray_is_refused(coco: Path, tmp_path: P
 
 
 def test_images_without_depth_are_no_views(coco: Path) -> None:
-    from rpl_data.export.dialect import splits_of
-
     train = next(splits_of(coco))
     for image in train.images:
         image["depth_file_name"] = None
