@@ -93,8 +93,9 @@ def _read_scene(name: str, folder: Path, unit_m: float | None, camera: Camera | 
     told = told_of(folder, camera=camera, metres_per_unit=unit_m)
     if told.camera is None:
         raise DataError(
-            f"{folder}: ZED's export does not hold the camera; give `camera: [fx, fy, cx, cy]` in pixels, or "
-            "write these four numbers into camera.txt beside the images: the left camera of `get_camera_information().camera_configuration.calibration_parameters`"
+            f"{folder}: ZED's export does not hold the camera; give `camera: [fx, fy, cx, cy]` in "
+            "pixels, or write these numbers into camera.txt beside the images: those of the left camera in "
+            "`get_camera_information().camera_configuration.calibration_parameters`"
         )
     pairs = []
     for file in sorted(folder.iterdir()):
