@@ -22,6 +22,7 @@ from rpl_data.formats.recordings.ros.topics import (
     ImageTopic,
     choose_color,
     choose_depth,
+    is_aligned_by_name,
 )
 from rpl_data.formats.recordings.ros.wanted import Topics
 from rpl_data.geometry import from_rotvec, transform
@@ -103,6 +104,20 @@ def test_a_folder_without_metadata_and_in_parts(tmp_path: Path) -> None:
     recording = read(tmp_path)
     check_frames(recording, range(6))
     assert "run_0.mcap, run_1.mcap are read as one recording" in recording.notes
+
+
+@pytest.mark.parametrize(
+    ("topic", "aligned"),
+    [
+        ("/camera/aligned_depth_to_color/image_raw", True),
+        ("/depth_to_rgb/image_raw", True),
+        ("/zed/zed_node/depth/depth_registered", True),
+        ("/camera/depth_unregistered/image_raw", False),
+        ("/camera/depth/image_rect_raw", False),
+    ],
+)
+def test_which_names_say_that_depth_was_moved_onto_colour(topic: str, aligned: bool) -> None:
+    assert is_aligned_by_name(topic) == aligned
 
 
 def test_which_files_are_parts_of_one_bag(tmp_path: Path) -> None:

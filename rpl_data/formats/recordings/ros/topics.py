@@ -79,7 +79,7 @@ _NO_COLOR = {
 }
 _NO_DEPTH = {"infra", "infra1", "infra2", "ir", "confidence", "disparity", "cost"}
 _COLOR_WORDS = {"color", "colour", "rgb"}
-_ALIGNED = ("aligned_depth_to_color", "depth_to_rgb", "depth_to_color", "depth_registered", "registered")
+_ALIGNED = re.compile(r"(?<![a-z])(depth_to_rgb|depth_to_color|registered)(?![a-z])")
 
 
 def _words(name: str) -> set[str]:
@@ -88,7 +88,7 @@ def _words(name: str) -> set[str]:
 
 def is_aligned_by_name(topic: str) -> bool:
     """Whether the name of a depth topic says that its driver moved it onto the colour image."""
-    return any(word in topic for word in _ALIGNED)
+    return _ALIGNED.search(topic) is not None
 
 
 def choose_color(images: Mapping[str, ImageTopic], wanted: str | None) -> ImageTopic:
