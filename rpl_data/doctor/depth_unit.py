@@ -5,8 +5,6 @@ Poses judge it better (`corrections`); this is for a recording without any, or w
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from jaxtyping import Float32
 
@@ -81,7 +79,7 @@ def with_turned_bits(scene: Scene, depths_m: Depths, found: list[Finding]) -> li
     if not is_turned(scene, depths_m):
         return found
     return [
-        replace(turned_bits(scene, depths_m, finding.sure), sure=finding.sure)
+        turned_bits(scene, depths_m, finding.sure)
         if finding.mend is not None
         and finding.kind == "depth scale"
         and abs(np.log(finding.mend.depth_factor / TURNED_FACTOR)) < np.log(1.2)
