@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import sqlite3
 import struct
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -14,6 +16,7 @@ import pytest
 from bags import ALIGNED, COLOR, OPTICAL, START_NS, Writing, bag, realsense, stamp
 from recordings import color_image, depth_image
 
+from rpl_data.formats.containers.ros_topics import db3_topics
 from rpl_data.formats.recordings.ros import topics as naming
 from rpl_data.formats.recordings.ros.bags import bags_at
 from rpl_data.formats.recordings.ros.decode import color_of, depth_of
@@ -118,6 +121,14 @@ def test_a_folder_without_metadata_and_in_parts(tmp_path: Path) -> None:
 )
 def test_which_names_say_that_depth_was_moved_onto_colour(topic: str, aligned: bool) -> None:
     assert is_aligned_by_name(topic) == aligned
+
+
+def test_a_table_of_topics_that_never_ends_is_given_up(tmp_path: Path) -> None:
+    path = tmp_path / "a.db3"
+    with closing(sqlite3.connect(path)) as file:
+        endless = "WITH RECURSIVE c(name) AS (SELECT 'a' UNION ALL SELECT name FROM c) SELECT name FROM c"
+        file.execute(f"CREATE VIEW topics AS {endless} WHERE name = 'b'")
+    assert db3_topics(path) is None
 
 
 def test_which_files_are_parts_of_one_bag(tmp_path: Path) -> None:
