@@ -132,7 +132,8 @@ def _sources(path: str, told: Told, examined: Sequence[tuple[Recording, Diagnosi
         for finding in diagnosis.findings:
             said_by_build = finding.kind in ("left out", "unreadable")
             if not said_by_build and (finding.mend is None or finding.sure < SURE):
-                lines.append(f"  # scene {recording.scene.name}: {finding.what}; {finding.todo}")
+                said = f"scene {recording.scene.name}: {finding.what}; {finding.todo}"
+                lines.append(f"  # {' '.join(said.split())}")  # a name may hold a line break
     return lines
 
 

@@ -44,6 +44,15 @@ def test_what_is_not_sure_is_a_comment() -> None:
     assert "# scene 00: poses are 3 late; do it" in text
 
 
+def test_a_line_break_in_a_name_does_not_end_its_comment() -> None:
+    unread = Finding("blur", "rgb/1\nobjects: [] cannot be read", 0.5, "do it")
+    text = recipe_text(
+        "data", Told("tum"), [examined("00", unread)], name="n", objects=[("m", 4)], clicks=None
+    )
+    assert parse_recipe(yaml.safe_load(text), source="text").objects[0].name == "m"
+    assert "# scene 00: rgb/1 objects: [] cannot be read; do it" in text
+
+
 def test_what_was_told_stands_in_the_recipe() -> None:
     told = Told("ros", (600.0, 601.0, 320.0, 240.0), Topics(color="/a/b", poses="/tf"))
     text = recipe_text("x.mcap", told, [examined("00")], name="n", objects=[("m", 4)], clicks=None)
