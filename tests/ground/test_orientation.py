@@ -13,6 +13,7 @@ import pytest
 from PIL import Image, ImageOps
 
 from rpl_data.formats.containers.klg import index_klg, klg_color, klg_image_size
+from rpl_data.formats.recordings.depth_files import read_depth_file
 from rpl_data.images import read_color, read_grey, read_pixels
 from rpl_data.orientation import orientation_of, without_orientation
 from rpl_data.torch.image_files import read_image
@@ -68,6 +69,13 @@ def test_without_its_tag_an_image_is_the_same_to_all(tmp_path: Path, suffix: str
     if suffix != "tif":
         turned = decode_image(str(path), apply_exif_orientation=True).permute(1, 2, 0).numpy()
         np.testing.assert_allclose(turned.astype(int), stored, atol=4)
+
+
+def test_depth_in_a_tiff_is_not_turned_either(tmp_path: Path) -> None:
+    depth = np.arange(24 * 40, dtype=np.uint16).reshape(24, 40)
+    path = tmp_path / "a.tif"
+    Image.fromarray(depth).save(path, tiffinfo={0x0112: 3})
+    np.testing.assert_array_equal(read_depth_file(path), depth)
 
 
 def test_an_image_without_a_tag_is_left_as_it_is() -> None:

@@ -13,8 +13,9 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, UInt16
 
-from rpl_data.files import FAULTS
+from rpl_data.files import FAULTS, read_bytes
 from rpl_data.formats.containers.exr import MOST_PIXELS, read_exr
+from rpl_data.orientation import without_orientation
 from rpl_data.types import DataError
 
 STORED_UNIT_M = 0.00025
@@ -35,16 +36,24 @@ def read_depth_file(path: Path) -> np.ndarray:
 
     HO3D packs 16 bits into two channels of an 8-bit image: red + 256 green.
     """
-    if path.suffix == ".npy":
+    if path.suffix.lower() == ".npy":
         return _plane(path, read_npy(path))
-    if path.suffix == ".exr":
+    if path.suffix.lower() == ".exr":
         return read_exr(path)
-    image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED) if path.is_file() else None
+    image = _image(path) if path.is_file() else None
     if image is None:
         raise DataError(f"{path} is no image, or damaged; copy it again")
     if image.ndim == 3 and image.dtype == np.uint8 and image.shape[2] >= 3:
         return image[..., 2].astype(np.uint16) + 256 * image[..., 1].astype(np.uint16)
     return _plane(path, image)
+
+
+def _image(path: Path) -> np.ndarray | None:
+    """The pixels as they are stored: OpenCV turns a TIFF by its tag, whatever the flags say."""
+    if path.suffix.lower() == ".png":
+        return cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    content = np.frombuffer(without_orientation(read_bytes(path)), np.uint8)
+    return cv2.imdecode(content, cv2.IMREAD_UNCHANGED) if len(content) else None
 
 
 def is_packed(path: Path) -> bool:
