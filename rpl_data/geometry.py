@@ -33,6 +33,9 @@ Pixels = Float64[np.ndarray, "n 2"]
 NEAREST_M = 1e-6
 """Points with a smaller z count as behind the camera and never project."""
 
+OPENGL_AXES = np.diag([1.0, -1.0, -1.0, 1.0])
+"""``camera_from_opengl`` and its inverse: OpenGL's (and ARKit's) camera has y up and looks along -z."""
+
 COLLINEAR_M = 1e-4
 """Points whose standard deviation across a line is smaller lie on the line."""
 

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.spatial.transform import Rotation
 
-from rpl_data.geometry import invert
+from rpl_data.geometry import OPENGL_AXES, invert
 from rpl_data.types import DataError, DepthCoding, DepthWarp, Recording, Scene, Trajectory
 from rpl_data.wording import counted
 
@@ -106,7 +106,7 @@ def mended_poses(poses: Float64[np.ndarray, "n 4 4"], mend: Mend) -> Float64[np.
     if mend.inverted_poses:
         result = invert(result)
     if mend.opengl_cameras:
-        result = result @ np.diag([1.0, -1.0, -1.0, 1.0])
+        result = result @ OPENGL_AXES
     return result
 
 

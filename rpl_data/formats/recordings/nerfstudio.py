@@ -28,9 +28,9 @@ import numpy as np
 from rpl_data.files import decoding, read_json
 from rpl_data.formats.recordings.frame_files import Camera, grouped
 from rpl_data.formats.recordings.matrices import rigid_or_none
-from rpl_data.formats.recordings.phones import OPENGL, Phone, PhoneFrame, phone_recording
+from rpl_data.formats.recordings.phones import Phone, PhoneFrame, phone_recording
 from rpl_data.formats.recordings.scene_folders import chosen, scene_folders
-from rpl_data.geometry import Transform
+from rpl_data.geometry import OPENGL_AXES, Transform
 from rpl_data.types import DataError, Recording
 
 RATE_HZ = 30.0
@@ -132,7 +132,7 @@ def _pose(matrix: Any, scale: float) -> Transform | None:
     if pose is None:
         return None
     pose[:3, 3] /= scale
-    return pose @ OPENGL
+    return pose @ OPENGL_AXES
 
 
 def _camera(said: Mapping[str, Any]) -> Camera:

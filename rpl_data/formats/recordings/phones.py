@@ -30,11 +30,8 @@ from rpl_data.formats.recordings.frame_files import (
 from rpl_data.formats.recordings.image_headers import probe
 from rpl_data.formats.recordings.matrices import median_camera, rigid_or_none
 from rpl_data.formats.recordings.saved_images import write_depth
-from rpl_data.geometry import Transform
+from rpl_data.geometry import OPENGL_AXES, Transform
 from rpl_data.types import DataError, Recording
-
-OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
-"""Turns a camera with y up that looks along -z (ARKit, OpenGL) into OpenCV's."""
 
 DOUBTED = "depth of low confidence is left out"
 
@@ -206,7 +203,7 @@ def arkit_pose(values: Sequence[float]) -> Transform | None:
     ARKit's camera has y up and looks along -z (developer.apple.com, ARCamera.transform).
     """
     pose = rigid_or_none(values)
-    return None if pose is None else pose @ OPENGL
+    return None if pose is None else pose @ OPENGL_AXES
 
 
 def json_or_empty(path: Path) -> Mapping[str, Any]:

@@ -31,10 +31,10 @@ from rpl_data.formats.containers.exr import MOST_PIXELS, decoded_exr
 from rpl_data.formats.recordings.depth_files import STORED_UNIT_M, stored_units
 from rpl_data.formats.recordings.frame_files import Camera, grouped
 from rpl_data.formats.recordings.matrices import camera_of
-from rpl_data.formats.recordings.phones import DOUBTED, OPENGL, Phone, PhoneFrame, phone_recording
+from rpl_data.formats.recordings.phones import DOUBTED, Phone, PhoneFrame, phone_recording
 from rpl_data.formats.recordings.saved_images import write_depth
 from rpl_data.formats.recordings.scene_folders import chosen, folders_in
-from rpl_data.geometry import Transform, from_quaternion_xyzw
+from rpl_data.geometry import OPENGL_AXES, Transform, from_quaternion_xyzw
 from rpl_data.types import DataError, Recording
 from rpl_data.untrusted.child import in_child
 
@@ -181,7 +181,7 @@ def _pose(said: _Said, number: int) -> Transform | None:
     row = np.array(said.poses[number]) if number < len(said.poses) else np.zeros(7)
     if not np.isfinite(row).all() or not 0.9 < np.linalg.norm(row[:4]) < 1.1:
         return None
-    return from_quaternion_xyzw(row[:4], row[4:]) @ OPENGL
+    return from_quaternion_xyzw(row[:4], row[4:]) @ OPENGL_AXES
 
 
 def _depth(path: Path, members: Members, color: str, said: _Said) -> tuple[np.ndarray, np.ndarray | None]:
