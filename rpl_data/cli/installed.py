@@ -6,6 +6,7 @@ import importlib.metadata
 import importlib.util
 import os
 import platform
+import shutil
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -52,11 +53,12 @@ PARTS = (
 
 
 def machine_lines() -> list[str]:
-    """Versions, cores, memory, and whether there is a GPU."""
+    """Versions, cores, memory, free disk, and whether there is a GPU."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     lines = [
         f"rpl-data {installed_version()}, Python {platform.python_version()} at {sys.prefix}",
         f"{platform.system()} {platform.machine()}, {cores} cores{_memory()}",
+        f"{_free_gib():.0f} GiB free on the disk of this folder",
     ]
     return [*lines, _gpu()]
 
@@ -82,12 +84,10 @@ def _memory() -> str:
         size = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     except (AttributeError, OSError, ValueError):
         return ""
-    return f", {size / 2**30:.0f} GiB of memory, {_free_gib():.0f} GiB free on the disk of this folder"
+    return f", {size / 2**30:.0f} GiB of memory"
 
 
 def _free_gib() -> float:
-    import shutil
-
     return shutil.disk_usage(Path.cwd()).free / 2**30
 
 
