@@ -8,7 +8,7 @@ from pathlib import Path
 from rpl_data.formats.recordings.ros.wanted import Topics
 from rpl_data.pipeline.recipe_file import load_recipe
 from rpl_data.pipeline.sources import recordings_of
-from rpl_data.recordings.open import READERS, UNPACKERS, likely_formats, open_scenes
+from rpl_data.recordings.open import only_format, open_scenes
 from rpl_data.types import DataError, Recording
 
 
@@ -41,7 +41,7 @@ def recordings_at(
         if not found:
             raise DataError(f"{path} names no recordings; give `rpl check` the folder of a recording")
         return [recording for recording in found if names is None or recording.scene.name in names]
-    chosen = format or format_of(path)
+    chosen = format or only_format(path)
     return open_scenes(
         path,
         chosen,
@@ -51,15 +51,3 @@ def recordings_at(
         unpack=scratch.joinpath,
         topics=topics,
     )
-
-
-def format_of(path: Path) -> str:
-    """The format that a recording looks like; DataError where it looks like none, or nothing is there."""
-    if not path.exists():
-        raise DataError(f"there is no {path}; expected a recording or a recipe")
-    likely = likely_formats(path)
-    if not likely:
-        raise DataError(
-            f"{path} looks like no format known; say which with --format {'|'.join(READERS | UNPACKERS)}"
-        )
-    return likely[0]

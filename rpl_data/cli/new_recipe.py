@@ -8,7 +8,7 @@ from tempfile import TemporaryDirectory
 
 import yaml
 
-from rpl_data.cli.check import format_of, recordings_at
+from rpl_data.cli.check import recordings_at
 from rpl_data.cli.screen import print_diagnoses
 from rpl_data.pipeline.build import recipe_of
 from rpl_data.pipeline.first_recipe import (
@@ -21,6 +21,7 @@ from rpl_data.pipeline.first_recipe import (
 )
 from rpl_data.pipeline.recipe import Recipe
 from rpl_data.pipeline.recipe_file import parse_recipe, resolve_paths
+from rpl_data.recordings.open import only_format
 from rpl_data.types import DataError
 from rpl_data.untrusted.names import checked_name
 from rpl_data.workspace.workspace import Workspace
@@ -51,7 +52,7 @@ def text_for(
     Raises:
         DataError: nothing can be read there, or a name cannot be one.
     """
-    chosen = told.format or format_of(recording)
+    chosen = told.format or only_format(recording)
     clicks = recording / "clicks.csv"
     objects = objects_clicked(clicks) if object is None else []
     if not objects:

@@ -128,7 +128,7 @@ def open_recordings(
     folder = None if unpack is None else Path(unpack).expanduser()
     return open_scenes(
         place,
-        format or _only_format(place),
+        format or only_format(place),
         names=names,
         metres_per_unit=metres_per_unit,
         camera=None if camera is None else tuple(camera),
@@ -139,7 +139,7 @@ def open_recordings(
     )
 
 
-def _only_format(path: Path) -> str:
+def only_format(path: Path) -> str:
     """The format a path looks like; DataError when that is none or several."""
     if not path.exists():
         raise DataError(f"there is no recording {path}; check the path")
@@ -147,7 +147,9 @@ def _only_format(path: Path) -> str:
     if len(likely) == 1:
         return likely[0]
     looks = f"looks like {' and like '.join(likely)}" if likely else "looks like no format that is known"
-    raise DataError(f"{path} {looks}; give `format`, one of {', '.join(sorted(READERS | UNPACKERS))}")
+    raise DataError(
+        f"{path} {looks}; give `format` (--format), one of {', '.join(sorted(READERS | UNPACKERS))}"
+    )
 
 
 def open_scenes(

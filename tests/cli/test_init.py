@@ -80,3 +80,12 @@ def test_mistakes(
     monkeypatch.chdir(tmp_path)
     assert main(["init", *options, "--from", str(recording)]) == 1
     assert words in capsys.readouterr().err and not list(tmp_path.glob("*.yaml"))
+
+
+def test_a_recording_of_two_formats_is_not_guessed(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (recording / "a.klg").touch()
+    for command in (["check", str(recording)], ["init", str(tmp_path / "my.yaml"), "--from", str(recording)]):
+        assert main(command) == 1
+        assert "looks like rpl and like klg; give `format` (--format), one of" in capsys.readouterr().err

@@ -276,7 +276,7 @@ def test_check_of_a_recipe_reads_as_the_recipe_says(
 
 def test_check_of_nothing_known_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["check", str(tmp_path)]) == 1
-    assert "looks like no format known" in capsys.readouterr().err
+    assert "looks like no format that is known" in capsys.readouterr().err
 
 
 def test_the_desk_has_its_repeated_depth_and_its_lag(real_data: Path) -> None:

@@ -21,7 +21,9 @@ def test_a_tree_and_one_scene_of_it_are_recognised(tiny_workspace: Workspace) ->
 
 
 def test_what_is_no_recording_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(DataError, match="looks like no format that is known; give `format`, one of bop, "):
+    with pytest.raises(
+        DataError, match="looks like no format that is known; give `format` \\(--format\\), one of bop, "
+    ):
         open_recordings(tmp_path)
     with pytest.raises(DataError, match="there is no recording .*nowhere"):
         open_recordings(str(tmp_path / "nowhere"))
