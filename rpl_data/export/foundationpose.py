@@ -36,7 +36,7 @@ from rpl_data.types import DataError
 from rpl_data.wording import counted
 
 REFERENCE_VIEWS = 16
-"""So many views an object, as the reader's own sets have."""
+"""Views per object, as many as the reader's own sets have."""
 
 MOSTLY_SEEN = 0.9
 """Views that show less than this share of the object are taken only where too few show more."""

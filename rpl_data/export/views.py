@@ -80,7 +80,7 @@ def refuse_rgb_in(folder: Path) -> None:
 
 
 def rows_of(matrix: Float64[np.ndarray, "rows columns"]) -> str:
-    """A matrix as text, a row a line."""
+    """A matrix as text, one row per line."""
     return "".join(" ".join(f"{value:.9g}" for value in row) + "\n" for row in matrix)
 
 

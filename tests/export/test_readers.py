@@ -24,6 +24,7 @@ from rpl_data.export import (
 )
 from rpl_data.export.split import SplitRule
 from rpl_data.formats.datasets.coco import read_coco
+from rpl_data.recordings.open import open_scenes
 from rpl_data.types import DataError, Intrinsics
 
 LENS = Intrinsics(150.0, 151.0, 79.5, 59.5, 160, 120, (0.1, -0.02, 0.001, 0.002))
@@ -97,6 +98,16 @@ def test_posed_images_agree_with_the_labels(coco: Path, tmp_path: Path) -> None:
     assert words[:4] == ["1", "OPENCV", "160", "120"]
     np.testing.assert_allclose(list(map(float, words[4:])), [150, 151, 80, 60, *LENS.distortion])
     assert [said[k] for k in ("fl_x", "cx", "cy", "k1", "p2")] == [150, 80, 60, 0.1, 0.002]
+
+
+def test_our_own_reader_finds_the_camera_and_the_poses_again(coco: Path, tmp_path: Path) -> None:
+    export_nerfstudio(tmp_path / "nerf", coco, {"desk": 0.001})
+    (found,) = open_scenes(tmp_path / "nerf", "nerfstudio", unpack=(tmp_path / "unpacked").joinpath)
+    assert replace(found.scene.intrinsics, distortion=found.scene.intrinsics.distortion[:4]) == LENS
+    images = read_coco(coco / "train.json")["images"]
+    given = np.reshape([image["scene_from_camera"] for image in images], (-1, 4, 4))
+    assert found.trajectory is not None
+    np.testing.assert_allclose(found.trajectory.scene_from_camera, given, atol=1e-9)
 
 
 def test_a_lens_of_five_coefficients_is_refused(tmp_path: Path) -> None:
