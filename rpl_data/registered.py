@@ -32,6 +32,12 @@ COARSE = 0.7
 MOST_ENLARGED = 3.0
 """A depth image of a fisheye lens grows to at most so many times its width when it is straightened."""
 
+NEAREST_SEEN_M = 0.2
+"""What is nearer may get no depth at the rims of the colour image; an Azure Kinect measures nothing there."""
+
+LEAST_AHEAD = 0.5
+"""Share of a colour ray's depth that lies ahead of the depth camera, where the two look the same way."""
+
 Registered = Float32[np.ndarray, "color_height color_width"]
 """Depth in metres at the pixels of the colour image; or a coordinate there, in pixels of the depth image."""
 
@@ -53,7 +59,7 @@ def registered(
     if color_from_depth is None:
         return _sampled(depth_m, depth_camera, _through_one_lens(depth_camera, color_camera))
     if depth_camera.distortion:
-        straight = _straight(depth_camera)
+        straight = _straight(depth_camera, color_camera, tuple(invert(color_from_depth).ravel().tolist()))
         depth_m = _sampled(depth_m, depth_camera, _through_one_lens(depth_camera, straight))
         depth_camera = straight
     return _looked_up(depth_m, depth_camera, color_camera, color_from_depth)
@@ -83,18 +89,35 @@ class _Lookup:
 
 
 @lru_cache(maxsize=4)
-def _straight(camera: Intrinsics) -> Intrinsics:
-    """A camera without distortion that sees all that this one sees, in a larger image where need be.
+def _straight(
+    camera: Intrinsics, color_camera: Intrinsics, depth_from_color: tuple[float, ...]
+) -> Intrinsics:
+    """A camera without distortion that sees what this one and the colour camera see, in an image of any size.
 
-    An Azure Kinect's depth would lose a quarter of its pixels in an image of the same size.
+    An Azure Kinect's depth would lose a quarter of its pixels in an image of the same size, and have nine
+    times as many, in its wide mode, in one of all that it sees.
     """
     directions = _rays(camera)[:2].reshape(2, -1).astype(float)
     focal = np.array([camera.fx, camera.fy])
     limit = MOST_ENLARGED * np.array([camera.width, camera.height]) / focal / 2
     low, high = (side(directions, axis=1).clip(-limit, limit) for side in (np.min, np.max))
-    width, height = (int(side) for side in np.ceil((high - low) * focal) + 1)
+    least, most = _seen_by_color(color_camera, np.array(depth_from_color).reshape(4, 4))
+    low, high = np.maximum(low, least), np.minimum(high, most)
+    width, height = (max(int(side), 2) for side in np.ceil((high - low) * focal) + 1)
     cx, cy = (-low * focal).tolist()
     return Intrinsics(camera.fx, camera.fy, cx, cy, width, height)
+
+
+def _seen_by_color(color_camera: Intrinsics, depth_from_color: Transform) -> tuple[np.ndarray, np.ndarray]:
+    """Least and greatest x / z and y / z, in the depth camera's frame, of what the colour camera sees."""
+    rotation, offset_m = _parts(depth_from_color)
+    x, y, z = rotation @ _rays(color_camera).reshape(3, -1)
+    if z.min() < LEAST_AHEAD:
+        return np.full(2, -np.inf), np.full(2, np.inf)
+    tangents = np.array([x / z, y / z])
+    reach = 1 + np.abs(tangents).max()
+    margin = np.linalg.norm(offset_m) * reach / (NEAREST_SEEN_M * LEAST_AHEAD)
+    return tangents.min(axis=1) - margin, tangents.max(axis=1) + margin
 
 
 def _without_distortion(camera: Intrinsics) -> Intrinsics:

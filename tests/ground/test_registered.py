@@ -112,3 +112,14 @@ def test_a_depth_camera_that_bends_its_rims_far_out_loses_none_of_them() -> None
     directions = rays(kinect, np.column_stack([u.ravel(), v.ravel()]).astype(float))
     x, y = 150 * (directions[:, :2] + [-0.03 / 0.8, 0]).T + 159.5
     np.testing.assert_allclose(found[np.rint(y).astype(int), np.rint(x).astype(int)], 0.8, atol=1e-5)
+
+
+@pytest.mark.parametrize("near_m", [0.21, 0.5, 3.0])
+def test_a_colour_image_amid_a_wide_depth_image_has_depth_up_to_its_rims(near_m: float) -> None:
+    """Only what the colour camera may see is straightened: that must be all of it, tilted and near."""
+    lens = (3.13, 2.32, 8e-5, -5e-5, 0.13, 3.46, 3.35, 0.66)
+    kinect = Intrinsics(252.0, 252.0, 166.0, 163.0, 320, 288, lens)
+    color = Intrinsics(400.0, 400.0, 159.5, 119.5, 320, 240)
+    color_from_depth = from_rotvec(np.array([0.1, 0.0, 0.0]), np.array([-0.032, -0.002, 0.004]))
+    flat = np.full((288, 320), near_m, np.float32)
+    assert registered(flat, kinect, color, color_from_depth).all()
