@@ -196,16 +196,13 @@ UNDISTORTING = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12)
 def rays(intrinsics: Intrinsics, uv_px: Pixels) -> Points:
     """Directions (z = 1) of the rays through pixels, lens distortion removed; inverse of `project`."""
     if intrinsics.distortion and len(uv_px):
-        pixels = np.asarray(uv_px, dtype=float).reshape(-1, 1, 2)
+        pixels, lens = np.asarray(uv_px, dtype=float).reshape(-1, 1, 2), np.array(intrinsics.distortion)
         undistort = getattr(cv2, "undistortPointsIter", None)  # OpenCV 4's, where the other stops early
         if undistort is None:
-            xy = cv2.undistortPoints(
-                pixels, intrinsics.matrix, np.array(intrinsics.distortion), criteria=UNDISTORTING
-            ).reshape(-1, 2)
+            found = cv2.undistortPoints(pixels, intrinsics.matrix, lens, criteria=UNDISTORTING)
         else:
-            xy = undistort(
-                pixels, intrinsics.matrix, np.array(intrinsics.distortion), None, None, UNDISTORTING
-            ).reshape(-1, 2)
+            found = undistort(pixels, intrinsics.matrix, lens, None, None, UNDISTORTING)
+        xy = found.reshape(-1, 2)
     else:
         xy = (uv_px - [intrinsics.cx, intrinsics.cy]) / [intrinsics.fx, intrinsics.fy]
     directions: Points = np.column_stack([xy, np.ones(len(uv_px))])
