@@ -126,19 +126,21 @@ def registered_units(scene: Scene, frame: Frame) -> DepthUnits:
     return np.where(found < MOST_UNITS, found, 0).astype(np.uint16)
 
 
+def marks_no_depth(scene: Scene, frame: Frame) -> bool:
+    """Whether numbers other than 0 stand for "no depth" in an image that can be read.
+
+    Other readers would take them for depth.
+    """
+    try:
+        raw = _stored_depth(scene, frame)
+    except DataError:
+        return False
+    return any(bool((raw == value).any()) for value in scene.no_depth_units)
+
+
 def read_depth_units(scene: Scene, frame: Frame) -> UInt16[np.ndarray, "height width"]:
     """Read the depth image as it is stored, its size included, 0 = none; DataError as `read_depth_m`."""
-    if frame.depth is None:
-        raise DataError(f"scene {scene.name}, frame {frame.index} has no depth image")
-    raw = cv2.imread(str(frame.depth), cv2.IMREAD_UNCHANGED) if frame.depth.is_file() else None
-    expected = scene.depth_size
-    if raw is None or raw.dtype != np.uint16 or raw.shape != expected:
-        found = "nothing readable" if raw is None else f"{raw.dtype} {raw.shape}"
-        raise DataError(
-            f"scene {scene.name}, frame {frame.index}: {frame.depth} should be a 16-bit image of "
-            f"{expected[1]} x {expected[0]} px, found {found}; record it again or delete it"
-        )
-    units = raw.astype(np.uint16, copy=False)
+    units = _stored_depth(scene, frame)
     for value in scene.no_depth_units:
         units[units == value] = 0
     if scene.depth_coding.bits_turned:
@@ -149,6 +151,22 @@ def read_depth_units(scene: Scene, frame: Frame) -> UInt16[np.ndarray, "height w
         return units
     own, color = scene.depth_intrinsics, scene.intrinsics
     return _warped(units, scene.depth_warp, (own.fx / color.fx, own.fy / color.fy))
+
+
+def _stored_depth(scene: Scene, frame: Frame) -> UInt16[np.ndarray, "height width"]:
+    """The numbers in the depth image; DataError as `read_depth_m`."""
+    if frame.depth is None:
+        raise DataError(f"scene {scene.name}, frame {frame.index} has no depth image")
+    raw = cv2.imread(str(frame.depth), cv2.IMREAD_UNCHANGED) if frame.depth.is_file() else None
+    expected = scene.depth_size
+    if raw is None or raw.dtype != np.uint16 or raw.shape != expected:
+        found = "nothing readable" if raw is None else f"{raw.dtype} {raw.shape}"
+        raise DataError(
+            f"scene {scene.name}, frame {frame.index}: {frame.depth} should be a 16-bit image of "
+            f"{expected[1]} x {expected[0]} px, found {found}; record it again or delete it"
+        )
+    stored: UInt16[np.ndarray, "height width"] = raw.astype(np.uint16, copy=False)
+    return stored
 
 
 def turned_back(units: DepthUnits) -> DepthUnits:

@@ -36,12 +36,10 @@ def init(
             says when left out.
         topics: topics of a ROS bag to use, as '{"color": "/cam1/color/image_raw"}'; found when left out.
     """
-    import yaml
-
     from rpl_data.cli.new_recipe import next_commands, text_for
     from rpl_data.files import write_text
-    from rpl_data.pipeline.first_recipe import Told
-    from rpl_data.pipeline.recipe_file import parse_recipe
+    from rpl_data.pipeline.first_recipe import HowStored
+    from rpl_data.pipeline.recipe_file import recipe_from_text
 
     if recipe.suffix not in (".yaml", ".yml"):
         raise DataError(f"{recipe}: a recipe is called .yaml; rpl init {recipe.with_suffix('.yaml')}")
@@ -50,9 +48,9 @@ def init(
     if not recipe.absolute().parent.is_dir():
         raise DataError(f"there is no folder {recipe.parent}; make it first")
     asks = sys.stdin.isatty() and sys.stdout.isatty()
-    told = Told(format, camera, topics)
+    told = HowStored(format, camera, topics)
     text = text_for(from_, recipe, object=object, keypoints=keypoints, told=told, asks=asks)
-    written = parse_recipe(yaml.safe_load(text), source=str(recipe))  # never one that `rpl build` refuses
+    written = recipe_from_text(text, source=str(recipe))  # never one that `rpl build` refuses
     write_text(recipe, text)
     clicked = all(item.clicks for item in written.objects)
     print(f"wrote {recipe}\n{next_commands(recipe, clicked=clicked)}")

@@ -6,27 +6,25 @@ from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import yaml
-
 from rpl_data.cli.check import recordings_at
 from rpl_data.cli.screen import print_diagnoses
 from rpl_data.pipeline.build import recipe_of
 from rpl_data.pipeline.first_recipe import (
+    HowStored,
     KeypointsSaid,
-    Told,
     keypoints_from,
     objects_clicked,
     path_from,
     recipe_text,
 )
 from rpl_data.pipeline.recipe import Recipe
-from rpl_data.pipeline.recipe_file import parse_recipe, resolve_paths
+from rpl_data.pipeline.recipe_file import recipe_from_text, resolve_paths
 from rpl_data.recordings.open import only_format
 from rpl_data.types import DataError
 from rpl_data.untrusted.names import checked_name
 from rpl_data.workspace.workspace import Workspace
 
-NOTHING_TOLD = Told()
+NOTHING_TOLD = HowStored()
 USUAL_OBJECT, USUAL_KEYPOINTS = "object", "8"
 
 
@@ -36,7 +34,7 @@ def text_for(
     *,
     object: str | None = None,
     keypoints: str | None = None,
-    told: Told = NOTHING_TOLD,
+    told: HowStored = NOTHING_TOLD,
     asks: bool = False,
 ) -> str:
     """The recipe's text; prints what the doctor says on the way.
@@ -73,21 +71,26 @@ def text_for(
 
 
 def recipe_for(
-    recording: Path, workspace: Path, *, object: str | None = None, keypoints: str | None = None
+    recording: Path,
+    workspace: Path,
+    *,
+    object: str | None = None,
+    keypoints: str | None = None,
+    told: HowStored = NOTHING_TOLD,
 ) -> Recipe:
     """The recipe of a lone recording, which no file holds; DataError as `text_for`.
 
     A workspace that was made of this recording keeps the recipe it has: objects may have been added to it.
     """
     kept = Workspace(workspace)
-    if kept.recipe_file.exists() and object is None and keypoints is None:
+    if kept.recipe_file.exists() and object is None and keypoints is None and told == NOTHING_TOLD:
         known = recipe_of(kept)
         if [source.path.resolve() for source in known.scenes] == [recording.resolve()]:
             return known
     stem = "recording" if workspace.name in ("", "..") else workspace.name
     place = Path.cwd() / f"{stem}.yaml"
-    text = text_for(recording, place, object=object, keypoints=keypoints)
-    return resolve_paths(parse_recipe(yaml.safe_load(text), source=str(recording)), place.parent)
+    text = text_for(recording, place, object=object, keypoints=keypoints, told=told)
+    return resolve_paths(recipe_from_text(text, source=str(recording)), place.parent)
 
 
 def next_commands(recipe: Path, *, clicked: bool) -> str:

@@ -17,6 +17,9 @@ def import_(
     again: bool = False,
     object: str | None = None,
     keypoints: str | None = None,
+    format: str | None = None,
+    camera: tuple[float, ...] | None = None,
+    topics: Topics | None = None,
 ) -> None:
     """Read the recordings of a recipe, or a lone recording, into a workspace; what is left out is named.
 
@@ -31,17 +34,25 @@ def import_(
         again: run the stage even if nothing it depends on has changed.
         object: of a lone recording: what the object is called; `object` when left out.
         keypoints: of a lone recording: how many keypoints, or their names with commas; 8 when left out.
+        format: of a lone recording: how it is stored; guessed when left out.
+        camera: of a lone recording: fx, fy, cx, cy in pixels, as '[600, 600, 320, 240]', then the lens.
+        topics: of a lone ROS bag: topics to use, as '{"color": "/cam1/color/image_raw"}'.
     """
     from rpl_data.pipeline.recipe_file import load_recipe
 
     if recipe.suffix in (".yaml", ".yml") or not recipe.exists():
-        if object is not None or keypoints is not None:
-            raise DataError(f"{recipe} says which objects there are; leave out --object and --keypoints")
+        if any(option is not None for option in (object, keypoints, format, camera, topics)):
+            raise DataError(
+                f"{recipe} says what is there and how it is stored; --object, --keypoints, --format, "
+                "--camera and --topics are for a recording without a recipe"
+            )
         loaded = load_recipe(recipe, root=root)
     else:
         from rpl_data.cli.new_recipe import recipe_for
+        from rpl_data.pipeline.first_recipe import HowStored
 
-        loaded = recipe_for(recipe, workspace, object=object, keypoints=keypoints)
+        told = HowStored(format, camera, topics)
+        loaded = recipe_for(recipe, workspace, object=object, keypoints=keypoints, told=told)
     run_build(loaded, workspace, "import", "import" if again else None)
 
 

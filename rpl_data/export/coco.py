@@ -22,7 +22,7 @@ from rpl_data.files import read_bytes, read_json, write_bytes
 from rpl_data.formats.datasets.coco import CocoObject, image_to_coco, instance_to_coco, writing_coco
 from rpl_data.formats.recordings.saved_images import encoded
 from rpl_data.geometry import Transform
-from rpl_data.images import registered_units
+from rpl_data.images import marks_no_depth, registered_units
 from rpl_data.json_arrays import Json
 from rpl_data.orientation import orientation_of, without_orientation
 from rpl_data.types import DataError, DepthCoding, Frame, FrameLabel, KeypointModel, Scene, Trajectory
@@ -209,9 +209,9 @@ def _link_color(frame: Frame, target: Path) -> str:
 
 
 def _link_depth(scene: Scene, frame: Frame, target: Path) -> str:
-    """Link the depth image, or write it if it is mended or moved while it is read; returns which."""
+    """Link the depth image, or write it if it is changed while it is read; returns which."""
     assert frame.depth is not None
-    if _is_as_stored(scene):
+    if _is_as_stored(scene) and not marks_no_depth(scene, frame):
         return link(frame.depth, target)
     write_bytes(target, encoded(registered_units(scene, frame), "png"))
     return "copy"

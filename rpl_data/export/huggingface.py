@@ -44,7 +44,10 @@ def export_huggingface(folder: Path, coco: Path) -> DialectSummary:
                 lines.append(json.dumps(_line(name, image, annotations), allow_nan=False))
                 instances += len(annotations)
             write_text(place / "metadata.jsonl", "".join(f"{line}\n" for line in lines))
-            write_json(building / "categories.json", _categories(split.data["categories"]))
+            write_json(
+                building / "categories.json",
+                _categories(split.data["categories"]),
+            )
             images[split.name] = len(split.images)
     return DialectSummary(images, instances)
 
@@ -61,7 +64,8 @@ def _line(name: str, image: Json, annotations: Sequence[Json]) -> Json:
 
 def _categories(categories: Sequence[Json]) -> Json:
     """Names by index, and each object's keypoints."""
+    ordered = sorted(categories, key=lambda item: int(item["id"]))
     return {
-        "categories": [item["name"] for item in categories],
-        "keypoints": {item["name"]: item["keypoints"] for item in categories},
+        "categories": [item["name"] for item in ordered],
+        "keypoints": {item["name"]: item["keypoints"] for item in ordered},
     }

@@ -22,7 +22,7 @@ KeypointsSaid = int | tuple[str, ...]
 
 
 @dataclass(frozen=True)
-class Told:
+class HowStored:
     """What a person says of a recording, which its files do not; as in `recipe.SceneSource`."""
 
     format: str | None = None
@@ -71,7 +71,7 @@ def mends(diagnosis: Diagnosis) -> Mend:
 
 def recipe_text(
     path: str,
-    told: Told,
+    told: HowStored,
     examined: Sequence[tuple[Recording, Diagnosis]],
     *,
     name: str,
@@ -117,7 +117,7 @@ _REST = (
 )
 
 
-def _sources(path: str, told: Told, examined: Sequence[tuple[Recording, Diagnosis]]) -> list[str]:
+def _sources(path: str, told: HowStored, examined: Sequence[tuple[Recording, Diagnosis]]) -> list[str]:
     """The lines of `scenes:`, one source for all scenes that are mended alike."""
     alike: dict[Mend, list[str]] = {}
     for recording, diagnosis in examined:

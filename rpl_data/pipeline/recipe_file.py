@@ -59,15 +59,18 @@ def load_recipe(path: str | Path, *, root: str | Path | None = None) -> Recipe:
             f"{path} {found}; give the recipe, a YAML file, which `rpl init` writes; "
             "`rpl build --help` shows the smallest one"
         )
-    try:
-        data = yaml.load(read_text(path), _OnceLoader)
-    except (yaml.YAMLError, *FAULTS) as error:  # such as ValueError for a date that is none
-        if isinstance(error, DataError):
-            raise
-        raise DataError(f"{path} is not valid YAML: {' '.join(str(error).split())}") from error
-    recipe = parse_recipe(data, source=str(path))
+    recipe = recipe_from_text(read_text(path), source=str(path))
     start = path.parent if root is None else Path(root).expanduser()
     return resolve_paths(recipe, start.resolve())
+
+
+def recipe_from_text(text: str, *, source: str) -> Recipe:
+    """Read a recipe from YAML text; paths stay as they are written; DataError as `load_recipe`."""
+    try:
+        data = yaml.load(text, _OnceLoader)
+    except (yaml.YAMLError, *FAULTS) as error:  # such as ValueError for a date that is none
+        raise DataError(f"{source} is not valid YAML: {' '.join(str(error).split())}") from error
+    return parse_recipe(data, source=source)
 
 
 def parse_recipe(data: object, *, source: str) -> Recipe:

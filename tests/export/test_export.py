@@ -235,3 +235,19 @@ def test_depth_that_is_mended_while_it_is_read_is_exported_mended(tmp_path):
     exported = sorted((tmp_path / "coco" / "depth" / "s0").glob("*.png"))
     for path, units in zip(exported, stored, strict=True):
         np.testing.assert_array_equal(cv2.imread(str(path), cv2.IMREAD_UNCHANGED), units)
+
+
+def test_numbers_that_mean_no_depth_are_exported_as_none(tmp_path):
+    """Other readers know 0 only: 65535 would be a wall at 65 m."""
+    (one,) = scenes(tmp_path / "recording", 1)
+    marked = one.scene.frames[1]
+    units = cv2.imread(str(marked.depth), cv2.IMREAD_UNCHANGED)
+    units[:3] = 65535
+    cv2.imwrite(str(marked.depth), units)
+    one = replace(one, scene=replace(one.scene, no_depth_units=(65535,)))
+    export_coco(tmp_path / "coco", [one], [BOX, CAN], split=SplitRule())
+    exported = sorted((tmp_path / "coco" / "depth" / "s0").glob("*.png"))
+    linked = [path.samefile(frame.depth) for path, frame in zip(exported, one.scene.frames, strict=True)]
+    assert linked.count(False) == 1 and not linked[1]
+    found = cv2.imread(str(exported[1]), cv2.IMREAD_UNCHANGED)
+    assert not found[:3].any() and (found[3:] == units[3:]).all()

@@ -10,7 +10,7 @@ from recordings import CAMERA
 
 from rpl_data.doctor.findings import Diagnosis, Finding
 from rpl_data.formats.recordings.ros.wanted import Topics
-from rpl_data.pipeline.first_recipe import Told, keypoints_from, path_from, recipe_text
+from rpl_data.pipeline.first_recipe import HowStored, keypoints_from, path_from, recipe_text
 from rpl_data.pipeline.recipe_file import parse_recipe
 from rpl_data.recordings.mend import Mend
 from rpl_data.types import Recording, Scene
@@ -29,7 +29,7 @@ def lag(frames: int, sure: float = 1.0) -> Finding:
 def test_scenes_with_other_faults_are_sources_of_their_own() -> None:
     repeats = Finding("repeated frames", "twice the same", 1.0, "do it", Mend(no_repeats=True))
     found = [examined("00", lag(2), repeats), examined("01"), examined("02", lag(2), repeats)]
-    text = recipe_text("data", Told("tum"), found, name="n", objects=[("mug", 4)], clicks=None)
+    text = recipe_text("data", HowStored("tum"), found, name="n", objects=[("mug", 4)], clicks=None)
     recipe = parse_recipe(yaml.safe_load(text), source="text")
     assert [source.names for source in recipe.scenes] == [("00", "02"), ("01",)]
     assert [source.mend for source in recipe.scenes] == [Mend(pose_lag=2, no_repeats=True), Mend()]
@@ -38,7 +38,7 @@ def test_scenes_with_other_faults_are_sources_of_their_own() -> None:
 
 def test_what_is_not_sure_is_a_comment() -> None:
     text = recipe_text(
-        "data", Told("tum"), [examined("00", lag(3, 0.5))], name="n", objects=[("m", 4)], clicks=None
+        "data", HowStored("tum"), [examined("00", lag(3, 0.5))], name="n", objects=[("m", 4)], clicks=None
     )
     assert parse_recipe(yaml.safe_load(text), source="text").scenes[0].mend == Mend()
     assert "# scene 00: poses are 3 late; do it" in text
@@ -47,14 +47,14 @@ def test_what_is_not_sure_is_a_comment() -> None:
 def test_a_line_break_in_a_name_does_not_end_its_comment() -> None:
     unread = Finding("blur", "rgb/1\nobjects: [] cannot be read", 0.5, "do it")
     text = recipe_text(
-        "data", Told("tum"), [examined("00", unread)], name="n", objects=[("m", 4)], clicks=None
+        "data", HowStored("tum"), [examined("00", unread)], name="n", objects=[("m", 4)], clicks=None
     )
     assert parse_recipe(yaml.safe_load(text), source="text").objects[0].name == "m"
     assert "# scene 00: rgb/1 objects: [] cannot be read; do it" in text
 
 
 def test_what_was_told_stands_in_the_recipe() -> None:
-    told = Told("ros", (600.0, 601.0, 320.0, 240.0), Topics(color="/a/b", poses="/tf"))
+    told = HowStored("ros", (600.0, 601.0, 320.0, 240.0), Topics(color="/a/b", poses="/tf"))
     text = recipe_text("x.mcap", told, [examined("00")], name="n", objects=[("m", 4)], clicks=None)
     source = parse_recipe(yaml.safe_load(text), source="text").scenes[0]
     assert (source.format, source.camera, source.topics) == (told.format, told.camera, told.topics)
