@@ -29,7 +29,9 @@ from rpl_data.capture.exposure import Key, MeanColor, Range, lock
 from rpl_data.capture.lens import opencv_camera
 from rpl_data.types import DataError
 
-INSTALL = "install Microsoft's Azure Kinect Sensor SDK with its headers, then: pip install 'rpl-data[k4a]'"
+INSTALL = (
+    "install Microsoft's Azure Kinect Sensor SDK with its headers, then run: pip install 'rpl-data[k4a]'"
+)
 SIZES_PX = {
     (1280, 720): "RES_720P",
     (1920, 1080): "RES_1080P",

@@ -31,7 +31,7 @@ from rpl_data.capture.exposure import MeanColor
 from rpl_data.capture.lens import opencv_camera
 from rpl_data.types import DataError, Intrinsics
 
-INSTALL = "pip install 'rpl-data[oak]'"
+INSTALL = "install it by: pip install 'rpl-data[oak]'"
 USUAL_SIZE_PX = (640, 480)
 STEREO_SIZE_PX = (640, 400)
 """Size of the two images that depth is computed from; what all OAK cameras can do at 30 Hz."""

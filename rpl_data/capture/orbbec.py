@@ -31,15 +31,15 @@ from rpl_data.capture.exposure import Key, MeanColor, Range, lock
 from rpl_data.capture.lens import as_meant, opencv_camera
 from rpl_data.types import DataError, Intrinsics
 
-INSTALL = "pip install --no-deps pyorbbecsdk2"
+INSTALL = "install it by: pip install --no-deps pyorbbecsdk2"
 """Without its requirements: they name versions of Open3D and PyAV that exclude ours, and it needs none."""
 
 USUAL_SIZE_PX = (1280, 720)
 FORMATS = ("RGB", "BGR", "YUYV", "UYVY", "MJPG")
 """Formats of colour, in order of preference."""
 
-OPENCV_MODELS = ("NONE", "BROWN_CONRADY", "BROWN_CONRADY_K6")
-"""Lens models that are OpenCV's."""
+TERMS = {"NONE": 0, "BROWN_CONRADY": 5, "BROWN_CONRADY_K6": 8}
+"""Lens models that are OpenCV's (OrbbecSDK_v2, AlignImpl.cpp, addDistortion), by how many terms they use."""
 
 
 @contextmanager
@@ -137,12 +137,13 @@ def _intrinsics_of(profile: Any, name: str) -> Intrinsics:
     """
     lens, bent = profile.get_intrinsic(), profile.get_distortion()
     coefficients = [bent.k1, bent.k2, bent.p1, bent.p2, bent.k3, bent.k4, bent.k5, bent.k6]
-    if any(coefficients) and bent.model.name not in OPENCV_MODELS:
+    if any(coefficients) and bent.model.name not in TERMS:
         raise DataError(
             f"{name} states its lens in the model {bent.model.name}, which a recording cannot hold; choose "
             "another --width and --height, or record with Orbbec's own viewer"
         )
-    return opencv_camera((lens.fx, lens.fy, lens.cx, lens.cy), _size(profile), coefficients)
+    terms = coefficients[: TERMS.get(bent.model.name, 0)]
+    return opencv_camera((lens.fx, lens.fy, lens.cx, lens.cy), _size(profile), terms)
 
 
 @dataclass

@@ -34,7 +34,7 @@ from rpl_data.formats.recordings.depth_files import STORED_UNIT_M, stored_units
 from rpl_data.formats.recordings.matrices import median_camera
 from rpl_data.types import DataError, Intrinsics
 
-INSTALL = "pip install 'rpl-data[phone]'"
+INSTALL = "install it by: pip install 'rpl-data[phone]'"
 HINT = (
     "connect it by cable, trust this computer on it, and choose USB streaming in Record3D's settings (on "
     "Linux usbmuxd must run)"

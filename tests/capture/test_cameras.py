@@ -251,6 +251,9 @@ def test_an_orbbec_without_such_a_stream_or_lens_is_refused(monkeypatch: pytest.
     expected = r"does not give 640x480 .* at 30 Hz; it has 64x48 at 30, 128x96 at 15; choose with --width"
     with pytest.raises(DataError, match=expected), CAMERAS["orbbec"](Wanted((640, 480))):
         pass
+    plugged_in(monkeypatch, SoftwareOrbbec(model="BROWN_CONRADY"))
+    with CAMERAS["orbbec"](Wanted(SMALL)) as streams:
+        assert streams.camera.intrinsics.distortion == BENT[:5]
     plugged_in(monkeypatch, SoftwareOrbbec(model="KANNALA_BRANDT4"))
     with (
         pytest.raises(DataError, match="in the model KANNALA_BRANDT4, which"),
