@@ -64,19 +64,26 @@ def open_k4a(wanted: Wanted) -> Iterator[KinectStreams]:
     config = _config(pyk4a, wanted)
     kinect = _opened(pyk4a, config, wanted.serial)
     try:
-        kinect.start()
-        streams = KinectStreams(pyk4a, kinect, f"Azure Kinect {kinect.serial}", wanted)
-        first_of(streams.poll, streams.name)
-        yield streams
-    except pyk4a.K4AException as error:
-        raise DataError(
-            f"cannot start the Azure Kinect: {error or 'the SDK does not say why'}; close other programs "
-            "that use it, plug in both its cables, or plug them in again"
-        ) from error
+        yield _started(pyk4a, kinect, wanted)
     finally:
         with suppress(pyk4a.K4AException):  # one that was unplugged cannot be stopped
-            if kinect.is_running:
-                kinect.stop()
+            end = kinect.stop if kinect.is_running else kinect.close
+            end()
+
+
+def _started(pyk4a: Any, kinect: Any, wanted: Wanted) -> KinectStreams:
+    """Start the cameras, and wait for the first pair."""
+    try:
+        kinect.start()
+        streams = KinectStreams(pyk4a, kinect, f"Azure Kinect {kinect.serial}", wanted)
+    except pyk4a.K4AException as error:
+        reason = str(error) or "the SDK does not say why"
+        raise DataError(
+            f"cannot start the Azure Kinect: {reason}; close other programs that use it, plug in both its "
+            "cables, or plug them in again"
+        ) from error
+    first_of(streams.poll, streams.name)
+    return streams
 
 
 def _config(pyk4a: Any, wanted: Wanted) -> Any:

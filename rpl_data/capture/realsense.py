@@ -129,7 +129,7 @@ def connected_camera(serial: str | None = None) -> Any:
     if not found:
         raise DataError(
             "no RealSense camera is connected; plug it into a USB 3 port (on Linux its udev rules must be "
-            "installed, in a container the USB bus passed through)"
+            "installed, in a container the USB bus passed through); --camera names that of another maker"
         )
     if serial is not None and serial not in found:
         raise DataError(f"no camera has serial number {serial}; connected: {', '.join(found)}")

@@ -102,6 +102,8 @@ class Kinect:
 
     def start(self) -> None:
         assert self.opened
+        if self.serial == "without power":
+            raise K4AException
         self.is_running = True
 
     def stop(self) -> None:

@@ -323,6 +323,13 @@ def test_an_azure_kinect_in_use_or_asked_for_too_much(monkeypatch: pytest.Monkey
     with CAMERAS["k4a"](Wanted()) as streams:
         assert streams.camera.name == "Azure Kinect A"
     assert not any(device.opened for device in software.devices)
+    software = plugged_in(monkeypatch, SoftwareKinect(serials=("without power",)))
+    with (
+        pytest.raises(DataError, match="the SDK does not say why; .*both its cables"),
+        CAMERAS["k4a"](Wanted()),
+    ):
+        pass
+    assert not software.devices[0].opened
     for wanted in (Wanted((640, 480)), Wanted((4096, 3072)), Wanted(rate_hz=25)):
         with (
             pytest.raises(DataError, match=r"does not give .* at .* Hz; it has 1280x720, 1920x1080"),
