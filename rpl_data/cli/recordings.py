@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from rpl_data.capture import CameraName
 from rpl_data.cli.building import HERE, run_build
 from rpl_data.formats.recordings.ros.wanted import Topics
 from rpl_data.types import DataError
@@ -53,7 +52,7 @@ def capture(
     countdown: int = 3,
     exposure: Literal["lock", "auto"] = "lock",
     preview: Literal["none", "browser"] = "none",
-    camera: CameraName = "realsense",
+    camera: Literal["realsense", "oak", "orbbec", "k4a", "phone"] = "realsense",
     width: int | None = None,
     height: int | None = None,
     fps: int = 30,
