@@ -6,8 +6,9 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
+from rpl_data.capture.camera import StreamCamera
 from rpl_data.capture.lens import as_meant, intrinsics_of
-from rpl_data.capture.streams import StreamCamera, Streams
+from rpl_data.capture.streams import Streams
 from rpl_data.types import DataError
 
 

@@ -17,7 +17,7 @@ from io import FileIO
 from pathlib import Path
 from types import TracebackType
 
-from rpl_data.capture.streams import Shot
+from rpl_data.capture.camera import Shot
 from rpl_data.formats.recordings.rpl import association_line
 from rpl_data.formats.recordings.saved_images import write_images
 from rpl_data.types import DataError
@@ -105,7 +105,7 @@ class SceneWriter:
 
 def _opened(path: Path) -> FileIO:
     try:
-        path.parent.mkdir(parents=True)
+        path.parent.mkdir(parents=True, exist_ok=True)
         return path.open("xb", buffering=0)
     except OSError as error:
         raise DataError(f"cannot write {path}: {error.strerror or error}; choose another folder") from error

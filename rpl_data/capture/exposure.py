@@ -11,9 +11,8 @@ balance, until red and blue have the same ratio as before.
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
+from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float64
@@ -47,20 +46,36 @@ class Range:
         return self.low + round((inside - self.low) / self.step) * self.step if self.step else inside
 
 
-def steady_rate(sensor: Any) -> None:
-    """Forbid the automatic control to take fewer frames per second in dim light."""
-    import pyrealsense2 as rs
-
-    if sensor.supports(rs.option.auto_exposure_priority):
-        with suppress(RuntimeError):  # some firmware refuses; then the rate drops in the dark
-            sensor.set_option(rs.option.auto_exposure_priority, 0)
+Key = Literal["auto_exposure", "exposure", "gain", "auto_white_balance", "white_balance"]
+"""Controls of a colour camera; the automatic ones are 1 (on) or 0 (off)."""
 
 
-def lock(sensor: Any, mean_color: MeanColor, *, rate_hz: int) -> tuple[str, ...]:
+@runtime_checkable
+class Controls(Protocol):
+    """The controls of a camera, by one name for each whoever made it."""
+
+    @property
+    def refusals(self) -> tuple[type[Exception], ...]:
+        """What the maker's package raises when the camera refuses a value."""
+
+    def supports(self, key: Key) -> bool:
+        """Whether the camera has this control."""
+
+    def get(self, key: Key) -> float:
+        """The value of a control."""
+
+    def set(self, key: Key, value: float) -> None:
+        """Set a control."""
+
+    def range(self, key: Key) -> Range:
+        """The values that a control allows."""
+
+
+def lock(controls: Controls, mean_color: MeanColor, *, rate_hz: int) -> tuple[str, ...]:
     """Switch the automatic controls off, keep the images as they were, and return lines about the result.
 
     Args:
-        sensor: sensor of the colour camera.
+        controls: those of the colour camera.
         mean_color: measures the next images.
         rate_hz: frames per second, which limits the exposure time.
     """
@@ -68,57 +83,52 @@ def lock(sensor: Any, mean_color: MeanColor, *, rate_hz: int) -> tuple[str, ...]
     wanted_red = float((before[0] + 1) / (before[2] + 1))
     try:
         return (
-            _lock_exposure(sensor, lambda: float(mean_color().mean()), float(before.mean()), rate_hz),
-            _lock_white_balance(sensor, mean_color, wanted_red),
+            _lock_exposure(controls, lambda: float(mean_color().mean()), float(before.mean()), rate_hz),
+            _lock_white_balance(controls, mean_color, wanted_red),
         )
-    except RuntimeError as error:
+    except controls.refusals as error:
         return (f"the camera refused to hold exposure or white balance: {error}",)
 
 
-def _lock_exposure(sensor: Any, brightness: Callable[[], float], wanted: float, rate_hz: int) -> str:
-    import pyrealsense2 as rs
-
-    automatic = rs.option.enable_auto_exposure
-    if not (sensor.supports(automatic) and sensor.supports(rs.option.exposure)):
+def _lock_exposure(controls: Controls, brightness: Callable[[], float], wanted: float, rate_hz: int) -> str:
+    if not (controls.supports("auto_exposure") and controls.supports("exposure")):
         return "exposure cannot be locked on this camera"
-    sensor.set_option(automatic, 0)
-    found = _match_brightness(sensor, brightness, wanted, rate_hz)
+    controls.set("auto_exposure", 0.0)
+    found = _match_brightness(controls, brightness, wanted, rate_hz)
     if abs(found - wanted) > UNLIKE * wanted:
-        sensor.set_option(automatic, 1)
+        controls.set("auto_exposure", 1.0)
         return (
             f"exposure stays automatic: locked, the images would have brightness {found:.0f} instead of "
             f"{wanted:.0f} of 255; more light helps"
         )
-    values = [f"{key} {sensor.get_option(getattr(rs.option, key)):g}" for key in _keys(sensor)]
+    values = [f"{key} {controls.get(key):g}" for key in _keys(controls)]
     return f"locked {', '.join(values)}: brightness {found:.0f} of 255, under the automatic {wanted:.0f}"
 
 
-def _keys(sensor: Any) -> list[str]:
-    """The options that make an image brighter, in order of use: exposure first, since gain adds noise."""
-    import pyrealsense2 as rs
+def _keys(controls: Controls) -> list[Key]:
+    """The controls that make an image brighter, in order of use: exposure first, since gain adds noise."""
+    brighter: tuple[Key, ...] = ("exposure", "gain")
+    return [key for key in brighter if controls.supports(key)]
 
-    return [key for key in ("exposure", "gain") if sensor.supports(getattr(rs.option, key))]
 
-
-def _match_brightness(sensor: Any, brightness: Callable[[], float], wanted: float, rate_hz: int) -> float:
-    """Change one option after the other until the brightness is right; returns the brightness reached."""
-    import pyrealsense2 as rs
-
+def _match_brightness(
+    controls: Controls, brightness: Callable[[], float], wanted: float, rate_hz: int
+) -> float:
+    """Change one control after the other until the brightness is right; returns the brightness reached."""
     found = brightness()
-    for key in _keys(sensor):
-        option = getattr(rs.option, key)
-        allowed = _range(sensor, option)
+    for key in _keys(controls):
+        allowed = controls.range(key)
         if key == "exposure":
             allowed = _within_a_frame(allowed, rate_hz)
         for _ in range(TRIES):
             if abs(found - wanted) <= CLOSE * wanted:
                 return found
-            now = sensor.get_option(option)
+            now = controls.get(key)
             factor = ((wanted + 1) / (found + 1)) ** GAMMA
             new = allowed.nearest(max(now, 1.0) * min(max(factor, 1 / LARGEST_STEP), LARGEST_STEP))
             if new == now:
                 break
-            sensor.set_option(option, new)
+            controls.set(key, new)
             found = brightness()
     return found
 
@@ -133,30 +143,22 @@ def _within_a_frame(allowed: Range, rate_hz: int) -> Range:
     return Range(allowed.low, min(allowed.high, 1 / rate_hz / unit_s), allowed.step)
 
 
-def _lock_white_balance(sensor: Any, mean_color: MeanColor, wanted_red: float) -> str:
+def _lock_white_balance(controls: Controls, mean_color: MeanColor, wanted_red: float) -> str:
     """Search colour temperatures by bisection; a higher one makes the image redder."""
-    import pyrealsense2 as rs
-
-    automatic, option = rs.option.enable_auto_white_balance, rs.option.white_balance
-    if not (sensor.supports(automatic) and sensor.supports(option)):
+    if not (controls.supports("auto_white_balance") and controls.supports("white_balance")):
         return "white balance cannot be locked on this camera"
-    allowed = _range(sensor, option)
+    allowed = controls.range("white_balance")
     low, high, red = allowed.low, allowed.high, 0.0
-    sensor.set_option(automatic, 0)
+    controls.set("auto_white_balance", 0.0)
     for _ in range(TRIES):
         middle = allowed.nearest((low + high) / 2)
-        sensor.set_option(option, middle)
+        controls.set("white_balance", middle)
         color = mean_color()
         red = float((color[0] + 1) / (color[2] + 1))
         if abs(red - wanted_red) <= CLOSE / 3 * wanted_red or high - low <= 2 * allowed.step:
             break
         low, high = (middle, high) if red < wanted_red else (low, middle)
     if abs(red - wanted_red) > UNLIKE * wanted_red:
-        sensor.set_option(automatic, 1)
+        controls.set("auto_white_balance", 1.0)
         return "white balance stays automatic: no fixed value gives the same colours"
-    return f"locked white balance {sensor.get_option(option):g} K"
-
-
-def _range(sensor: Any, option: Any) -> Range:
-    found = sensor.get_option_range(option)
-    return Range(found.min, found.max, found.step)
+    return f"locked white balance {controls.get('white_balance'):g} K"

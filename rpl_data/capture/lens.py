@@ -1,13 +1,14 @@
-"""Convert librealsense's camera models to OpenCV's."""
+"""Convert the camera models of librealsense, and of other makers, to OpenCV's."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float64
 
-from rpl_data.types import Intrinsics
+from rpl_data.types import DataError, Intrinsics
 
 
 def intrinsics_of(lens: Any) -> tuple[Intrinsics, tuple[str, ...]]:
@@ -57,3 +58,27 @@ def _fit_distortion(
 def as_meant(value: float) -> float:
     """Round a number that librealsense holds as float32 (0.001000000047) to the intended one (0.001)."""
     return float(f"{value:.7g}")
+
+
+def opencv_camera(
+    lens: Sequence[float], size_px: tuple[int, int], coefficients: Sequence[float]
+) -> Intrinsics:
+    """The camera of a maker whose lens model is OpenCV's.
+
+    Args:
+        lens: fx, fy, cx, cy in pixels.
+        size_px: width and height.
+        coefficients: k1, k2, p1, p2, k3, k4, k5, k6 and those of thin prisms and tilted sensors; any number.
+
+    Raises:
+        DataError: a prism or tilt is not 0; no reader of recordings knows these.
+    """
+    values = [as_meant(value) for value in coefficients]
+    if any(values[8:]):
+        raise DataError(
+            f"the lens has the distortion {values}; only the first eight of OpenCV's coefficients can be "
+            "recorded"
+        )
+    count = next((n for n in (0, 4, 5, 8) if not any(values[n:])), 8)
+    fx, fy, cx, cy = (as_meant(value) for value in lens)
+    return Intrinsics(fx, fy, cx, cy, *size_px, tuple(values[:count]))

@@ -1,4 +1,4 @@
-"""Record a scene from a RealSense camera: warm up, lock the exposure, count down, record."""
+"""Record a scene from an open camera: warm up, lock the exposure, count down, record."""
 
 from __future__ import annotations
 
@@ -9,16 +9,13 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float64
 
-from rpl_data.capture.camera import choices_of
-from rpl_data.capture.device import opened
+from rpl_data.capture.camera import CameraStreams, Shot, StreamCamera
 from rpl_data.capture.disk import SceneWriter
-from rpl_data.capture.exposure import lock, steady_rate
-from rpl_data.capture.streams import Shot, StreamCamera, StreamCounts, Streams
 from rpl_data.capture.tally import Tally
 from rpl_data.files import read_text, write_text
 from rpl_data.formats.recordings.camera_file import camera_text
@@ -44,15 +41,11 @@ class CaptureOptions:
     """Settings of a recording.
 
     Attributes:
-        width, height: size of the colour images, and so of the depth that is aligned to them.
         seconds: length of the recording; None = until stopped.
         countdown_s: whole seconds before it starts.
         exposure: "lock" holds what the automatic control chose, "auto" leaves it on.
     """
 
-    width: int = 640
-    height: int = 480
-    rate_hz: int = 30
     seconds: float | None = None
     countdown_s: int = 3
     exposure: Literal["lock", "auto"] = "lock"
@@ -76,7 +69,7 @@ class Captured:
 
 
 def capture(
-    device: Any,
+    streams: CameraStreams,
     recording: Path,
     scene: str,
     options: CaptureOptions,
@@ -91,7 +84,7 @@ def capture(
     disk by then is complete.
 
     Args:
-        device: the device of librealsense.
+        streams: the open camera.
         recording: the folder of all scenes, made when it does not exist.
         scene: name of this scene.
         options: settings of the recording.
@@ -100,22 +93,23 @@ def capture(
         stop: called at every image; True ends the recording.
 
     Raises:
-        DataError: the camera does not start, the scene already exists, camera.txt is of another camera,
+        DataError: the camera sends nothing, the scene already exists, camera.txt is of another camera,
             or no frame was recorded.
     """
-    choices = choices_of(device, options.width, options.height, options.rate_hz)
-    folder, sensor = recording / scene, choices[0][0]
-    steady_rate(sensor)
-    with opened(device, choices, lossless=False) as streams:
-        _check_folder(recording, folder, streams.camera)
-        shots = streams.shots(patience_s=PATIENCE_S, ended=lambda: not device.is_connected())
-        settled = _prepare(sensor, shots, options, say, show, stop)
-        say(f"recording to {folder}")
-        streams.counts = StreamCounts()
-        captured = _record(streams, shots, folder, options, say, show, stop)
+    folder = recording / scene
+    _check_folder(recording, folder, streams.camera)
+    for note in streams.camera.notes:
+        say(note)
+    shots = streams.shots(patience_s=PATIENCE_S)
+    settled = _prepare(streams, shots, options, say, show, stop)
+    say(f"recording to {folder}")
+    streams.begin()
+    captured = _record(streams, shots, folder, options, say, show, stop)
     facts = [f"recorded by {streams.camera.name}", *streams.camera.notes, *settled, *captured.losses]
     with suppress(DataError):  # on a full disk, which is among the losses already
         write_text(folder / "capture.txt", "".join(f"{line}\n" for line in facts))
+        if streams.camera.focuses:  # the intrinsics of all its images are known only now
+            write_text(_camera_path(folder, streams.camera), _camera_text(streams.camera))
     return captured
 
 
@@ -123,7 +117,7 @@ def _check_folder(recording: Path, folder: Path, camera: StreamCamera) -> None:
     """DataError when the scene exists, or camera.txt, which all scenes share, is of another camera."""
     if folder.exists():
         raise DataError(f"{folder} already exists; choose another --scene, or delete it first")
-    path, text = recording / "camera.txt", _camera_text(camera)
+    path, text = _camera_path(folder, camera), _camera_text(camera)
     if path.exists() and read_text(path) != text:
         raise DataError(
             f"{path} is of another camera or image size than {camera.name} has now "
@@ -132,11 +126,16 @@ def _check_folder(recording: Path, folder: Path, camera: StreamCamera) -> None:
 
 
 def _camera_text(camera: StreamCamera) -> str:
-    return camera_text(camera.intrinsics, camera.metres_per_unit)
+    return camera_text(camera.intrinsics, camera.metres_per_unit, camera.depth_px)
+
+
+def _camera_path(folder: Path, camera: StreamCamera) -> Path:
+    """All scenes share one file, unless the lens moves between them."""
+    return (folder if camera.focuses else folder.parent) / "camera.txt"
 
 
 def _prepare(
-    sensor: Any,
+    streams: CameraStreams,
     shots: Iterator[Shot],
     options: CaptureOptions,
     say: Say,
@@ -148,7 +147,7 @@ def _prepare(
     lines: tuple[str, ...] = ()
     if options.exposure == "lock":
         say("holding exposure and white balance: point the camera at the scene and keep it still")
-        lines = lock(sensor, lambda: _mean_color(shots, show), rate_hz=options.rate_hz)
+        lines = streams.lock_exposure(lambda: _mean_color(shots, show))
         for line in lines:
             say(line)
     for left in range(options.countdown_s, 0, -1):
@@ -180,7 +179,7 @@ def _mean_color(shots: Iterator[Shot], show: Show) -> Float64[np.ndarray, "3"]:
 
 
 def _record(
-    streams: Streams,
+    streams: CameraStreams,
     shots: Iterator[Shot],
     folder: Path,
     options: CaptureOptions,
@@ -189,7 +188,7 @@ def _record(
     stop: Callable[[], bool],
 ) -> Captured:
     """Write every frame to disk until the end."""
-    lens, camera_file = streams.camera.intrinsics, folder.parent / "camera.txt"
+    lens, camera_file = streams.camera.intrinsics, _camera_path(folder, streams.camera)
     first_scene = not camera_file.exists()
     write_text(camera_file, _camera_text(streams.camera))
     tally = Tally(streams.counts)
@@ -208,7 +207,7 @@ def _record(
     if not writer.listed:
         shutil.rmtree(folder)
         if first_scene:
-            camera_file.unlink()
+            camera_file.unlink(missing_ok=True)
         raise writer.failure or DataError(f"nothing was recorded, so there is no {folder}; try again")
     ends = [] if writer.failure is None else [f"recording ended early: {writer.failure}"]
     if unplugged and not ends and not stop():

@@ -8,8 +8,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from rpl_data.capture.camera import Shot
 from rpl_data.capture.device import COLOR_FORMATS, choose, opened
-from rpl_data.capture.streams import Shot, Streams
+from rpl_data.capture.streams import Streams
 from rpl_data.formats.containers.db3 import repair_db3
 from rpl_data.formats.containers.ros_topics import is_of_ros
 from rpl_data.formats.containers.rosbag import repair_bag

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8, UInt16
 
-from rpl_data.capture.streams import Shot
+from rpl_data.capture.camera import Shot
 from rpl_data.types import DataError
 
 HOST = "127.0.0.1"
@@ -111,13 +111,13 @@ class Preview:
 
 def side_by_side(
     color: UInt8[np.ndarray, "height width 3"],
-    depth: UInt16[np.ndarray, "height width"],
+    depth: UInt16[np.ndarray, "rows columns"],
     metres_per_unit: float,
 ) -> UInt8[np.ndarray, "shown wide 3"]:
     """Colour beside depth, `HEIGHT` rows high, RGB; near is red, far is blue, no depth is black."""
     scale = HEIGHT / color.shape[0]
     small = cv2.resize(color, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    raw = cv2.resize(depth, None, fx=scale, fy=scale, interpolation=cv2.INTER_NEAREST)
+    raw = cv2.resize(depth, (small.shape[1], small.shape[0]), interpolation=cv2.INTER_NEAREST)
     nearness = 255 - np.clip(raw * (metres_per_unit / FAR_M * 255), 0, 255)
     painted = cv2.applyColorMap(nearness.astype(np.uint8), cv2.COLORMAP_TURBO)[..., ::-1]
     painted = np.where(raw[..., None] > 0, painted, 0).astype(np.uint8)

@@ -10,74 +10,20 @@ from __future__ import annotations
 import queue
 from collections import deque
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from typing import Any
 
 import cv2
 import numpy as np
 from jaxtyping import UInt8, UInt16
 
-from rpl_data.types import DataError, Intrinsics
-from rpl_data.wording import counted
+from rpl_data.capture.camera import POLL_S, Shot, StreamCamera, StreamCounts
+from rpl_data.types import DataError
 
-POLL_S = 0.1
 LIVE_QUEUE = 120
 """Frames of both streams that may wait for their reader: 2 s at 30 Hz."""
 
 LONGEST_WAIT = 30
 """Number of frames that may wait for their partner; an older one stays without."""
-
-
-@dataclass(frozen=True)
-class Shot:
-    """A pair of a colour and a depth image.
-
-    Attributes:
-        number: the camera's own count of colour images; a gap means images lost before they arrived.
-        timestamp_s: time of the colour image, on the camera's clock.
-        color: RGB.
-        depth: aligned to the colour pixels, in units of `StreamCamera.metres_per_unit`.
-    """
-
-    number: int
-    timestamp_s: float
-    color: UInt8[np.ndarray, "height width 3"]
-    depth: UInt16[np.ndarray, "height width"]
-
-
-@dataclass(frozen=True)
-class StreamCamera:
-    """What the device reports about itself.
-
-    Attributes:
-        intrinsics: camera of the colour images, and so of the aligned depth.
-        name: name of the device, with its serial number where it has one.
-        notes: lines for the user.
-    """
-
-    intrinsics: Intrinsics
-    metres_per_unit: float
-    name: str
-    notes: tuple[str, ...] = ()
-
-
-@dataclass
-class StreamCounts:
-    """Counts of the frames that arrived, by what became of them."""
-
-    pairs: int = 0
-    color_alone: int = 0
-    depth_alone: int = 0
-    late: int = 0
-
-    def lines(self) -> list[str]:
-        """One line per kind of loss."""
-        lines = []
-        if self.color_alone:
-            lines.append(f"{counted(self.color_alone, 'colour image')} without depth at the same time")
-        if self.late:
-            lines.append(f"{counted(self.late, 'colour image')} dropped: too fast to be aligned")
-        return lines
 
 
 class Streams:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rpl_data.capture.streams import Shot, StreamCounts
+from rpl_data.capture.camera import Shot, StreamCounts
 from rpl_data.wording import counted
 
 

@@ -5,50 +5,53 @@ from __future__ import annotations
 import signal
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 
-from rpl_data.capture.camera import choices_of
-from rpl_data.capture.device import depth_unit_m
+from rpl_data.capture.camera import CameraStreams
 from rpl_data.capture.live import Captured, CaptureOptions, Show, capture
 from rpl_data.capture.preview import Preview
 from rpl_data.types import DataError
 
 
 def record_scene(
-    device: Any, recording: Path, scene: str | None, options: CaptureOptions, *, preview_port: int | None
+    camera: AbstractContextManager[CameraStreams],
+    recording: Path,
+    scene: str | None,
+    options: CaptureOptions,
+    *,
+    preview_port: int | None,
 ) -> Captured:
     """Record a scene with a camera, with lines on the terminal.
 
     Args:
-        device: a device of librealsense.
+        camera: opens the camera.
         recording: folder of all scenes.
         scene: name of the scene; None = the next number.
-        options: resolution, rate and so on.
+        options: how long, and so on.
         preview_port: port that the preview is served on; None = no preview.
 
     Raises:
-        DataError: as `capture`; also when the duration is not positive.
+        DataError: as `capture`; also when the camera cannot be opened, or the duration is not positive.
     """
     console = Console(highlight=False, markup=False, soft_wrap=True)
     if options.seconds is not None and options.seconds <= 0:
         raise DataError(f"--seconds must be positive, got {options.seconds:g}")
     name = next_scene(recording) if scene is None else scene
     with ExitStack() as stack:
+        streams = stack.enter_context(camera)
         show: Show = lambda shot, word: None  # noqa: E731
         if preview_port is not None:
-            depth_sensor = choices_of(device, options.width, options.height, options.rate_hz)[1][0]
-            page = stack.enter_context(Preview(preview_port, metres_per_unit=depth_unit_m(depth_sensor)))
+            page = stack.enter_context(Preview(preview_port, metres_per_unit=streams.camera.metres_per_unit))
             console.print(f"preview: {page.url}")
             show = page.show
         console.print(
             "end with Ctrl-C" if options.seconds is None else f"{options.seconds:g} s; Ctrl-C ends it"
         )
         stop = stack.enter_context(stopped_by_ctrl_c())
-        captured = capture(device, recording, name, options, say=console.print, show=show, stop=stop)
+        captured = capture(streams, recording, name, options, say=console.print, show=show, stop=stop)
     for line in describe(captured):
         console.print(line)
     return captured

@@ -23,12 +23,14 @@ class Part:
         module: what is imported.
         purpose: what it is needed for.
         remedy: how to get it.
+        optional: whether few will need it, so that it is not missed where it is not installed.
     """
 
     package: str
     module: str
     purpose: str
     remedy: str = "pip install rpl-data"
+    optional: bool = False
 
 
 PARTS = (
@@ -49,6 +51,22 @@ PARTS = (
         "pytorch-lightning", "pytorch_lightning", "the training programs", "pip install 'rpl-data[training]'"
     ),
     Part("tensorboard", "tensorboard", "curves of a training", "pip install 'rpl-data[training]'"),
+    Part("depthai", "depthai", "capture with OAK cameras", "pip install 'rpl-data[oak]'", optional=True),
+    Part(
+        "pyorbbecsdk2",
+        "pyorbbecsdk",
+        "capture with Orbbec cameras",
+        "pip install --no-deps pyorbbecsdk2",
+        optional=True,
+    ),
+    Part(
+        "pyk4a",
+        "pyk4a",
+        "capture with an Azure Kinect",
+        "Microsoft's Azure Kinect Sensor SDK, then pip install 'rpl-data[k4a]'",
+        optional=True,
+    ),
+    Part("record3d", "record3d", "capture with phones", "pip install 'rpl-data[phone]'", optional=True),
 )
 
 
@@ -70,6 +88,8 @@ def package_lines() -> list[str]:
 
 def _line(part: Part) -> str:
     if importlib.util.find_spec(part.module) is None:
+        if part.optional:
+            return f"  optional {part.package}: {part.purpose}, not installed; {part.remedy}"
         return f"  missing  {part.package}: {part.purpose} will not work; {part.remedy}"
     try:
         version = importlib.metadata.version(part.package)

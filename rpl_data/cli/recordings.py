@@ -63,13 +63,18 @@ def capture(
     countdown: int = 3,
     exposure: Literal["lock", "auto"] = "lock",
     preview: Literal["none", "browser"] = "none",
-    width: int = 640,
-    height: int = 480,
+    camera: Literal["realsense", "oak", "orbbec", "k4a", "phone"] = "realsense",
+    width: int | None = None,
+    height: int | None = None,
     fps: int = 30,
     serial: str | None = None,
     port: int = 8018,
 ) -> None:
-    """Record a scene with a RealSense camera: colour, and depth aligned to it. Ctrl-C ends the recording.
+    """Record a scene with a camera: colour, and depth that belongs to its pixels. Ctrl-C ends the recording.
+
+    RealSense, OAK (Luxonis), Orbbec, Azure Kinect (k4a), or an iPhone or iPad with LiDAR that streams over
+    USB by the app Record3D. All were tested against devices made of software only, which answer as the
+    makers' packages do; none against the hardware.
 
     Put the object on a table among other things (texture helps the tracking), 0.4 to 0.8 m away, and walk
     slowly around it for 20 to 40 seconds. Turn the object over or move it, run the same command again for the
@@ -88,19 +93,28 @@ def capture(
         exposure: `lock` holds exposure and white balance at what the automatic finds before the start, so
             that a place looks the same in every frame; `auto` lets them change.
         preview: `browser` shows colour and depth on a page of this machine.
-        width: width of the images, pixels.
+        camera: the kind of camera; all but `realsense` need a package of their own, and say which.
+        width: width of the images, pixels; when left out with the height, 640 x 480 for `realsense` and
+            `oak`, 1280 x 720 for `orbbec` and `k4a`. A phone chooses itself.
         height: height of the images, pixels.
-        fps: images per second.
-        serial: serial number of the camera, where several are connected.
+        fps: images per second; a phone chooses itself.
+        serial: serial number of the camera (UDID of a phone), where several are connected.
         port: port of the preview's page.
     """
-    from rpl_data.capture.camera import connected_camera
+    from rpl_data.capture import CAMERAS
+    from rpl_data.capture.camera import Wanted
     from rpl_data.capture.live import CaptureOptions
     from rpl_data.cli.capture import record_scene
 
-    options = CaptureOptions(width, height, fps, seconds, countdown, exposure)
+    if (width is None) != (height is None):
+        raise DataError("give both --width and --height, or neither")
+    size_px = None if width is None or height is None else (width, height)
     record_scene(
-        connected_camera(serial), out, scene, options, preview_port=port if preview == "browser" else None
+        CAMERAS[camera](Wanted(size_px, fps, serial)),
+        out,
+        scene,
+        CaptureOptions(seconds, countdown, exposure),
+        preview_port=port if preview == "browser" else None,
     )
 
 

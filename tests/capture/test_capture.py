@@ -18,19 +18,20 @@ import pytest
 from software_camera import HEIGHT, WIDTH, SoftwareCamera, color_pixels, depth_pixels
 
 from rpl_data.capture import live
-from rpl_data.capture.camera import choices_of, connected_camera
+from rpl_data.capture.camera import Shot, Wanted
 from rpl_data.capture.disk import SceneWriter, write_shot
 from rpl_data.capture.exposure import lock
 from rpl_data.capture.live import Captured, CaptureOptions, capture
 from rpl_data.capture.preview import Preview, side_by_side
-from rpl_data.capture.streams import Shot
+from rpl_data.capture.realsense import RealSenseControls, choices_of, connected_camera, open_device
 from rpl_data.cli.capture import next_scene, record_scene, stopped_by_ctrl_c
 from rpl_data.cli.main import main
 from rpl_data.images import read_color, read_depth_m
 from rpl_data.recordings.open import open_scenes
 from rpl_data.types import DataError
 
-QUICK = CaptureOptions(WIDTH, HEIGHT, 30, seconds=1.0, countdown_s=0, exposure="auto")
+QUICK = CaptureOptions(seconds=1.0, countdown_s=0, exposure="auto")
+WANTED = Wanted((WIDTH, HEIGHT), 30)
 
 
 @pytest.fixture(autouse=True)
@@ -70,7 +71,8 @@ def filming(
 
 def captured_of(camera: SoftwareCamera, out: Path, said: list[str] | None = None, **more: Any) -> Captured:
     options = replace(QUICK, **{key: more.pop(key) for key in ("seconds",) if key in more})
-    return capture(camera.device, out, more.pop("scene", "00"), options, say=(said or []).append, **more)
+    with open_device(camera.device, WANTED) as streams:
+        return capture(streams, out, more.pop("scene", "00"), options, say=(said or []).append, **more)
 
 
 def test_what_the_camera_sends_comes_back_exactly(tmp_path: Path) -> None:
@@ -215,7 +217,7 @@ def test_ctrl_c_ends_a_recording_well(tmp_path: Path) -> None:
 def test_scenes_share_one_camera(tmp_path: Path) -> None:
     camera = SoftwareCamera()
     with filming(camera):
-        record_scene(camera.device, tmp_path, None, QUICK, preview_port=None)
+        record_scene(open_device(camera.device, WANTED), tmp_path, None, QUICK, preview_port=None)
         assert next_scene(tmp_path) == "01"
         captured_of(camera, tmp_path, scene="01")
         with pytest.raises(DataError, match="01 already exists; choose another --scene"):
@@ -289,7 +291,7 @@ class Sensor:
 def test_a_locked_exposure_is_as_bright_as_the_automatic(light: float) -> None:
     sensor = Sensor(light)
     before = sensor.mean_color()
-    exposure, balance = lock(sensor, sensor.mean_color, rate_hz=30)
+    exposure, balance = lock(RealSenseControls(sensor), sensor.mean_color, rate_hz=30)
     assert sensor.values[rs.option.enable_auto_exposure] == 0
     assert sensor.values[rs.option.exposure] <= 333  # 1/30 s, else frames come more slowly
     np.testing.assert_allclose(sensor.mean_color(), before, rtol=0.1)
@@ -300,7 +302,7 @@ def test_a_locked_exposure_is_as_bright_as_the_automatic(light: float) -> None:
 
 def test_an_exposure_that_cannot_be_matched_stays_automatic() -> None:
     sensor = Sensor(light=1 / 60_000)
-    lines = lock(sensor, sensor.mean_color, rate_hz=30)
+    lines = lock(RealSenseControls(sensor), sensor.mean_color, rate_hz=30)
     assert "stays automatic" in lines[0] and "more light helps" in lines[0]
     assert sensor.values[rs.option.enable_auto_exposure] == 1
 
@@ -313,17 +315,16 @@ def test_a_camera_that_refuses_films_on() -> None:
             super().set_option(option, value)
 
     sensor = Refusing(light=1 / 800)
-    (line,) = lock(sensor, sensor.mean_color, rate_hz=30)
+    (line,) = lock(RealSenseControls(sensor), sensor.mean_color, rate_hz=30)
     assert line == "the camera refused to hold exposure or white balance: hwmon command failed"
 
 
 def test_the_exposure_is_locked_while_the_camera_films(tmp_path: Path) -> None:
     """The software camera has neither option: that is said, and it films on."""
     camera, said = SoftwareCamera(), ["start"]
-    with filming(camera):
-        capture(
-            camera.device, tmp_path, "00", replace(QUICK, exposure="lock", countdown_s=1), say=said.append
-        )
+    options = replace(QUICK, exposure="lock", countdown_s=1)
+    with filming(camera), open_device(camera.device, WANTED) as streams:
+        capture(streams, tmp_path, "00", options, say=said.append)
     assert "exposure cannot be locked on this camera" in said
     assert said.index("recording in 1") < said.index(f"recording to {tmp_path / '00'}")
 

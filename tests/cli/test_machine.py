@@ -31,3 +31,13 @@ def test_what_is_missing_says_how_to_get_it(
     assert lines[0].startswith("rpl-data ") and any("ok       numpy" in line for line in lines)
     (missing,) = [line for line in lines if "missing" in line]
     assert "pyrealsense2: RealSense cameras" in missing and missing.endswith("pip install rpl-data")
+
+
+def test_cameras_that_nobody_has_are_optional(monkeypatch: pytest.MonkeyPatch) -> None:
+    there, packages = importlib.util.find_spec, {"depthai", "pyorbbecsdk", "pyk4a", "record3d"}
+    monkeypatch.setattr(
+        installed.importlib.util, "find_spec", lambda name: None if name in packages else there(name)
+    )
+    lines = [line for line in installed.package_lines() if "not installed" in line]
+    assert len(lines) == 4 and all(line.startswith("  optional ") for line in lines)
+    assert "pyorbbecsdk2: capture with Orbbec cameras, not installed; pip install --no-deps" in lines[1]

@@ -11,10 +11,11 @@ import cv2
 import numpy as np
 import pytest
 
-from rpl_data.formats.recordings.camera_file import write_camera
+from rpl_data.formats.recordings.camera_file import camera_text, write_camera
 from rpl_data.formats.recordings.image_headers import probe
 from rpl_data.formats.recordings.rpl import read_rpl, write_associations, write_poses
 from rpl_data.geometry import from_rotvec
+from rpl_data.images import read_depth_m
 from rpl_data.recordings.open import open_scenes
 from rpl_data.types import DataError, Intrinsics
 
@@ -245,6 +246,17 @@ def test_unregistered_depth_is_refused(tree: Path) -> None:
         read_rpl(tree)
 
 
+def test_depth_coarser_than_colour_is_kept_where_camera_txt_says_so(tree: Path) -> None:
+    """As a phone sends it; it is looked up at the colour pixels."""
+    for path in (tree / "00/depth").iterdir():
+        cv2.imwrite(str(path), np.full((24, 32), 700, np.uint16))
+    (tree / "camera.txt").write_text(camera_text(CAMERA, 0.001, (32, 24)))
+    scene = read_rpl(tree)[0].scene
+    assert scene.depth_size == (24, 32)
+    assert scene.depth_intrinsics.fx == 25 and scene.depth_intrinsics.cx == (31.5 + 0.5) / 2 - 0.5
+    np.testing.assert_allclose(read_depth_m(scene, scene.frames[0]), np.full((48, 64), 0.7), atol=1e-6)
+
+
 def test_camera_txt_also_holds_distortion_and_the_depth_unit(tree: Path) -> None:
     """The original reads the first line only, which is as ever."""
     lens = (0.1, -0.2, 0.001, 0.002, 0.05)
@@ -264,6 +276,7 @@ def test_camera_txt_also_holds_distortion_and_the_depth_unit(tree: Path) -> None
     ("line", "message"),
     [
         ("distortion 0.1 0.2", "expected 4 or 5 or 8 numbers after distortion"),
+        ("depth_px 32", "expected 2 numbers after depth_px"),
         ("metres_per_unit mm", "could not convert .* repair or delete the line"),
     ],
 )

@@ -5,6 +5,7 @@
     fx fy cx cy
     distortion k1 k2 p1 p2 k3       where the lens has any
     metres_per_unit 0.001           where it is known
+    depth_px 256 192                where depth shows the view of colour at fewer pixels, as phones do
 
 The two tools read the first line only; the other lines are ours. `rpl capture` writes them, so that a
 recording holds everything that its camera reported. Many tools write the matrix K instead, in three lines of
@@ -30,10 +31,16 @@ WHAT = "one line: fx fy cx cy, in pixels of the colour images, or the 3x3 matrix
 
 @dataclass(frozen=True)
 class CameraFile:
-    """Content of the file; `metres_per_unit` of the depth images is None where it is not given."""
+    """Content of the file.
+
+    Attributes:
+        metres_per_unit: of the depth images; None where it is not given.
+        depth_px: width and height of depth images that are coarser than colour; None where they are not.
+    """
 
     camera: Camera
     metres_per_unit: float | None = None
+    depth_px: tuple[int, int] | None = None
 
 
 def read_camera(path: Path) -> CameraFile:
@@ -50,7 +57,12 @@ def read_camera(path: Path) -> CameraFile:
         raise DataError(f"{path}: fx fy cx cy must be finite and fx, fy positive; found {first!r}")
     said = _said(path, lines[rows:])
     unit = said.get("metres_per_unit")
-    return CameraFile((fx, fy, cx, cy, *said.get("distortion", ())), unit[0] if unit else None)
+    coarse = said.get("depth_px")
+    return CameraFile(
+        (fx, fy, cx, cy, *said.get("distortion", ())),
+        unit[0] if unit else None,
+        (int(coarse[0]), int(coarse[1])) if coarse else None,
+    )
 
 
 def _matrix_rows(lines: Sequence[str]) -> int:
@@ -92,11 +104,13 @@ class Told:
         camera: None where nobody told it.
         source: the file that the camera is from, or would be from; for messages.
         metres_per_unit: unit of the depth images; None where nobody told it.
+        depth_px: width and height of depth images that are coarser than colour, where camera.txt says so.
     """
 
     camera: Camera | None
     source: Path
     metres_per_unit: float | None
+    depth_px: tuple[int, int] | None = None
 
 
 def told_of(
@@ -133,7 +147,8 @@ def told_of(
     units = {str(path): file.metres_per_unit for file, path in heard}
     unit_m = one_unit({**units, RECIPE: metres_per_unit})
     source = files[0][1] if files else folder / "camera.txt"
-    return Told(camera or (files[0][0].camera if files else None), source, unit_m)
+    coarse = next((file.depth_px for file, _ in written if file.depth_px is not None), None)
+    return Told(camera or (files[0][0].camera if files else None), source, unit_m, coarse)
 
 
 def refuse_other_camera(one: Camera, one_path: Path, other: Camera, other_path: Path) -> None:
@@ -173,7 +188,7 @@ RECIPE = "metres_per_unit of the recipe or the command"
 
 def _said(path: Path, lines: Sequence[str]) -> Mapping[str, tuple[float, ...]]:
     """Read our own lines; unknown lines are ignored."""
-    counts = {"distortion": (4, 5, 8), "metres_per_unit": (1,)}
+    counts = {"distortion": (4, 5, 8), "metres_per_unit": (1,), "depth_px": (2,)}
     said: dict[str, tuple[float, ...]] = {}
     for line in lines:
         key, *tokens = line.split() or [""]
@@ -194,13 +209,17 @@ def write_camera(folder: Path, intrinsics: Intrinsics, metres_per_unit: float | 
     write_text(folder / "camera.txt", camera_text(intrinsics, metres_per_unit))
 
 
-def camera_text(intrinsics: Intrinsics, metres_per_unit: float | None = None) -> str:
+def camera_text(
+    intrinsics: Intrinsics, metres_per_unit: float | None = None, depth_px: tuple[int, int] | None = None
+) -> str:
     """Text that `write_camera` writes."""
     text = _numbers((intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy))
     if any(intrinsics.distortion):
         text += f"distortion {_numbers(intrinsics.distortion)}"
     if metres_per_unit is not None:
         text += f"metres_per_unit {_numbers([metres_per_unit])}"
+    if depth_px is not None:
+        text += f"depth_px {depth_px[0]} {depth_px[1]}\n"
     return text
 
 

@@ -5,7 +5,8 @@
     <dataset>/camera.txt                 "fx fy cx cy" in pixels, one camera for all scenes; see `camera_file`
     <dataset>/<scene>/associations.txt   one line per frame: "<t> depth/<file> <t> rgb/<file>", or rgb first
                       camera.poses       TUM lines "t tx ty tz qx qy qz qw", scene_from_camera
-                      rgb/ depth/        depth: 16-bit images, registered to colour
+                      rgb/ depth/        depth: 16-bit images, registered to colour; coarser than colour
+                                         only where camera.txt says `depth_px`
 
 The original pairs poses and frames by row; when a tracker drops a frame (ElasticFusion always drops the last)
 every later pose is then shifted, so here they are matched by time.
@@ -22,6 +23,7 @@ from jaxtyping import Float64
 
 from rpl_data.files import write_text
 from rpl_data.formats.recordings.camera_file import read_camera, told_of
+from rpl_data.formats.recordings.color_lens import COLOR_LENS
 from rpl_data.formats.recordings.frame_files import (
     Camera,
     Listing,
@@ -141,6 +143,7 @@ def _read_scene(folder: Path, name: str, camera: Camera | None, metres_per_unit:
         told.source,
         unit_m,
         assumed_unit=told.metres_per_unit is None,
+        depth_camera=None if told.depth_px is None else COLOR_LENS,
         notes=(
             *((clock.note,) if clock.note else ()),
             *unlisted(folder / "associations.txt", [pair.color for pair in pairs]),
