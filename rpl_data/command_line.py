@@ -63,9 +63,11 @@ def one_line(message: str, options: Sequence[str]) -> str:
         return "a command is missing"
     if found := re.match(r'Parser key "([\w.]+)":.*?<class .*valu?e: (.*)', message, re.DOTALL):
         expected = dict.fromkeys(re.findall(r"<class '(\w+)'>", message.split("Given")[0]))
-        return f"--{found[1]}: expected {' or '.join(k for k in expected if k in VALUES)}, found {found[2]!r}"
+        kinds = " or ".join(k for k in expected if k in VALUES) or "another form"
+        return f"--{found[1]}: expected {kinds}, found {found[2]!r}"
     if message.startswith("the following arguments are required: "):
-        return f"{re.sub(r'[^ ]*[.]', '', message.split(': ')[1])} is missing"
+        name = re.sub(r"[^ ]*[.]", "", message.split(": ")[1])
+        return f"--{name[:-1]} is missing" if name.endswith("_") else f"{name} is missing"
     return " ".join(re.sub(r'Parser key "([\w.]+)":', r"--\1:", message).split())
 
 

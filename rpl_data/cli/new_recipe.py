@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from shlex import quote
 from tempfile import TemporaryDirectory
 
 from rpl_data.cli.check import recordings_at
@@ -94,11 +95,12 @@ def recipe_for(
 
 
 def next_commands(recipe: Path, *, clicked: bool) -> str:
-    """What to run now."""
-    build = f"rpl build {recipe} --workspace workspaces/{recipe.stem}"
+    """What to run now, as a shell takes it: a path with a space is quoted."""
+    file, workspace = quote(str(recipe)), quote(f"workspaces/{recipe.stem}")
+    build = f"rpl build {file} --workspace {workspace}"
     if clicked:
         return f"its keypoints are clicked; make the dataset:  {build}"
-    annotate = f"rpl annotate workspaces/{recipe.stem} --recipe {recipe}"
+    annotate = f"rpl annotate {workspace} --recipe {file}"
     return f"next, click the keypoints in the browser:  {annotate}\nthen make the dataset:  {build}"
 
 

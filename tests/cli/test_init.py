@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import shlex
 import shutil
 from pathlib import Path
 
 import pytest
 
 from rpl_data.cli.main import main
+from rpl_data.cli.new_recipe import next_commands
 from rpl_data.pipeline.build import recipe_of
 from rpl_data.pipeline.recipe_file import load_recipe
 from rpl_data.workspace.workspace import Workspace
@@ -22,6 +24,12 @@ def recording(tiny_workspace: Workspace, tmp_path: Path) -> Path:
     for scene in sorted(to.glob("*/rgb"))[1:]:
         shutil.rmtree(scene.parent)
     return to
+
+
+def test_the_next_commands_can_be_pasted_where_a_path_holds_a_space() -> None:
+    build = next_commands(Path("my recipes/mug 2.yaml"), clicked=True).split("dataset:  ")[1]
+    expected = ["rpl", "build", "my recipes/mug 2.yaml", "--workspace", "workspaces/mug 2"]
+    assert shlex.split(build) == expected
 
 
 def test_a_recipe_for_a_recording(

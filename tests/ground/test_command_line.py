@@ -19,6 +19,8 @@ from rpl_data.pipeline.recipe_file import load_recipe
         (["label", "--workers", "two"], "rpl label: --workers: expected int, found 'two'; see"),
         (["build", "a.yaml", "b"], "rpl build: too many arguments: b; see"),
         (["register", "cube"], "rpl register: scene is missing; see `rpl register --help`"),
+        (["init", "my.yaml"], "rpl init: --from is missing; see `rpl init --help`"),
+        (["init", "a", "--from", "b", "--camera", "6"], "rpl init: --camera: expected another form, found"),
         ([], "rpl: a command is missing; see `rpl --help`"),
     ],
 )
