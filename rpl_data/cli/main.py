@@ -121,11 +121,12 @@ def register(object: str, scene: str, workspace: Path = HERE, auto: bool = False
     """
     from rpl_data.cli.screen import Screen
     from rpl_data.pipeline.automatic import find_step
-    from rpl_data.pipeline.build import recipe_of, run_step
-    from rpl_data.pipeline.register import register_step
+    from rpl_data.pipeline.build import context_of, recipe_of, run_step
+    from rpl_data.pipeline.register import object_named, register_step
     from rpl_data.workspace.workspace import Workspace
 
     place = Workspace(workspace)
+    object_named(context_of(place), object)  # said before anything is brought up to date for it
     work = find_step if auto else register_step
     with Screen() as screen:
         entry = run_step(

@@ -105,6 +105,8 @@ def align(
     plain = spectra.summed(lags, np.ones(len(lags)))
     near = _near(plain, spectra.shape, reach_px)
     by_lag = _best(lags.astype(float), plain, spectra.shape, reach_px)
+    if not by_lag.height > 0:  # one of the two has no edges: nothing was measured
+        return Alignment(0.0, 1.0, np.zeros(2), np.inf, np.inf, np.inf, 1.0, 1.0, near)
     lag = round(by_lag.value) if by_lag.sigma < 0.5 else 0
     by_zoom = _best(ZOOMS, spectra.summed(np.full(len(ZOOMS), lag), ZOOMS), spectra.shape, reach_px)
     zoomed = by_zoom.height > ZOOM_PEAK_RATIO * max(by_lag.height, by_zoom.elsewhere(NEAR_ZOOM))

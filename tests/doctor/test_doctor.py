@@ -183,6 +183,13 @@ def test_shifted_depth_is_measured() -> None:
     assert found.shift_contrast > 1.2
 
 
+def test_images_without_edges_measure_nothing() -> None:
+    """A bare wall: no shift and no lag can be told, which must not read as certain."""
+    plain = np.full((240, 320, 3), 120, np.uint8)
+    found = align({n: edges_of(plain, shoot(pose(n))[1].astype(np.float32)) for n in range(8)})
+    assert np.isinf([found.lag_sigma, found.shift_sigma_px]).all() and not found.prefers(1) > 0.9
+
+
 def test_depth_of_another_field_of_view_is_found_and_the_named_option_mends_it(
     sound: Recording, tmp_path: Path
 ) -> None:

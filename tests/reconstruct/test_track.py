@@ -14,8 +14,9 @@ from rpl_data.formats.recordings.camera_file import write_camera
 from rpl_data.formats.recordings.rpl import write_associations
 from rpl_data.geometry import from_rotvec
 from rpl_data.images import depth_reader, read_depth_m
-from rpl_data.pipeline.build import build
+from rpl_data.pipeline.build import build, context_of, recipe_of, stale_steps
 from rpl_data.pipeline.recipe_file import parse_recipe
+from rpl_data.pipeline.stages.clicks import add_clicks
 from rpl_data.pipeline.stages.track import decoded
 from rpl_data.reconstruct.path import collected, losses
 from rpl_data.reconstruct.tracking import Loss, track
@@ -161,6 +162,11 @@ def test_a_build_from_a_recording_without_poses(tmp_path: Path) -> None:
     assert ledger.entries["track/00"].outcome.frames == 8
     found = workspace.load_trajectory(workspace.load_scene("00"))
     assert errors(found, orbit(8))[0].max() < 4
+    assert all(holds for _, holds in stale_steps(recipe_of(workspace), workspace)["track"])
+    rows = "".join(f"thing,{n},00,0,{100 + 9 * n},120\n" for n in range(4))
+    (tmp_path / "clicks.csv").write_text(f"object,keypoint,scene,frame,u_px,v_px\n{rows}")
+    add_clicks(context_of(workspace), tmp_path / "clicks.csv")  # paths are judged around what is clicked
+    assert stale_steps(recipe_of(workspace), workspace)["track"] == [("00", False)]
 
 
 def test_depth_is_kept_for_the_next_reader(tmp_path: Path) -> None:

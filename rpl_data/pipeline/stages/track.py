@@ -11,7 +11,7 @@ import numpy as np
 
 from rpl_data.geometry import rays, transform
 from rpl_data.images import read_depth_m, read_grey
-from rpl_data.json_arrays import finite_or_none
+from rpl_data.json_arrays import Json, finite_or_none
 from rpl_data.pipeline.context import Context, step
 from rpl_data.pipeline.correction import LEAST_TIED, correct
 from rpl_data.pipeline.ledger import Advance, Outcome, Step
@@ -64,7 +64,9 @@ def _track_step(context: Context, name: str) -> Step:
             len(scene.frames), tuple(f"scene {name}: {line}" for line in found.lines), found.details
         )
 
-    options = {"method": context.recipe.reconstruct.method}
+    options: Json = {"method": context.recipe.reconstruct.method}
+    if wants_given:  # paths are judged around what is clicked: once more when the first clicks are there
+        options["judged"] = "around clicks" if _is_clicked(context, name) else "everywhere"
     return step(
         "track",
         name,
@@ -74,6 +76,13 @@ def _track_step(context: Context, name: str) -> Step:
         after=["import"],
         outputs=[workspace.trajectory_file(name)],
     )
+
+
+def _is_clicked(context: Context, name: str) -> bool:
+    """Whether anything was clicked in a recording."""
+    workspace = context.workspace
+    annotations = [workspace.load_annotation(item) for item in context.object_names]
+    return any(click.scene == name for annotation in annotations for click in annotation.clicks)
 
 
 @dataclass(frozen=True)
