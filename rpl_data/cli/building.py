@@ -17,18 +17,27 @@ HERE = Path(".")
 """The workspace, when none is named."""
 
 
-def run_stage(workspace: Path, stage: str, again: bool, workers: int | None = None) -> Ledger:
+def run_stage(
+    workspace: Path, stage: str, again: bool, workers: int | None = None, *, results: bool = True
+) -> Ledger:
     """Run a stage of a workspace, and what is out of date before it."""
     from rpl_data.pipeline.build import recipe_of
     from rpl_data.workspace.workspace import Workspace
 
-    return run_build(recipe_of(Workspace(workspace)), workspace, stage, stage if again else None, workers)
+    recipe = recipe_of(Workspace(workspace))
+    return run_build(recipe, workspace, stage, stage if again else None, workers, results=results)
 
 
 def run_build(
-    recipe: Recipe, workspace: Path, until: str | None, again: str | None, workers: int | None = None
+    recipe: Recipe,
+    workspace: Path,
+    until: str | None,
+    again: str | None,
+    workers: int | None = None,
+    *,
+    results: bool = True,
 ) -> Ledger:
-    """Build with progress on the terminal, and say what came out."""
+    """Build with progress on the terminal, and say what came out unless more is to follow."""
     from rpl_data.cli.screen import Screen, print_results
     from rpl_data.pipeline.build import build, fresh_steps, stages_named
     from rpl_data.workspace.workspace import Workspace
@@ -37,5 +46,6 @@ def run_build(
     place = Workspace(workspace)
     with Screen() as screen:
         ledger = build(recipe, place, until=until, again=chosen, workers=workers, tell=screen.tell)
-    print_results(place, ledger, screen, until, fresh_steps(recipe, place))
+    if results:
+        print_results(place, ledger, screen, until, fresh_steps(recipe, place))
     return ledger

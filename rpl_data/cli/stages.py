@@ -154,7 +154,7 @@ def export(
 
     if format is not None:
         check_format(format)
-    run_stage(workspace, "export", again)
+    run_stage(workspace, "export", again, results=format is None)
     if labels == "truth" or format is not None:
         from rpl_data.pipeline.build import alone_in, context_of
         from rpl_data.pipeline.stages.export import EXPORTS, export_truth
@@ -165,7 +165,8 @@ def export(
         for name in ["coco_truth"] * (labels == "truth") + wanted:
             with alone_in(place):
                 summary = EXPORTS.get(name, export_truth)(context_of(place))
-            print(f"{place.export(name)}: {sum(summary.images.values())} images")
+            images = f": {sum(summary.images.values())} images" if summary.images else ""
+            print(f"{place.export(name)}{images}")
             for line in summary.messages:
                 print(f"    {line}")
 

@@ -146,9 +146,12 @@ def only_format(path: Path) -> str:
     likely = likely_formats(path)
     if len(likely) == 1:
         return likely[0]
-    looks = f"looks like {' and like '.join(likely)}" if likely else "looks like no format that is known"
+    known = f"`format` (--format), one of {', '.join(sorted(READERS | UNPACKERS))}"
+    if likely:
+        raise DataError(f"{path} looks like {' and like '.join(likely)}; give {known}")
     raise DataError(
-        f"{path} {looks}; give `format` (--format), one of {', '.join(sorted(READERS | UNPACKERS))}"
+        f"{path} looks like no format that is known: give the folder or file that a recording is kept in, not "
+        f"one in or above it, or give {known}"
     )
 
 

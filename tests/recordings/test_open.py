@@ -22,7 +22,8 @@ def test_a_tree_and_one_scene_of_it_are_recognised(tiny_workspace: Workspace) ->
 
 def test_what_is_no_recording_is_refused(tmp_path: Path) -> None:
     with pytest.raises(
-        DataError, match="looks like no format that is known; give `format` \\(--format\\), one of bop, "
+        DataError,
+        match="looks like no format that is known: .*, or give `format` \\(--format\\), one of bop, ",
     ):
         open_recordings(tmp_path)
     with pytest.raises(DataError, match="there is no recording .*nowhere"):
