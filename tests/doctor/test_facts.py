@@ -60,6 +60,13 @@ def test_the_unit_by_the_poses_has_its_remedy(depths_mm: np.ndarray, factor: flo
     assert (found.kind, found.mend) == ("depth scale", Mend(depth_factor=1 / factor))
 
 
+def test_a_scale_that_no_unit_of_depth_explains_may_be_that_of_the_poses(depths_mm: np.ndarray) -> None:
+    """As of COLMAP's poses: 2.7 times the world, and between the steps of a coarse search."""
+    (found,) = faults(compared(depths_mm / 2.7), Geometry(CAMERA, POSES))
+    assert (found.kind, found.mend) == ("depth scale", None) and found.sure >= 0.9
+    assert "mend: {pose_factor: 0.36" in found.todo and "mend: {depth_factor: 2.7" in found.todo
+
+
 def turned(depths_mm: np.ndarray) -> np.ndarray:
     units = depths_mm.astype(np.uint16)
     return ((units << 3) | (units >> 13)).astype(float)
