@@ -11,6 +11,7 @@ from recordings import LENS, cut, poses, write_color, write_depth
 from rpl_data.formats.recordings.tum import read_tum, write_tum
 from rpl_data.geometry import from_rotvec, project, rotation_angle_rad, transform
 from rpl_data.images import read_depth_m
+from rpl_data.recordings.open import likely_formats
 from rpl_data.types import DataError
 
 TIMES = [100 + i / 30 for i in range(5)]
@@ -222,3 +223,14 @@ def test_lost_rows_of_the_poses_are_counted(folder: Path) -> None:
     (folder / "groundtruth.txt").write_text("\n".join(lines) + "\n")
     (recording,) = read_tum(folder)
     assert "1 line of groundtruth.txt left out: not finite, or a quaternion of zeros" in recording.skipped
+
+
+def test_a_folder_of_sequences_is_known_for_what_it_holds(tmp_path: Path) -> None:
+    """Its parts look like plain folders too, which have neither times nor poses."""
+    for name in ("a", "b"):
+        (tmp_path / name / "rgb").mkdir(parents=True)
+        (tmp_path / name / "depth").mkdir()
+        for file in ("rgb", "depth"):
+            (tmp_path / name / f"{file}.txt").write_text(f"0.1 {file}/1.png\n")
+            (tmp_path / name / file / "1.png").write_bytes(b"x")
+    assert likely_formats(tmp_path) == likely_formats(tmp_path / "a") == ["tum"]
