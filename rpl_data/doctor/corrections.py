@@ -215,8 +215,8 @@ def _other_depth_unit(geometry: Geometry, factor: float) -> Correction:
         return Correction("depth scale", what, unit, fitting, mend)
     poses = in_recipe(Mend(pose_factor=float(f"{1 / factor:.3g}")))
     todo = (
-        f"find out which of the two is in metres, since no usual unit of depth explains it: where depth is, as "
-        f"with poses of COLMAP or another tool that knows no metres, `{poses}`; where the poses are, {unit}"
+        "find out which of the two is in metres, since no usual unit of depth explains it: where depth "
+        f"is, as with poses of COLMAP or a tool that knows no metres, `{poses}`; where the poses are, {unit}"
     )
     return Correction("depth scale", what, todo, fitting)
 
