@@ -17,10 +17,10 @@ from rpl_data.doctor.depth_unit import by_the_numbers, with_turned_bits
 from rpl_data.doctor.findings import Diagnosis, Finding
 from rpl_data.doctor.tags import orientation_tags
 from rpl_data.doctor.text import describe
-from rpl_data.doctor.timing import odd_times
+from rpl_data.doctor.timing import odd_times, pose_jumps
 from rpl_data.geometry import rays
 from rpl_data.recordings.mend import Mend
-from rpl_data.types import Frame, Intrinsics, Scene
+from rpl_data.types import Frame, Intrinsics, Scene, Trajectory
 
 POSES = np.array([pose(n) for n in range(0, 24, 2)])
 SCENE = Scene("00", CAMERA, 0.001, tuple(Frame(n, n / 30, Path(f"{n}.png"), None) for n in range(12)))
@@ -128,7 +128,7 @@ def test_tags_that_would_turn_images_are_said(tmp_path: Path) -> None:
     (found,) = orientation_tags(scene(6, 6, 6))
     assert "3 of 3 colour images examined" in found.what and "differ" not in found.what
     (mixed,) = orientation_tags(scene(1, 6, 8))
-    assert "(EXIF orientation 6 in 1, 8 in 1)" in mixed.what and "The tags differ" in mixed.what
+    assert "(EXIF orientation 6 in 1, 8 in 1)" in mixed.what and "the tags differ" in mixed.what
 
 
 @pytest.mark.parametrize(("step_s", "odd"), [(1 / 30, False), (1.9, False), (33.3, True), (3.3e-5, True)])
@@ -150,3 +150,14 @@ def test_the_headline_says_what_is_wrong_and_what_was_not_judged() -> None:
         "scene a: 1 thing wrong",
         "scene a: 1 thing wrong; not judged: lag (no edges); unit (no poses)",
     ]
+
+
+def test_key_frames_far_apart_are_no_jumps_but_one_step_among_them_is() -> None:
+    """Nerfstudio's and Polycam's frames are chosen so, and the former have no times."""
+    moved = np.tile(np.eye(4), (12, 1, 1))
+    moved[:, 0, 3] = 0.15 * np.arange(12)
+    trajectory = Trajectory(np.arange(12), moved)
+    assert pose_jumps(SCENE, trajectory) == []
+    moved[7:, 1, 3] = 0.9
+    (found,) = pose_jumps(SCENE, Trajectory(np.arange(12), moved))
+    assert found.what == "the camera jumps 1 time, by 0.91 m at most, after frame 6"
