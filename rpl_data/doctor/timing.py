@@ -20,8 +20,8 @@ FASTEST_M_S = 3.0
 
 
 STANDS_OUT = 4.0
-"""Only a step this many times the usual one is a jump: among key frames, or where times were assumed, all steps
-may be too fast for a hand."""
+"""Only a step this many times the usual one is a jump: among key frames, or where times were assumed, all
+steps may be too fast for a hand."""
 
 
 def interval_s(scene: Scene) -> float:
