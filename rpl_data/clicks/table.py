@@ -15,7 +15,6 @@ from rpl_data.types.keypoint_names import keypoint_rows
 Number = TypeVar("Number", int, float)
 
 _SEPARATOR = re.compile(r"sep=.\n", re.IGNORECASE)
-_DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+")
 CSV_COLUMNS = ["object", "keypoint", "scene", "frame", "u_px", "v_px"]
 
 
@@ -45,8 +44,8 @@ def keypoints_in_csv(text: str, *, source: str) -> dict[str, list[str]]:
 def clicks_from_csv(text: str, *, source: str, object_name: str, keypoints: Sequence[str]) -> list[Click]:
     """Read the clicks of one object from CSV text; keypoints are given by name, or by number from 0.
 
-    Table programs write semicolons or tabs between values, a comma in numbers, and a first line `sep=;`; all is
-    read, but no `"1,234"` between commas, which may be a thousand.
+    Table programs of some countries write semicolons or tabs between values and a comma in numbers, below a
+    line `sep=;`; it is read too.
 
     Raises:
         DataError: a column is missing, a line has more or fewer values than columns, a keypoint is unknown,
@@ -124,10 +123,8 @@ def _rows(text: str, source: str) -> Iterator[tuple[int, dict[str, str]]]:
                     f"{'more' if more else 'fewer'}; numbers have a decimal point, not a comma"
                 )
             row = {column: value.strip() for column, value in row.items()}
-            for column in ("u_px", "v_px"):
-                thousands = separator == "," and row[column][-4:-3] == ","
-                if _DECIMAL_COMMA.fullmatch(row[column]) and not thousands:
-                    row[column] = row[column].replace(",", ".")
+            if separator != ",":
+                row |= {column: row[column].replace(",", ".") for column in ("u_px", "v_px")}
             yield line, row
     except csv.Error as error:
         raise DataError(f"{source} line {line}: {error}; repair or delete the line") from error

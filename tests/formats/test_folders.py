@@ -370,3 +370,11 @@ def test_numbers_that_are_neither_camera_nor_matrix_are_refused(tmp_path: Path, 
     (tmp_path / ("K.txt" if text[0] == "5" else "camera.yaml")).write_text(text)
     with pytest.raises(DataError, match="expected fx fy cx cy|is not valid YAML"):
         read(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("color", "depth"), [("RGB", "Depth"), ("color_images", "depth_images"), ("imgs", "depth_maps")]
+)
+def test_folders_of_other_names(tmp_path: Path, color: str, depth: str) -> None:
+    make_folders(tmp_path / "a", f"{color}/{{}}.png", f"{depth}/{{}}.png")
+    assert len(read(tmp_path / "a").scene.frames) == 6

@@ -61,8 +61,10 @@ from rpl_data.formats.recordings.scene_folders import chosen, scene_folders
 from rpl_data.geometry import Transform
 from rpl_data.types import DataError, Recording
 
-COLOR_FOLDERS = ("rgb", "color", "colour", "images", "image")
-DEPTH_FOLDERS = ("depth", "depths", "depth_images")
+COLOR_FOLDERS = (
+    "rgb", "color", "colour", "images", "image", "imgs", "img", "color_images", "rgb_images", "color_image",
+)  # fmt: skip
+DEPTH_FOLDERS = ("depth", "depths", "depth_images", "depth_maps", "depth_image", "depth_png", "depth_raw")
 CAMERA_FILES = (
     "cam_K.txt", "K.txt", "intrinsics.txt", "intrinsic.txt", "intrinsic/intrinsic_color.txt",
     "intrinsic_color.txt", "camera_intrinsics.txt", "camera-intrinsics.txt",
@@ -118,7 +120,11 @@ def is_folder_scene(folder: Path) -> bool:
 
 
 def _first(folder: Path, names: Sequence[str]) -> Path | None:
-    return next((folder / name for name in names if (folder / name).exists()), None)
+    """The first of these that the folder has, in capitals or not."""
+    if not folder.is_dir():
+        return None
+    found = {path.name.lower(): path for path in folder.iterdir()}
+    return next((found[name] for name in names if name in found), None)
 
 
 def _read_scene(
