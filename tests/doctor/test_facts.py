@@ -14,6 +14,7 @@ from PIL import Image
 from rpl_data.doctor.consistency import ComparedImages, Geometry, choose_pairs
 from rpl_data.doctor.corrections import faults, usual_factor
 from rpl_data.doctor.depth_unit import by_the_numbers, with_turned_bits
+from rpl_data.doctor.examine import _after_mending
 from rpl_data.doctor.findings import Diagnosis, Finding
 from rpl_data.doctor.tags import orientation_tags
 from rpl_data.doctor.text import describe
@@ -161,3 +162,12 @@ def test_key_frames_far_apart_are_no_jumps_but_one_step_among_them_is() -> None:
     moved[7:, 1, 3] = 0.9
     (found,) = pose_jumps(SCENE, Trajectory(np.arange(12), moved))
     assert found.what == "the camera jumps 1 time, by 0.91 m at most, after frame 6"
+
+
+def test_intrinsics_are_no_certain_fault_while_depth_has_another_field_of_view() -> None:
+    zoomed = Finding("registration", "", 1.0, "", Mend(depth_zoom=1.25))
+    others = [Finding("intrinsics", "", 1.0, "ask"), Finding("depth scale", "", 1.0, "")]
+    unsure, kept = _after_mending([zoomed], others)
+    assert unsure.sure == 0.5 and unsure.todo.startswith("mend the registration first") and kept == others[1]
+    moved = replace(zoomed, mend=Mend(depth_shift_px=(9.0, 0.0)))
+    assert _after_mending([moved], others) == _after_mending([], others) == others
