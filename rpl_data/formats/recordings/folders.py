@@ -196,7 +196,7 @@ def _as_png(
 
 
 def _told_of(folder: Path, pairs: Sequence[Pair], camera: Camera | None, unit_m: float | None) -> Told:
-    """Camera and depth unit by `CAMERA_FILES`, which must agree, and camera.txt; DataError without a camera."""
+    """Camera and depth unit by `CAMERA_FILES`, which must agree, and camera.txt; DataError without any."""
     places = ([place / name for name in CAMERA_FILES] for place in (folder, folder.parent))
     files = next((some for place in places if (some := [path for path in place if path.is_file()])), [])
     own = None
