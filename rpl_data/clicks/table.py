@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TypeVar
 
@@ -13,6 +14,7 @@ from rpl_data.types.keypoint_names import keypoint_rows
 
 Number = TypeVar("Number", int, float)
 
+_SEPARATOR = re.compile(r"sep=.\n", re.IGNORECASE)
 CSV_COLUMNS = ["object", "keypoint", "scene", "frame", "u_px", "v_px"]
 
 
@@ -42,7 +44,8 @@ def keypoints_in_csv(text: str, *, source: str) -> dict[str, list[str]]:
 def clicks_from_csv(text: str, *, source: str, object_name: str, keypoints: Sequence[str]) -> list[Click]:
     """Read the clicks of one object from CSV text; keypoints are given by name, or by number from 0.
 
-    Table programs of some countries write semicolons between values and a comma in numbers; it is read too.
+    Table programs of some countries write semicolons or tabs between values and a comma in numbers, below a
+    line `sep=;`; it is read too.
 
     Raises:
         DataError: a column is missing, a line has more or fewer values than columns, a keypoint is unknown,
@@ -95,8 +98,15 @@ def clicks_from_csv(text: str, *, source: str, object_name: str, keypoints: Sequ
 def _rows(text: str, source: str) -> Iterator[tuple[int, dict[str, str]]]:
     """Line number and values of each line that is not empty; DataError where a line does not fit."""
     text = text.removeprefix("\ufeff")
-    semicolons = ";" in text.partition("\n")[0]
-    reader = csv.DictReader(io.StringIO(text), delimiter=";" if semicolons else ",")
+    said = _SEPARATOR.match(text)  # a line for table programs only
+    lines = io.StringIO(text)
+    if said:
+        next(lines)
+    first = text[said.end() if said else 0 :].partition("\n")[0]
+    separator = next((mark for mark in ";\t" if mark in first), ",")
+    reader = csv.DictReader(lines, delimiter=separator, skipinitialspace=True)
+    if reader.fieldnames is not None:
+        reader.fieldnames = [name.strip().lower() for name in reader.fieldnames]
     try:
         missing = [column for column in CSV_COLUMNS if column not in (reader.fieldnames or [])]
         if missing:
@@ -105,17 +115,19 @@ def _rows(text: str, source: str) -> Iterator[tuple[int, dict[str, str]]]:
                 f"the first line must be {','.join(CSV_COLUMNS)}"
             )
         for row in reader:
+            line = reader.line_num + bool(said)
             more = any(value.strip() for value in row.pop(None, ()))
             if more or None in row.values():
                 raise DataError(
-                    f"{source} line {reader.line_num}: expected {len(reader.fieldnames or ())} values, found "
+                    f"{source} line {line}: expected {len(reader.fieldnames or ())} values, found "
                     f"{'more' if more else 'fewer'}; numbers have a decimal point, not a comma"
                 )
-            if semicolons:
+            row = {column: value.strip() for column, value in row.items()}
+            if separator != ",":
                 row |= {column: row[column].replace(",", ".") for column in ("u_px", "v_px")}
-            yield reader.line_num, row
+            yield line, row
     except csv.Error as error:
-        raise DataError(f"{source} line {reader.line_num}: {error}; repair or delete the line") from error
+        raise DataError(f"{source} line {line}: {error}; repair or delete the line") from error
 
 
 def _plain(kind: Callable[[str], Number], text: str) -> Number:

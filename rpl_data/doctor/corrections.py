@@ -16,7 +16,7 @@ from jaxtyping import Float64
 
 from rpl_data.doctor.consistency import ComparedImages, Geometry, differences
 from rpl_data.doctor.findings import Finding, Kind, option
-from rpl_data.recordings.mend import Mend, mended_poses
+from rpl_data.recordings.mend import Mend, in_recipe, mended_poses
 from rpl_data.wording import counted
 
 MUCH_BETTER_SHARE = 0.7
@@ -36,9 +36,14 @@ this gain is enough for it."""
 FEWEST_PAIRS = 5
 
 LAGS = tuple(lag for lag in range(-5, 6) if lag)
-DEPTH_FACTORS = (0.1, 0.125, 0.2, 0.25, 0.5, 0.7, 0.8, 0.9, 1.1, 1.25, 1.4, 2.0, 4.0, 5.0, 8.0, 10.0)
+DEPTH_FACTORS = tuple(float(factor) for factor in np.geomspace(0.1, 10.0, 26) if abs(factor - 1) > 0.15)
+"""In steps of 20 %: depth that is farther off disagrees as much as depth can, and leads nowhere."""
+
 USUAL_FACTORS = (0.1, 0.2, 0.25, 0.4, 2.5, 4.0, 5.0, 10.0)
 """Between depth units in use: 1, 1/4, 1/5 and 1/10 mm."""
+
+UNIT_FACTORS = (*USUAL_FACTORS, 0.125, 0.5, 2.0, 8.0)
+"""Factors that a unit of depth explains: also 1/8 mm, SUN3D's turned bits and half millimetres."""
 
 NEAR_FACTOR = 1.04
 """A factor this close to a usual one is that: poses and intrinsics are seldom better."""
@@ -205,13 +210,20 @@ def _other_depth_unit(geometry: Geometry, factor: float) -> Correction:
     what = f"depths are {_times(factor)} what the poses say"
     mend = Mend(depth_factor=usual_factor(factor))
     fitting = replace(geometry, metres_factor=geometry.metres_factor * factor)
-    todo = f"{option(mend)}, or metres_per_unit {mend.depth_factor:g} times what it is"
-    return Correction("depth scale", what, todo, fitting, mend)
+    unit = f"{option(mend)}, or metres_per_unit {mend.depth_factor:g} times what it is"
+    if mend.depth_factor in UNIT_FACTORS:
+        return Correction("depth scale", what, unit, fitting, mend)
+    poses = in_recipe(Mend(pose_factor=float(f"{1 / factor:.3g}")))
+    todo = (
+        "find out which of the two is in metres, since no usual unit of depth explains it: where depth "
+        f"is, as with poses of COLMAP or a tool that knows no metres, `{poses}`; where the poses are, {unit}"
+    )
+    return Correction("depth scale", what, todo, fitting)
 
 
 def usual_factor(factor: float) -> float:
     """The factor between two depth units in use that is meant, else the measured one to three digits."""
-    nearest = min(USUAL_FACTORS, key=lambda usual: abs(np.log(factor / usual)))
+    nearest = min(UNIT_FACTORS, key=lambda usual: abs(np.log(factor / usual)))
     return nearest if abs(np.log(factor / nearest)) < np.log(NEAR_FACTOR) else float(f"{factor:.3g}")
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float32, Float64
@@ -88,7 +88,8 @@ def examine(recording: Recording, *, progress: Callable[[int, int], None] | None
             facts.append(said)
     if trajectory is not None and not timing.odd_times(scene):
         found = timing.pose_jumps(scene, trajectory) + found
-    findings += lag_findings(lag) + misregistered(scene, aligned) + found
+    misplaced = misregistered(scene, aligned)
+    findings += lag_findings(lag) + misplaced + _after_mending(misplaced, found)
     return Diagnosis(scene.name, tuple(facts), tuple(findings), tuple(unjudged))
 
 
@@ -152,6 +153,17 @@ def _geometry(scene: Scene, trajectory: Trajectory, sample: _Sample, lag: int) -
     fit = _agreement(compared, geometry)
     found = with_turned_bits(scene, sample.depths_m, faults(compared, geometry))
     return f"depth images agree to {fit:.1%} of the depth under the given poses", found
+
+
+def _after_mending(misplaced: list[Finding], found: list[Finding]) -> list[Finding]:
+    """Intrinsics are judged on depth as it is stored; of another field of view, it has others than colour."""
+    if not any(finding.mend is not None and finding.mend.depth_zoom != 1 for finding in misplaced):
+        return found
+    todo = "mend the registration first and check again: until then these are the depth camera's"
+    return [
+        replace(finding, sure=min(finding.sure, 0.5), todo=todo) if finding.kind == "intrinsics" else finding
+        for finding in found
+    ]
 
 
 def _why_unjudged(scene: Scene, trajectory: Trajectory | None, sample: _Sample) -> str:

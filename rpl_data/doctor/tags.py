@@ -20,10 +20,10 @@ def orientation_tags(scene: Scene, *, most: int = 300) -> list[Finding]:
     if not asking:
         return []
     listed = ", ".join(f"{tag} in {count}" for tag, count in asking.items())
-    mixed = " The tags differ: the camera was turned while it recorded." if len(tags) > 1 else ""
+    mixed = "; the tags differ: the camera was turned while it recorded" if len(tags) > 1 else ""
     what = (
         f"{sum(asking.values())} of {counted(len(chosen), 'colour image')} examined ask viewers to turn them "
-        f"(EXIF orientation {listed}), which depth images cannot.{mixed}"
+        f"(EXIF orientation {listed}), which depth images cannot{mixed}"
     )
     todo = (
         "nothing here: pixels are read as they are stored and exported without the tag. Other programs may "

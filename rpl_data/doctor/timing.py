@@ -19,6 +19,11 @@ FASTEST_M_S = 3.0
 """Speed of the camera that no hand reaches when filming an object."""
 
 
+STANDS_OUT = 4.0
+"""Only a step this many times the usual one is a jump: among key frames, or where times were assumed, all
+steps may be too fast for a hand."""
+
+
 def interval_s(scene: Scene) -> float:
     """Usual time between two frames; NaN for a single frame."""
     steps = np.diff(times_s(scene))
@@ -72,14 +77,12 @@ def dropped_frames(scene: Scene, left_out: Sequence[int] = ()) -> list[Finding]:
     return [Finding("dropped frames", what, 1.0, todo)]
 
 
-def pose_jumps(scene: Scene, trajectory: Trajectory, *, times_usual: float = 0.0) -> list[Finding]:
+def pose_jumps(scene: Scene, trajectory: Trajectory) -> list[Finding]:
     """Return a finding when the camera moves faster than a hand can.
 
     Args:
         scene: the scene with the timestamps.
         trajectory: its poses.
-        times_usual: count only steps that are at least this many times as long as the median step. In a
-            recording whose frames are all far apart, no step is.
     """
     time_of = {frame.index: frame.timestamp_s for frame in scene.frames}
     known = np.array([int(index) in time_of for index in trajectory.frames], dtype=bool)
@@ -89,7 +92,7 @@ def pose_jumps(scene: Scene, trajectory: Trajectory, *, times_usual: float = 0.0
     with np.errstate(divide="ignore", invalid="ignore"):
         speeds = steps_m / np.diff(stamps)
     usual_m = float(np.median(steps_m)) if len(steps_m) else 0.0
-    fast = np.flatnonzero((speeds > FASTEST_M_S) & (steps_m >= times_usual * usual_m))
+    fast = np.flatnonzero((speeds > FASTEST_M_S) & (steps_m >= STANDS_OUT * usual_m))
     if not len(fast):
         return []
     worst = fast[int(np.argmax(steps_m[fast]))]

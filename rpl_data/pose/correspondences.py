@@ -64,6 +64,8 @@ def correspondences(
 ) -> Correspondences:
     """Collect the keypoints that have both a model point and a position; NaN in either excludes one.
 
+    So does a covariance that is none, such as that of a heatmap that collapsed onto one pixel.
+
     Args:
         points_object: one row per keypoint, metres, object frame.
         keypoints_px: where each was seen in the image, with the lens's distortion.
@@ -73,6 +75,8 @@ def correspondences(
         depth_sigma_m: standard deviation of `depth_m`; must be given with it.
     """
     known = np.isfinite(points_object).all(axis=1) & np.isfinite(keypoints_px).all(axis=1)
+    if covariance_px is not None:
+        known[known] = _are_covariances(covariance_px[known])
     if covariance_px is None:
         whitening = np.tile(np.eye(2) / USUAL_SIGMA_PX, (int(known.sum()), 1, 1))
     else:
@@ -88,3 +92,11 @@ def correspondences(
         depth_m=(nothing if depth_m is None else depth_m)[known],
         depth_sigma_m=(nothing if depth_sigma_m is None else depth_sigma_m)[known],
     )
+
+
+def _are_covariances(matrices: Float64[np.ndarray, "n 2 2"]) -> Bool[np.ndarray, " n"]:
+    """Which of them are finite, with a positive variance along every direction."""
+    finite = np.isfinite(matrices).all(axis=(1, 2))
+    variances = np.linalg.eigvalsh(np.where(finite[:, None, None], matrices, np.eye(2)))
+    sound: Bool[np.ndarray, " n"] = finite & (variances[:, 0] > 1e-12 * variances[:, 1])
+    return sound

@@ -25,6 +25,7 @@ class Mend:
         wxyz_quaternions: the poses' quaternions are stored as w x y z.
         inverted_poses: the poses are camera_from_scene.
         opengl_cameras: the poses are those of cameras that look along -z with y up.
+        pose_factor: positions of the camera are multiplied by this, for poses of a tool that knows no metres.
         pose_lag: the pose of frame n is stored at frame n + pose_lag.
         depth_lag: the depth image of frame n is stored at frame n + depth_lag.
         depth_zoom: depth images are enlarged by this about their centre,
@@ -39,6 +40,7 @@ class Mend:
     wxyz_quaternions: bool = False
     inverted_poses: bool = False
     opengl_cameras: bool = False
+    pose_factor: float = 1.0
     pose_lag: int = 0
     depth_lag: int = 0
     depth_zoom: float = 1.0
@@ -50,7 +52,7 @@ class Mend:
 
     def __post_init__(self) -> None:
         """Refuse a factor that leaves nothing."""
-        for name in ("depth_zoom", "depth_factor"):
+        for name in ("depth_zoom", "depth_factor", "pose_factor"):
             if not 0 < getattr(self, name) < math.inf:
                 raise DataError(
                     f"mend.{name} is {getattr(self, name)}; expected a positive factor, 1 = unchanged"
@@ -107,6 +109,7 @@ def mended_poses(poses: Float64[np.ndarray, "n 4 4"], mend: Mend) -> Float64[np.
         result = invert(result)
     if mend.opengl_cameras:
         result = result @ OPENGL_AXES
+    result[:, :3, 3] *= mend.pose_factor
     return result
 
 

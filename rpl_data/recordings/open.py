@@ -63,8 +63,8 @@ SOUND = Mend()
 
 _LOOKS_LIKE: dict[str, Callable[[Path], bool]] = {
     "rpl": lambda folder: is_rpl_scene(folder) or any(map(is_rpl_scene, folder.glob("*"))),
-    "frames": has_frames,
-    "tum": is_sequence,
+    "frames": lambda folder: any(map(has_frames, (folder, *folder.glob("*")))),
+    "tum": lambda folder: any(map(is_sequence, (folder, *folder.glob("*")))),
     "bop": lambda folder: any(map(is_bop_scene, (folder, *folder.glob("*")))),
     "ycb_video": lambda folder: any(
         map(is_ycb_sequence, (folder, *folder.glob("*"), *folder.glob("data/*")))

@@ -65,6 +65,18 @@ def test_csv_of_a_table_program_with_decimal_commas() -> None:
     assert clicks_from_csv(text, source="c.csv", object_name="cube", keypoints=NAMES) == [B]
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "sep=;\nobject;keypoint;scene;frame;u_px;v_px\ncube;2;01;7;-0,5;479,250\n",
+        "object\tkeypoint\tscene\tframe\tu_px\tv_px\ncube\t2\t01\t7\t-0,5\t479,25\n",
+        "Object, Keypoint, Scene, Frame, u_px, v_px\ncube, 2, 01, 7, -0.5, 479.25\n",
+    ],
+)
+def test_csv_as_other_table_programs_write_it(text: str) -> None:
+    assert clicks_from_csv(text, source="c.csv", object_name="cube", keypoints=NAMES) == [B]
+
+
 def test_keypoints_called_by_numbers_are_matched_by_name_only() -> None:
     text = HEADER + "cube,3,00,1,1,1\n"
     (click,) = clicks_from_csv(text, source="c.csv", object_name="cube", keypoints=("3", "2", "1"))

@@ -14,13 +14,14 @@ from PIL import Image
 from rpl_data.doctor.consistency import ComparedImages, Geometry, choose_pairs
 from rpl_data.doctor.corrections import faults, usual_factor
 from rpl_data.doctor.depth_unit import by_the_numbers, with_turned_bits
+from rpl_data.doctor.examine import _after_mending
 from rpl_data.doctor.findings import Diagnosis, Finding
 from rpl_data.doctor.tags import orientation_tags
 from rpl_data.doctor.text import describe
-from rpl_data.doctor.timing import odd_times
+from rpl_data.doctor.timing import odd_times, pose_jumps
 from rpl_data.geometry import rays
 from rpl_data.recordings.mend import Mend
-from rpl_data.types import Frame, Intrinsics, Scene
+from rpl_data.types import Frame, Intrinsics, Scene, Trajectory
 
 POSES = np.array([pose(n) for n in range(0, 24, 2)])
 SCENE = Scene("00", CAMERA, 0.001, tuple(Frame(n, n / 30, Path(f"{n}.png"), None) for n in range(12)))
@@ -58,6 +59,13 @@ def test_a_wrong_focal_length_is_not_taken_for_rays(depths_mm: np.ndarray) -> No
 def test_the_unit_by_the_poses_has_its_remedy(depths_mm: np.ndarray, factor: float) -> None:
     (found,) = judged(depths_mm * factor)
     assert (found.kind, found.mend) == ("depth scale", Mend(depth_factor=1 / factor))
+
+
+def test_a_scale_that_no_unit_of_depth_explains_may_be_that_of_the_poses(depths_mm: np.ndarray) -> None:
+    """As of COLMAP's poses: 2.7 times the world, and between the steps of a coarse search."""
+    (found,) = faults(compared(depths_mm / 2.7), Geometry(CAMERA, POSES))
+    assert (found.kind, found.mend) == ("depth scale", None) and found.sure >= 0.9
+    assert "mend: {pose_factor: 0.36" in found.todo and "mend: {depth_factor: 2.7" in found.todo
 
 
 def turned(depths_mm: np.ndarray) -> np.ndarray:
@@ -121,7 +129,7 @@ def test_tags_that_would_turn_images_are_said(tmp_path: Path) -> None:
     (found,) = orientation_tags(scene(6, 6, 6))
     assert "3 of 3 colour images examined" in found.what and "differ" not in found.what
     (mixed,) = orientation_tags(scene(1, 6, 8))
-    assert "(EXIF orientation 6 in 1, 8 in 1)" in mixed.what and "The tags differ" in mixed.what
+    assert "(EXIF orientation 6 in 1, 8 in 1)" in mixed.what and "the tags differ" in mixed.what
 
 
 @pytest.mark.parametrize(("step_s", "odd"), [(1 / 30, False), (1.9, False), (33.3, True), (3.3e-5, True)])
@@ -143,3 +151,23 @@ def test_the_headline_says_what_is_wrong_and_what_was_not_judged() -> None:
         "scene a: 1 thing wrong",
         "scene a: 1 thing wrong; not judged: lag (no edges); unit (no poses)",
     ]
+
+
+def test_key_frames_far_apart_are_no_jumps_but_one_step_among_them_is() -> None:
+    """Nerfstudio's and Polycam's frames are chosen so, and the former have no times."""
+    moved = np.tile(np.eye(4), (12, 1, 1))
+    moved[:, 0, 3] = 0.15 * np.arange(12)
+    trajectory = Trajectory(np.arange(12), moved)
+    assert pose_jumps(SCENE, trajectory) == []
+    moved[7:, 1, 3] = 0.9
+    (found,) = pose_jumps(SCENE, Trajectory(np.arange(12), moved))
+    assert found.what == "the camera jumps 1 time, by 0.91 m at most, after frame 6"
+
+
+def test_intrinsics_are_no_certain_fault_while_depth_has_another_field_of_view() -> None:
+    zoomed = Finding("registration", "", 1.0, "", Mend(depth_zoom=1.25))
+    others = [Finding("intrinsics", "", 1.0, "ask"), Finding("depth scale", "", 1.0, "")]
+    unsure, kept = _after_mending([zoomed], others)
+    assert unsure.sure == 0.5 and unsure.todo.startswith("mend the registration first") and kept == others[1]
+    moved = replace(zoomed, mend=Mend(depth_shift_px=(9.0, 0.0)))
+    assert _after_mending([moved], others) == _after_mending([], others) == others

@@ -262,6 +262,14 @@ def test_a_crowd_is_no_instance(data, tmp_path):
     assert labels_from_coco(back)[0].instances[0].object == "box"
 
 
+@pytest.mark.parametrize("written", [0, False, 0.0, "0", "false"])
+def test_no_crowd_is_no_crowd_however_it_is_written(data, tmp_path, written):
+    back = edited(data, tmp_path, lambda content: content["annotations"][0].update(iscrowd=written))
+    assert back["annotations"] == data["annotations"] and "crowds" not in back
+    with pytest.raises(DataError, match="iscrowd is 'maybe'; expected 0 or 1"):
+        edited(data, tmp_path, lambda content: content["annotations"][0].update(iscrowd="maybe"))
+
+
 @pytest.mark.parametrize(
     "segmentation",
     [

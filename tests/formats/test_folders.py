@@ -283,3 +283,98 @@ def test_colours_are_read_where_they_lie(tmp_path: Path) -> None:
     make_folders(tmp_path)
     frame = read(tmp_path).scene.frames[2]
     np.testing.assert_array_equal(read_color(frame), color_image(2))
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        (lambda row: str(1581120424100262102 + row * 10**8), "the times of rgb are nanoseconds"),
+        (lambda row: f"{0.8 + row * 0.1:.6f}", "the names in rgb/ are times in seconds"),
+        (lambda row: f"{1700000000.8 + row * 0.1:.1f}", "the names in rgb/ are times in seconds"),
+    ],
+)
+def test_names_that_are_times_are_times(tmp_path: Path, name: Callable[[int], str], said: str) -> None:
+    """FoundationPose's own videos are named by nanoseconds; TUM's by seconds, whose fraction starts anew."""
+    for row in range(6):
+        write_color(tmp_path / f"rgb/{name(row)}.png", row)
+        write_depth(tmp_path / f"depth/{name(row)}.png", row)
+    np.savetxt(tmp_path / "cam_K.txt", K)
+    found = read(tmp_path)
+    assert any(said in note for note in found.notes)
+    assert [frame.index for frame in found.scene.frames] == list(range(6))
+    assert [frame.color.stem for frame in found.scene.frames] == [name(row) for row in range(6)]
+    np.testing.assert_allclose(np.diff([frame.timestamp_s for frame in found.scene.frames]), 0.1, atol=1e-5)
+
+
+def test_long_numbers_with_zeros_before_them_are_no_times(tmp_path: Path) -> None:
+    make_folders(tmp_path, "rgb/{:010d}.png", "depth/{:010d}.png")
+    assert [frame.index for frame in read(tmp_path).scene.frames] == list(range(6))
+
+
+@pytest.mark.parametrize(
+    ("file", "text"),
+    [
+        ("intrinsics.txt", "400 400 31.5 23.5"),
+        ("camera.txt", "400 400 31.5 23.5"),
+        ("../camera.txt", "400 400 31.5 23.5"),
+    ],
+)
+def test_two_files_that_tell_of_different_cameras_are_refused(tmp_path: Path, file: str, text: str) -> None:
+    make_folders(tmp_path / "a")
+    (tmp_path / "a" / file).write_text(text)
+    with pytest.raises(DataError, match="says fx fy cx cy = 50 51 31.5 23.5, but .* says 400 400"):
+        read(tmp_path / "a")
+    assert read(tmp_path / "a", camera=LENS).scene.intrinsics.fx == 50
+
+
+def test_the_depth_unit_of_camera_txt_holds_beside_another_file_with_k(tmp_path: Path) -> None:
+    make_folders(tmp_path)
+    (tmp_path / "camera.txt").write_text("50 51 31.5 23.5\nmetres_per_unit 0.0005\n")
+    scene = read(tmp_path).scene
+    assert read_depth_m(scene, scene.frames[3])[0, 0] == pytest.approx(0.3515)
+
+
+OPENCV_YAML = """camera_matrix: !!opencv-matrix
+  rows: 3
+  cols: 3
+  dt: d
+  data: [50, 0, 31.5, 0, 51, 23.5, 0, 0, 1]
+"""
+
+
+@pytest.mark.parametrize(
+    ("file", "text", "distortion"),
+    [
+        ("intrinsics.txt", "50 51 31.5 23.5 0.1 0.05 0.001 0.002 0.02", (0.1, 0.05, 0.001, 0.002, 0.02)),
+        ("intrinsics.txt", "50 51 31.5 23.5 0 0 0 0", ()),
+        ("calib.txt", "fx: 50\ncx: 31.5\nfy: 51\ncy: 23.5\n", ()),
+        ("K.txt", "K1 = [50, 0, 31.5; 0, 51, 23.5; 0, 0, 1]", ()),
+        ("camera_info.yaml", OPENCV_YAML, ()),
+        ("camera.yaml", "%YAML:1.0\n---\n" + OPENCV_YAML, ()),
+    ],
+)
+def test_a_camera_as_its_file_words_it(
+    tmp_path: Path, file: str, text: str, distortion: tuple[float, ...]
+) -> None:
+    make_folders(tmp_path)
+    (tmp_path / "cam_K.txt").unlink()
+    (tmp_path / file).write_text(text)
+    camera = read(tmp_path).scene.intrinsics
+    assert (camera.fx, camera.fy, camera.cx, camera.cy, camera.distortion) == (*LENS, distortion)
+
+
+@pytest.mark.parametrize("text", ["50 0 31.5 0 51 23.5 0 1 0", "50 51 31.5 23.5 300 1 1 1", "a: [b"])
+def test_numbers_that_are_neither_camera_nor_matrix_are_refused(tmp_path: Path, text: str) -> None:
+    make_folders(tmp_path)
+    (tmp_path / "cam_K.txt").unlink()
+    (tmp_path / ("K.txt" if text[0] == "5" else "camera.yaml")).write_text(text)
+    with pytest.raises(DataError, match="expected fx fy cx cy|is not valid YAML"):
+        read(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("color", "depth"), [("RGB", "Depth"), ("color_images", "depth_images"), ("imgs", "depth_maps")]
+)
+def test_folders_of_other_names(tmp_path: Path, color: str, depth: str) -> None:
+    make_folders(tmp_path / "a", f"{color}/{{}}.png", f"{depth}/{{}}.png")
+    assert len(read(tmp_path / "a").scene.frames) == 6

@@ -243,6 +243,16 @@ def test_depth_that_claims_a_size_it_has_not_is_refused(tmp_path: Path) -> None:
 # Polycam, 3D Scanner App, nerfstudio ---------------------------------------------------------------
 
 
+@pytest.mark.parametrize("name", ["polycam", "stray"])
+def test_an_empty_folder_of_confidence_marks_nothing(name: str, tmp_path: Path) -> None:
+    WRITERS[name](tmp_path / "a", film())
+    whole = len(read(tmp_path / "a", name).scene.frames)
+    for image in (tmp_path / "a").glob("**/confidence/*"):
+        image.unlink()
+    found = read(tmp_path / "a", name)
+    assert len(found.scene.frames) == whole and not any("low confidence" in note for note in found.notes)
+
+
 def test_polycam_prefers_what_it_corrected(tmp_path: Path) -> None:
     write_polycam(tmp_path / "a", replace(film(), lens=(40.0, 40.0, 31.5, 23.5)), prefix="")
     found = read(tmp_path / "a", "polycam")

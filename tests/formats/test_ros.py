@@ -292,6 +292,18 @@ def test_compressed_topics_and_float_depth_through_a_bag(tmp_path: Path) -> None
     assert recording.scene.metres_per_unit == 0.00025
 
 
+def test_decimal_depth_in_millimetres_is_known_by_its_size(tmp_path: Path) -> None:
+    with bag(tmp_path / "a.bag") as writing:
+        for number in range(3):
+            writing.image(f"{COLOR}/image_raw", stamp(number), color_image(number), "rgb8")
+            writing.info(f"{COLOR}/camera_info", stamp(number))
+            depth_mm = depth_image(number).astype(np.float32)
+            writing.image(f"{ALIGNED}/image_raw", stamp(number), depth_mm, "32FC1")
+    recording = read(tmp_path / "a.bag")
+    check_frames(recording, range(3))
+    assert "depth in decimal numbers: 0.001 m per unit" in recording.notes
+
+
 def test_headers_without_stamps(tmp_path: Path) -> None:
     with bag(tmp_path / "a.db3") as writing:
         for number in range(3):

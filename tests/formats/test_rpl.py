@@ -214,6 +214,12 @@ def test_an_impossible_depth_unit_is_refused(tmp_path: Path, raw: int, likely: s
         read_rpl(root, metres_per_unit=0.0)
 
 
+def test_no_unit_is_advised_that_is_set_already(tmp_path: Path) -> None:
+    """Centimetres, which no camera stores."""
+    with pytest.raises(DataError, match="Set metres_per_unit, though no usual unit puts it there"):
+        read_rpl(make_tree(tmp_path, depth=70), metres_per_unit=0.001)
+
+
 def _multiply_depth(root: Path, factor: int) -> None:
     for path in root.glob("*/depth/*.png"):
         slope = np.arange(64, dtype=np.uint16) - 32

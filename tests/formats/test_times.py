@@ -27,6 +27,8 @@ def test_the_unit_follows_from_the_usual_step(name: str, step_s: float) -> None:
 def test_whole_numbers_one_apart_count_frames() -> None:
     clock = clock_of([float(n) for n in range(5, 12)], SOURCE)
     assert (clock.unit_s, clock.note) == (1 / 30, "frames are counted, not timed: 30 per second assumed")
+    for every in (2, 4, 10):  # of which some were left out; in seconds or milliseconds they fit as well
+        assert clock_of([float(every * n) for n in range(9)], SOURCE) == clock
 
 
 def test_what_fits_no_unit_is_left_as_seconds() -> None:

@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 from recordings import LENS, cut, poses, write_color, write_depth
 
+from rpl_data.formats.recordings.pose_lines import interpolated
 from rpl_data.formats.recordings.tum import read_tum, write_tum
 from rpl_data.geometry import from_rotvec, project, rotation_angle_rad, transform
 from rpl_data.images import read_depth_m
+from rpl_data.recordings.open import likely_formats
 from rpl_data.types import DataError
 
 TIMES = [100 + i / 30 for i in range(5)]
@@ -222,3 +224,23 @@ def test_lost_rows_of_the_poses_are_counted(folder: Path) -> None:
     (folder / "groundtruth.txt").write_text("\n".join(lines) + "\n")
     (recording,) = read_tum(folder)
     assert "1 line of groundtruth.txt left out: not finite, or a quaternion of zeros" in recording.skipped
+
+
+def test_a_folder_of_sequences_is_known_for_what_it_holds(tmp_path: Path) -> None:
+    """Its parts look like plain folders too, which have neither times nor poses."""
+    for name in ("a", "b"):
+        (tmp_path / name / "rgb").mkdir(parents=True)
+        (tmp_path / name / "depth").mkdir()
+        for file in ("rgb", "depth"):
+            (tmp_path / name / f"{file}.txt").write_text(f"0.1 {file}/1.png\n")
+            (tmp_path / name / file / "1.png").write_bytes(b"x")
+    assert likely_formats(tmp_path) == likely_formats(tmp_path / "a") == ["tum"]
+
+
+def test_poses_far_apart_hold_at_their_own_times() -> None:
+    """A slow recording with a pose per frame, whose times were rounded to milliseconds."""
+    times_s, moved = np.arange(4) / 3, np.tile(np.eye(4), (4, 1, 1))
+    moved[:, 0, 3] = range(4)
+    wanted_s = np.array([*np.round(times_s, 3), 0.5, 1.002])
+    found = interpolated(times_s, moved, wanted_s, max_gap_s=0.1)
+    assert [None if pose is None else round(pose[0, 3], 2) for pose in found] == [0, 1, 2, 3, None, None]

@@ -276,3 +276,15 @@ def test_errors_do_not_depend_on_the_camera():
     assert here.position_m == pytest.approx(there.position_m)
     assert here.orientation_rad == pytest.approx(there.orientation_rad)
     assert (here.add_m, here.adds_m) == pytest.approx((there.add_m, there.adds_m))
+
+
+@pytest.mark.parametrize("none", [np.zeros((2, 2)), -np.eye(2), np.ones((2, 2)), np.full((2, 2), np.nan)])
+def test_a_covariance_that_is_none_excludes_its_keypoint(none):
+    """As of a heatmap that collapsed onto one pixel."""
+    _, points, pose = some_pose(4)
+    covariances = np.tile(np.eye(2), (8, 1, 1))
+    covariances[2] = none
+    found = estimate_pose(correspondences(points, seen(pose, points), CAMERA, covariance_px=covariances))
+    assert found.keypoints.tolist() == [0, 1, 3, 4, 5, 6, 7]
+    lost = correspondences(points, seen(pose, points), CAMERA, covariance_px=np.tile(none, (8, 1, 1)))
+    assert [estimate_pose(lost, method=method).reason for method in METHODS] == ["too few keypoints"] * 4

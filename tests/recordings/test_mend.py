@@ -159,6 +159,15 @@ def test_depth_along_the_ray_becomes_depth_along_the_axis(tmp_path: Path) -> Non
     assert (found[10, 10], found[10, 60]) == pytest.approx((1.0, 1.0), abs=1e-3)
 
 
+def test_a_factor_of_poses_moves_the_camera_and_does_not_turn_it() -> None:
+    poses = np.array([from_rotvec(np.array([0.1 * n, 0.2, 0.3]), np.array([n, 1.0, 2.0])) for n in range(3)])
+    found = mended_poses(poses, Mend(inverted_poses=True, pose_factor=2.5))
+    np.testing.assert_allclose(found[:, :3, :3], invert(poses)[:, :3, :3], atol=1e-12)
+    np.testing.assert_allclose(found[:, :3, 3], 2.5 * invert(poses)[:, :3, 3], atol=1e-12)
+    with pytest.raises(DataError, match="mend.pose_factor is -1"):
+        Mend(pose_factor=-1.0)
+
+
 def test_a_factor_of_depth_is_one_of_its_unit(tmp_path: Path) -> None:
     found = depth_of(tmp_path, np.full((41, 61), 3000, np.uint16), Mend(depth_factor=0.2))
     np.testing.assert_allclose(found, 0.6, atol=1e-6)

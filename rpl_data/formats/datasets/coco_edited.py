@@ -36,6 +36,9 @@ def as_exported(data: Any, *, source: str) -> Json:
         if not all(isinstance(data.get(key), list) for key in ("images", "annotations", "categories")):
             return data
         _number_ids(data)
+        for annotation in data["annotations"]:
+            if "iscrowd" in annotation:
+                annotation["iscrowd"] = _crowd(annotation["iscrowd"])
         sizes = {image["id"]: (_side(image["height"]), _side(image["width"])) for image in data["images"]}
         crowds = [each for each in data["annotations"] if each.get("iscrowd")]
         for annotation in data["annotations"]:
@@ -68,6 +71,16 @@ def _whole_id(value: Any) -> int:
     if isinstance(value, str) and value.isascii() and value.isdecimal() and len(value) < 19:
         return int(value)
     return whole(int(value) if isinstance(value, float) and value.is_integer() else value)
+
+
+def _crowd(value: Any) -> int:
+    """0 or 1 of what programs write for them; ValueError for anything else."""
+    if value in (0, 1):  # also False, True, 0.0 and 1.0
+        return int(value)
+    text = str(value).strip().lower()
+    if not isinstance(value, str) or text not in ("0", "1", "false", "true"):
+        raise ValueError(f"iscrowd is {value!r:.40}; expected 0 or 1")
+    return int(text in ("1", "true"))
 
 
 def _side(value: Any) -> int:

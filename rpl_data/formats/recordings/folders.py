@@ -13,35 +13,38 @@ data"), ScanNet's exporter (`color`, `depth` of another size, `pose` with -inf w
 `intrinsic.json` by columns (examples/python/reconstruction_system/sensors), Replica as NICE-SLAM has it
 (`cam_params.json`, `traj.txt`), and HO3D, whose depth is packed into two channels of an 8-bit image.
 
-Images are matched by their names, or by the numbers in them, and sorted as numbers. There are no times: 30
-frames per second are assumed. Depth of another size is taken to come through the lens of the colour image,
-unless `intrinsic_depth.txt` says otherwise.
+Images are matched by their names, or by the numbers in them, and sorted as numbers. Names may be times; else
+30 frames per second are assumed. Depth of another size is taken to come through the lens of the colour image,
+unless `intrinsic_depth.txt` says otherwise. Files that tell of the same camera must agree.
 """
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from rpl_data.files import read_text
-from rpl_data.formats.recordings.camera_file import CameraFile, Told, told_of
+from rpl_data.formats.recordings.camera_file import CameraFile, Told, refuse_other_camera, told_of
 from rpl_data.formats.recordings.color_lens import COLOR_LENS
 from rpl_data.formats.recordings.depth_files import (
     PACKED_UNIT_M,
     STORED_UNIT_M,
-    SUFFIXES,
     is_packed,
     read_depth_file,
     stored_units,
     unit_of_decimals,
+)
+from rpl_data.formats.recordings.folder_images import (
+    COLOR_SUFFIXES,
+    images_by_key,
+    numbers_of,
+    paired_images,
 )
 from rpl_data.formats.recordings.frame_files import (
     Camera,
     Listing,
     Pair,
     examine,
-    grouped,
     with_poses,
     without_poses,
 )
@@ -58,17 +61,17 @@ from rpl_data.formats.recordings.scene_folders import chosen, scene_folders
 from rpl_data.geometry import Transform
 from rpl_data.types import DataError, Recording
 
-RATE_HZ = 30.0
-"""Assumed frame rate: the layout has no times."""
-
-COLOR_FOLDERS = ("rgb", "color", "colour", "images", "image")
-DEPTH_FOLDERS = ("depth", "depths", "depth_images")
-COLOR_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp")
+COLOR_FOLDERS = (
+    "rgb", "color", "colour", "images", "image", "imgs", "img", "color_images", "rgb_images", "color_image",
+)  # fmt: skip
+DEPTH_FOLDERS = ("depth", "depths", "depth_images", "depth_maps", "depth_image", "depth_png", "depth_raw")
 CAMERA_FILES = (
     "cam_K.txt", "K.txt", "intrinsics.txt", "intrinsic.txt", "intrinsic/intrinsic_color.txt",
     "intrinsic_color.txt", "camera_intrinsics.txt", "camera-intrinsics.txt",
     "camera_intrinsics.json", "camera_intrinsic.json", "intrinsic.json", "intrinsics.json",
-    "camera.json", "cam_params.json", "camera_matrix.csv",
+    "camera.json", "cam_params.json", "camera_matrix.csv", "K.json", "cam_K.json", "calib.txt",
+    "calibration.txt", "calibration.json", "camera_info.yaml", "intrinsics.yaml", "camera.yaml", "K.npy",
+    "cam_K.npy", "intrinsics.npy",
 )  # fmt: skip
 DEPTH_CAMERA_FILES = ("intrinsic/intrinsic_depth.txt", "intrinsic_depth.txt")
 POSE_FOLDERS = ("pose", "poses", "cam_pose")
@@ -117,7 +120,11 @@ def is_folder_scene(folder: Path) -> bool:
 
 
 def _first(folder: Path, names: Sequence[str]) -> Path | None:
-    return next((folder / name for name in names if (folder / name).exists()), None)
+    """The first of these that the folder has, in capitals or not."""
+    if not folder.is_dir():
+        return None
+    found = {path.name.lower(): path for path in folder.iterdir()}
+    return next((found[name] for name in names if name in found), None)
 
 
 def _read_scene(
@@ -125,7 +132,8 @@ def _read_scene(
 ) -> Recording:
     color_folder, depth_folder = _first(folder, COLOR_FOLDERS), _first(folder, DEPTH_FOLDERS)
     assert color_folder is not None and depth_folder is not None  # is_folder_scene
-    pairs, skipped = _pairs(color_folder, depth_folder)
+    found = paired_images(color_folder, depth_folder)
+    pairs = found.pairs
     told = _told_of(folder, pairs, camera, unit_m)
     usual_m = told.metres_per_unit
     pairs, found_m, notes = _as_png(pairs, usual_m, lambda: unpack(name))
@@ -139,8 +147,8 @@ def _read_scene(
         found_m or usual_m or 0.001,
         assumed_unit=found_m is None and usual_m is None,
         depth_camera=_depth_camera(folder),
-        notes=(f"no times: {RATE_HZ:g} frames per second assumed", *notes),
-        skipped=skipped,
+        notes=(found.clock, *notes),
+        skipped=found.alone,
     )
     recording = examine(listing)
     poses = _poses(folder, color_folder, pairs)
@@ -151,47 +159,6 @@ def _read_scene(
 
 
 # Images -------------------------------------------------------------------------------------------
-
-
-def _pairs(color_folder: Path, depth_folder: Path) -> tuple[list[Pair], tuple[str, ...]]:
-    """Pair images of the same name, or of the same number; also say which have no partner."""
-    colors, depths = _by_key(color_folder, COLOR_SUFFIXES), _by_key(depth_folder, SUFFIXES)
-    both = sorted(colors.keys() & depths.keys())
-    if not both:
-        raise DataError(
-            f"no image of {color_folder} ({len(colors)}) has the name or the number of one of {depth_folder} "
-            f"({len(depths)}); name the two images of a frame alike"
-        )
-    numbers = [key[-1] for key in both if key]
-    own = len(set(numbers)) == len(both)  # else several runs of numbers share the folder
-    pairs = [
-        Pair(key[-1] if own else row, (key[-1] if own else row) / RATE_HZ, colors[key], depths[key])
-        for row, key in enumerate(both)
-    ]
-    lines: list[str] = []
-    for kind, alone in (("colour", colors.keys() - both), ("depth", depths.keys() - both)):
-        other = "depth" if kind == "colour" else "colour"
-        numbers = [key[-1] if key else 0 for key in sorted(alone)]
-        lines += grouped(numbers, f"with a {kind} image, but no {other} image of that name")
-    return pairs, tuple(lines)
-
-
-def _by_key(folder: Path, suffixes: Sequence[str]) -> dict[tuple[int, ...], Path]:
-    """Images of a folder by the numbers in their names: 000012.png, frame-12.color.jpg and 12.npy match."""
-    found: dict[tuple[int, ...], Path] = {}
-    for path in sorted(folder.iterdir()):
-        if path.suffix.lower() in suffixes and not path.name.startswith("."):
-            key = _key(path)
-            if key in found and found[key].stem == path.stem:
-                continue  # the same image in a second format
-            if key in found:
-                raise DataError(f"{found[key]} and {path} have the same numbers; take one of them out")
-            found[key] = path
-    return found
-
-
-def _key(path: Path) -> tuple[int, ...]:
-    return tuple(int(digits) for digits in re.findall(r"\d{1,18}", path.stem))
 
 
 def _as_png(
@@ -229,15 +196,20 @@ def _as_png(
 
 
 def _told_of(folder: Path, pairs: Sequence[Pair], camera: Camera | None, unit_m: float | None) -> Told:
-    """Camera and depth unit, by the first of `CAMERA_FILES` and by camera.txt; DataError without a camera."""
-    files = [place / name for place in (folder, folder.parent) for name in CAMERA_FILES]
-    found = next((path for path in files if path.is_file()), None)
+    """Camera and depth unit by `CAMERA_FILES`, which must agree, and camera.txt; DataError without any."""
+    places = ([place / name for name in CAMERA_FILES] for place in (folder, folder.parent))
+    files = next((some for place in places if (some := [path for path in place if path.is_file()])), [])
     own = None
-    if found is not None and camera is None:
-        said = read_matrix_camera(found)
-        _refuse_other_size(pairs, said, found)
+    if files and camera is None:
+        said = read_matrix_camera(files[0])
+        _refuse_other_size(pairs, said, files[0])
         own = CameraFile(said.camera, said.metres_per_unit)
-    told = told_of(folder, camera=camera, metres_per_unit=unit_m, own=own, own_source=found)
+        for path in files[1:]:
+            other = read_matrix_camera(path)
+            if other.size is None or said.size is None or other.size == said.size:
+                refuse_other_camera(said.camera, files[0], other.camera, path)
+    source = files[0] if files else None
+    told = told_of(folder, camera=camera, metres_per_unit=unit_m, own=own, own_source=source)
     if told.camera is None:
         raise DataError(
             f"{folder} has no file with its camera; write fx fy cx cy, or the matrix K, into cam_K.txt, or "
@@ -268,16 +240,16 @@ def _poses(folder: Path, color_folder: Path, pairs: Sequence[Pair]) -> Mapping[i
     """Poses by `Frame.index`; None for a lost one, empty where the scene has none."""
     place = _first(folder, POSE_FOLDERS)
     if place is not None and place.is_dir():
-        files = _by_key(place, (".txt", ".npy"))
-        own = {pair.index: files.get(_key(pair.color)) for pair in pairs}
+        files = images_by_key(place, (".txt", ".npy"))
+        own = {pair.index: files.get(numbers_of(pair.color)) for pair in pairs}
         return {index: read_matrix_pose(path) for index, path in own.items() if path is not None}
     file = _first(folder, POSE_FILES)
     if file is None:
         return {}
     rows = _pose_rows(file)
-    order = sorted(_by_key(color_folder, COLOR_SUFFIXES))
+    order = sorted(images_by_key(color_folder, COLOR_SUFFIXES))
     numbered = len(rows) != len(order) and max(pair.index for pair in pairs) < len(rows)
-    row_of = {pair.index: pair.index if numbered else order.index(_key(pair.color)) for pair in pairs}
+    row_of = {pair.index: pair.index if numbered else order.index(numbers_of(pair.color)) for pair in pairs}
     return {index: rows[row] for index, row in row_of.items() if row < len(rows)}
 
 

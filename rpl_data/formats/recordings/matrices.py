@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 from jaxtyping import Float64
 
 from rpl_data.files import decoding, read_json, read_text
@@ -18,8 +19,12 @@ from rpl_data.formats.recordings.frame_files import Camera
 from rpl_data.geometry import Transform, is_rotation
 from rpl_data.types import DataError
 
-_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|[-+]?(?:nan|inf)\b", re.IGNORECASE)
+_NUMBER = re.compile(
+    r"(?<![A-Za-z_\d.])[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|[-+]?(?:nan|inf)\b", re.IGNORECASE
+)
+_NAMED = re.compile(r"\b(fx|fy|cx|cy)\b[\s\"':=]{1,4}([-+\d.eE]+)", re.IGNORECASE)
 _MATRIX_KEYS = ("intrinsic_matrix", "K", "cam_K", "camera_matrix", "intrinsics", "intrinsic", "matrix")
+_LENS_KEYS = ("distortion", "dist", "dist_coeffs", "coeffs", "distortion_coefficients")
 _SCALE_KEYS = ("depth_scale", "scale")
 
 
@@ -49,8 +54,42 @@ def read_matrix_camera(path: Path) -> CameraSaid:
     if path.suffix == ".json":
         with decoding(path, "correct it, or give `camera: [fx, fy, cx, cy]`"):
             return _from_json(path, read_json(path))
-    values = numbers_in(read_text(path, errors="replace"))
+    if path.suffix == ".npy":
+        return CameraSaid(camera_of(read_npy(path).ravel().tolist(), path))
+    text = read_text(path, errors="replace")
+    if path.suffix in (".yaml", ".yml"):
+        with decoding(path, "correct it, or give `camera: [fx, fy, cx, cy]`"):
+            return _from_json(path, _yaml(path, text))
+    named = {name.lower(): float(value) for name, value in _NAMED.findall(text)}
+    if named.keys() == {"fx", "fy", "cx", "cy"}:
+        return CameraSaid(camera_of([named[name] for name in ("fx", "fy", "cx", "cy")], path))
+    values = numbers_in(text)
+    if len(values) in (8, 9, 12) and _matrix_of(values) is None:
+        return CameraSaid((*camera_of(values[:4], path), *_lens(values[4:], path)))
     return CameraSaid(camera_of(values, path))
+
+
+def _yaml(path: Path, text: str) -> Any:
+    """Content of a YAML file; OpenCV's have a first line and tags of their own."""
+    plain = re.sub(r"\A%YAML[^\n]*\n|!!opencv-matrix", "", text)
+    try:
+        return yaml.safe_load(plain)
+    except yaml.YAMLError as error:
+        raise DataError(f"{path} is not valid YAML: {' '.join(str(error).split())}; correct it") from error
+
+
+def _lens(values: list[float], path: Path) -> tuple[float, ...]:
+    """Distortion behind fx fy cx cy; DataError for numbers that are no lens's, as of a damaged matrix."""
+    if not max(map(abs, values)) < MOST_DISTORTION:
+        raise DataError(
+            f"{path}: expected fx fy cx cy and a lens's distortion, or a matrix K with a last row 0 0 1; "
+            f"found {len(values) + 4} numbers that are neither; give `camera: [fx, fy, cx, cy]`"
+        )
+    return tuple(values) if any(values) else ()
+
+
+MOST_DISTORTION = 100.0
+"""No coefficient of a lens is larger, but most numbers of a matrix in pixels are."""
 
 
 def numbers_in(text: str) -> list[float]:
@@ -62,15 +101,8 @@ def numbers_in(text: str) -> list[float]:
 def camera_of(values: Sequence[float], source: Path) -> tuple[float, float, float, float]:
     """fx, fy, cx, cy of 4 numbers, or of the 9, 12 or 16 of a matrix; DataError for anything else."""
     matrix = np.array(values, dtype=float)
-    if matrix.shape == (4,):
-        found = matrix
-    elif len(matrix) in (9, 12, 16):
-        side = 3 if len(matrix) == 9 else 4
-        rows = matrix.reshape(-1, side)
-        rows = rows.T if not rows[:2, 2].any() and rows[2, :2].any() else rows
-        found = rows[[0, 1, 0, 1], [0, 1, 2, 2]]
-    else:
-        found = np.zeros(4)
+    rows = _matrix_of(values)
+    found = matrix if len(matrix) == 4 else np.zeros(4) if rows is None else rows[[0, 1, 0, 1], [0, 1, 2, 2]]
     if not np.isfinite(found).all() or not (found > 0).all():
         raise DataError(
             f"{source}: expected fx fy cx cy or a matrix K in pixels, found {len(matrix)} numbers; "
@@ -80,8 +112,19 @@ def camera_of(values: Sequence[float], source: Path) -> tuple[float, float, floa
     return fx, fy, cx, cy
 
 
+def _matrix_of(values: Sequence[float]) -> Float64[np.ndarray, "rows columns"] | None:
+    """A matrix K of 9, 12 or 16 numbers, by rows or columns; None where they are none."""
+    if len(values) not in (9, 12, 16):
+        return None
+    rows = np.array(values, dtype=float).reshape(-1, 3 if len(values) == 9 else 4)
+    rows = rows.T if not rows[:2, 2].any() and rows[2, :2].any() else rows
+    last = rows[2, :3] if rows.shape[0] > 2 else np.zeros(3)
+    is_k = last[2] > 0 and max(map(abs, (*last[:2], rows[1, 0]))) < 1e-6
+    return rows if is_k else None
+
+
 def _from_json(path: Path, data: Any) -> CameraSaid:
-    found = _camera_dict(data)
+    found = _camera_dict(_without_boxes(data))
     if found is None:
         raise DataError(
             f"{path} names neither fx, fy, cx, cy nor a matrix (K, intrinsic_matrix); "
@@ -92,12 +135,21 @@ def _from_json(path: Path, data: Any) -> CameraSaid:
     if any(map(math.isnan, named)):
         named = _flat(next((found[key] for key in _MATRIX_KEYS if key in found), []))
     camera = camera_of(named, path)
-    width, height = (keys.get(name, keys.get(name[0])) for name in ("width", "height"))
+    width, height = (
+        keys.get(name, keys.get(name[0], keys.get(f"image_{name}"))) for name in ("width", "height")
+    )
     size = (int(width), int(height)) if width and height else None
     return CameraSaid((*camera, *_distortion(keys)), size, _unit(keys))
 
 
 _SYNONYMS = (("fx", "fl_x"), ("fy", "fl_y"), ("cx", "ppx"), ("cy", "ppy"))
+
+
+def _without_boxes(data: Any) -> Any:
+    """ROS and OpenCV write a matrix as an object of `rows`, `cols` and `data`: the data alone."""
+    if isinstance(data, dict) and isinstance(data.get("data"), list):
+        return data["data"]
+    return {key: _without_boxes(value) for key, value in data.items()} if isinstance(data, dict) else data
 
 
 def _camera_dict(data: Any, depth: int = 0) -> Mapping[str, Any] | None:
@@ -122,7 +174,7 @@ def _flat(value: Any) -> list[float]:
 
 def _distortion(keys: Mapping[str, Any]) -> tuple[float, ...]:
     """OpenCV's coefficients where the file names any but 0; ValueError for those of another lens."""
-    listed = next((keys[key] for key in ("distortion", "dist", "dist_coeffs", "coeffs") if key in keys), None)
+    listed = next((keys[key] for key in _LENS_KEYS if key in keys), None)
     if listed is None and "k1" in keys:
         listed = [keys.get(key, 0.0) for key in ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")]
     values = tuple(_flat(listed)) if isinstance(listed, list) else ()

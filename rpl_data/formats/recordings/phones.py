@@ -197,6 +197,11 @@ def read_confidence(path: Path | None) -> Bool[np.ndarray, "height width"] | Non
     return found
 
 
+def has_confidence(folder: Path) -> bool:
+    """Whether there are confidence images; a folder for them may be empty where they were not exported."""
+    return (folder / "confidence").is_dir() and any((folder / "confidence").iterdir())
+
+
 def arkit_pose(values: Sequence[float]) -> Transform | None:
     """scene_from_camera in OpenCV's axes of 12 or 16 numbers of ARKit's; None where they are none.
 

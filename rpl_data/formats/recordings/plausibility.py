@@ -54,7 +54,9 @@ def principal_point_notes(source: Path, intrinsics: Intrinsics) -> list[str]:
         f"{intrinsics.width} x {intrinsics.height} px: is it for another resolution?"
     )
     if off > 0.2:
-        raise DataError(f"{what} Write fx fy cx cy for these images into it")
+        raise DataError(
+            f"{what} Write fx fy cx cy for these images into it, or give `camera: [fx, fy, cx, cy]`"
+        )
     return [what] if off > 0.1 else []
 
 
@@ -76,9 +78,12 @@ def median_depth_m(scene: Scene, *, frames: int = 5) -> float:
     median_m = median_units * scene.metres_per_unit
     turned = median_m > MOST_DEPTH_M and share_of_multiples(raw, 8) > PATTERN
     if not LEAST_DEPTH_M <= median_m <= MOST_DEPTH_M and not turned:
-        likely = min(usual_units_m(raw), key=lambda unit: abs(math.log(median_units * unit / 0.8)))
+        near, now_m = median_m < LEAST_DEPTH_M, scene.metres_per_unit
+        units = [u for u in usual_units_m(raw) if (u > 1.01 * now_m if near else u < 0.99 * now_m)]
+        likely = min(units, key=lambda unit: abs(math.log(median_units * unit / 0.8)), default=None)
+        advice = "though no usual unit puts it there" if likely is None else f"probably to {likely:g}"
         raise DataError(
             f"scene {scene.name}: with {scene.metres_per_unit:g} m per depth unit, the median depth is "
-            f"{median_m:.3g} m; expected 0.1 to 10 m. Set metres_per_unit, probably to {likely:g}"
+            f"{median_m:.3g} m; expected 0.1 to 10 m. Set metres_per_unit, {advice}"
         )
     return median_m

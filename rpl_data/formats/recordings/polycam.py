@@ -23,6 +23,7 @@ from rpl_data.formats.recordings.phones import (
     Phone,
     PhoneFrame,
     arkit_pose,
+    has_confidence,
     json_or_empty,
     phone_recording,
 )
@@ -80,6 +81,7 @@ def _capture(name: str, folder: Path) -> Phone:
         int(path.stem) for path in (place / f"{prefix}cameras").glob("*.json") if path.stem.isdigit()
     )
     frames, broken, sizes = [], [], set()
+    marked = has_confidence(place)
     for index, stamp in enumerate(stamps):
         said = json_or_empty(place / f"{prefix}cameras/{stamp}.json")
         values = _numbers(said)
@@ -94,7 +96,7 @@ def _capture(name: str, folder: Path) -> Phone:
                 stamp * 1e-6,
                 place / f"{prefix}images/{stamp}.jpg",
                 place / f"depth/{stamp}.png",
-                confidence if confidence.parent.is_dir() else None,
+                confidence if marked else None,
                 tuple(values[:4]),
                 arkit_pose(values[4:]),
             )

@@ -85,6 +85,10 @@ def split_words(line: str) -> list[str]:
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?")
 
 
+SAME_TIME_S = 0.001
+"""Times that are this close are one: those of lists are often rounded to milliseconds."""
+
+
 @dataclass(frozen=True)
 class PoseRows:
     """The poses of a file, sorted by time.
@@ -177,7 +181,8 @@ def interpolated(
 ) -> list[Transform | None]:
     """Pose at each wanted time: linear in position, slerp in rotation between its two neighbours.
 
-    None before the first pose, after the last, and between two that are more than `max_gap_s` apart.
+    None before the first pose, after the last, and between two that are more than `max_gap_s` apart, unless
+    one of them is within `SAME_TIME_S`: in a slow recording with a pose per frame, all are far apart.
 
     Args:
         times_s: times of the poses, sorted.
@@ -190,7 +195,8 @@ def interpolated(
     after = np.searchsorted(times_s, wanted_s).clip(0, len(times_s) - 1)
     before = np.where(times_s[after] > wanted_s, after - 1, after)  # equals `after` at a pose's own time
     inside = (wanted_s >= times_s[0]) & (wanted_s <= times_s[-1])
-    known = inside & (times_s[after] - times_s[before.clip(0)] <= max_gap_s)
+    at_a_pose = nearest(times_s, wanted_s)[1] <= SAME_TIME_S
+    known = at_a_pose | (inside & (times_s[after] - times_s[before.clip(0)] <= max_gap_s))
     if len(times_s) == 1:
         return [poses[0] if found else None for found in known]
     at_s = wanted_s.clip(times_s[0], times_s[-1])

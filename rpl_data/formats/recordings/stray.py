@@ -32,6 +32,7 @@ from rpl_data.formats.recordings.phones import (
     DOUBTED,
     Phone,
     PhoneFrame,
+    has_confidence,
     phone_recording,
     read_confidence,
 )
@@ -113,7 +114,7 @@ def read_scan(
         *grouped(sorted(n for n in depths if n >= seen), "of the depth images beyond the end of the video"),
     ]
     lens = camera or read_matrix_camera(folder / "camera_matrix.csv").camera
-    notes = (DOUBTED,) if (folder / "confidence").is_dir() else ()
+    notes = (DOUBTED,) if has_confidence(folder) else ()
     phone = Phone(name, folder, "stray", frames, lens, notes=notes, skipped=tuple(skipped))
     return phone_recording(phone, lambda: out, metres_per_unit=metres_per_unit, camera=camera)
 
@@ -121,7 +122,7 @@ def read_scan(
 def _depth(folder: Path, path: Path) -> np.ndarray:
     """Depth in millimetres, without what is of low confidence."""
     confidence = folder / f"confidence/{path.stem}.png"
-    confident = read_confidence(confidence if confidence.parent.is_dir() else None)
+    confident = read_confidence(confidence if has_confidence(folder) else None)
     return stored_units(read_depth_file(path), None, confident)
 
 

@@ -23,6 +23,12 @@ UNITS = {"seconds": 1.0, "milliseconds": 1e-3, "microseconds": 1e-6, "nanosecond
 FRAME_RATE_HZ = 30.0
 """Assumed frame rate of recordings that count frames instead of seconds."""
 
+MOST_FRAMES_APART = 10
+"""Whole times this close together are counts, of every tenth frame at most: no depth camera makes 100 Hz."""
+
+MOST_FRAMES = 1e7
+"""Larger numbers count no frames, but time since some beginning."""
+
 MOST_ROWS_OUT_OF_PLACE = 5
 """A recorder with several threads writes a line this far from its place, in a list of 20 or more; times that
 lie farther off are something else, such as how long each frame took."""
@@ -51,7 +57,11 @@ def clock_of(times: Sequence[float], source: Path) -> Clock:
         source: the file they are from, for the note.
     """
     step = _median_step(times)
-    if step == 1 and all(float(time).is_integer() for time in times):
+    if (
+        1 <= step <= MOST_FRAMES_APART
+        and max(times) < MOST_FRAMES
+        and all(float(time).is_integer() for time in times)
+    ):
         note = f"frames are counted, not timed: {FRAME_RATE_HZ:g} per second assumed"
         return Clock(1 / FRAME_RATE_HZ, note)
     for name, unit_s in UNITS.items():

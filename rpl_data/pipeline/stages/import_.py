@@ -22,10 +22,6 @@ VERSION = 1
 """Increase it when the stage writes something else for the same input: its steps then run again."""
 
 
-STANDS_OUT = 4.0
-"""A step of the camera that is so many times the usual one stands out."""
-
-
 def import_steps(context: Context) -> list[Step]:
     """Stage `import`: read recordings into scenes of the workspace."""
     workspace, sources = context.workspace, context.scene_sources
@@ -79,7 +75,7 @@ def _certain_faults(recording: Recording) -> list[str]:
     """What times, poses and tags alone prove, without decoding an image; `rpl check` looks closer."""
     scene, trajectory = recording.scene, recording.trajectory
     found = orientation_tags(scene) + odd_times(scene)
-    found += [] if trajectory is None else pose_jumps(scene, trajectory, times_usual=STANDS_OUT)
+    found += [] if trajectory is None else pose_jumps(scene, trajectory)
     return [f"WARNING: {finding.what}; {finding.todo}" for finding in found]
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from rpl_data.formats.recordings.color_lens import camera_numbers
-from rpl_data.formats.recordings.depth_files import STORED_UNIT_M, stored_units
+from rpl_data.formats.recordings.depth_files import STORED_UNIT_M, stored_units, unit_of_decimals
 from rpl_data.formats.recordings.frame_files import (
     Camera,
     Listing,
@@ -104,7 +104,8 @@ def read_bag(
     try:
         survey = bag.mended(partial(survey_of, poses=topics.poses))
         streams = streams_of(survey, topics, camera, files[0])
-        pairs, is_float, skipped = _unpack(bag, streams, folder, unit_m)
+        is_float, decimal_m, notes = _decimals(streams, unit_m)
+        pairs, skipped = _unpack(bag, streams, folder, decimal_m if is_float else None)
     finally:
         bag.close()
     stored_m = 0.001 if unit_m is None else unit_m
@@ -119,7 +120,7 @@ def read_bag(
         registered=streams.registered,
         depth_camera=None if streams.depth_camera is None else camera_numbers(streams.depth_camera),
         color_from_depth=streams.color_from_depth,
-        notes=(*streams.notes, *_parts(files)),
+        notes=(*streams.notes, *notes, *_parts(files)),
         skipped=(*bag.lost, *skipped),
     )
     return _posed(examine(listing), survey, streams.color, topics)
@@ -130,22 +131,29 @@ def _parts(files: Sequence[Path]) -> list[str]:
     return [f"{', '.join(file.name for file in files)} are read as one recording"] if len(files) > 1 else []
 
 
+def _decimals(streams: Streams, unit_m: float | None) -> tuple[bool, float, tuple[str, ...]]:
+    """Whether depth is in decimal numbers, and their unit: metres by the rules, but some drivers write mm."""
+    first = depth_of(streams.depth.first)
+    if first is None or first[1]:
+        return False, 1.0, ()
+    found_m = unit_of_decimals(first[0]) if unit_m is None else unit_m
+    return True, found_m, (f"depth in decimal numbers: {found_m:g} m per unit",) if found_m != 1 else ()
+
+
 def _unpack(
-    bag: Bag, streams: Streams, folder: Path, unit_m: float | None
-) -> tuple[list[Pair], bool, list[str]]:
-    """Write the images that have a partner; also whether depth is float, and what was left out."""
+    bag: Bag, streams: Streams, folder: Path, decimal_m: float | None
+) -> tuple[list[Pair], list[str]]:
+    """Write the images that have a partner, with the unit of decimal depth; also what was left out."""
     color_ns, depth_ns = times_ns(streams.color)[0], times_ns(streams.depth)[0]
     paired = partners(color_ns, depth_ns)
     number_of = {color: index for index, color in enumerate(np.argsort(color_ns, kind="stable").tolist())}
-    first = depth_of(streams.depth.first)
-    is_float = first is not None and not first[1]
     colors, depths = _saved(
         bag,
         streams,
         {color: number_of[color] for color in paired},
         {depth: number_of[color] for color, depth in paired.items()},
         partial(_save_color, folder),
-        partial(_save_depth, folder, is_float, unit_m),
+        partial(_save_depth, folder, decimal_m),
     )
     whole = colors.keys() & depths.keys()
     both = [color for color in np.argsort(color_ns, kind="stable").tolist() if number_of[color] in whole]
@@ -163,7 +171,7 @@ def _unpack(
     alone = len(color_ns) - len(paired)
     lines = [f"{counted(alone, 'colour image')} without depth at the same time"] if alone else []
     broken = sorted({number_of[color] for color in paired} - set(numbers))
-    return pairs, is_float, [*lines, *grouped(broken, "with a damaged image in the bag")]
+    return pairs, [*lines, *grouped(broken, "with a damaged image in the bag")]
 
 
 def _saved(
@@ -194,12 +202,12 @@ def _save_color(folder: Path, index: int, image: Any) -> Path | None:
     return None if pixels is None else write_color(folder, index, pixels)
 
 
-def _save_depth(folder: Path, is_float: bool, unit_m: float | None, index: int, image: Any) -> Path | None:
+def _save_depth(folder: Path, decimal_m: float | None, index: int, image: Any) -> Path | None:
     """Save a depth image in whole numbers; None for a damaged one, or one of another kind than the first."""
     found = depth_of(image)
-    if found is None or found[1] == is_float:
+    if found is None or found[1] == (decimal_m is not None):
         return None
-    return write_depth(folder, index, stored_units(found[0], (unit_m or 1.0) if is_float else None))
+    return write_depth(folder, index, stored_units(found[0], decimal_m))
 
 
 def _posed(recording: Recording, survey: Survey, color: ImageTopic, topics: Topics) -> Recording:
