@@ -150,8 +150,8 @@ def only_format(path: Path) -> str:
     if likely:
         raise DataError(f"{path} looks like {' and like '.join(likely)}; give {known}")
     raise DataError(
-        f"{path} looks like no format that is known: give the folder or file that a recording is kept in, not "
-        f"one in or above it, or give {known}"
+        f"{path} looks like no format that is known: give the folder or file that a recording is kept in, "
+        f"not one in or above it, or give {known}"
     )
 
 
