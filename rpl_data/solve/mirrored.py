@@ -1,0 +1,218 @@
+"""Scenes that were clicked as if in a mirror: left for right, about the middle of the object in each image.
+
+In a scene with few keypoints one wrong click explains almost anything: those that remain can be made to fit.
+So a mirror image is tried as an explanation of its own. It predicts both coordinates of every click from
+the keypoints as all other scenes have them and one pose, six unknowns in all, and drops nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float64, Int64
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+
+from rpl_data.geometry import from_rotvec, transform
+from rpl_data.solve.click_rays import NEAREST_DEPTH_M, Rays
+from rpl_data.solve.refit import DEPTH_KERNEL_SIGMAS, unknowns_covariance
+from rpl_data.solve.trial import Explanation, Trial, undo
+
+FITS = 0.01
+"""A mirror image is rejected when right ones would fit as badly in a smaller share of scenes."""
+FEWEST_KEYPOINTS = 4
+"""With three keypoints a pose always fits."""
+TURNS = 400
+"""Orientations of the object from which the best ones are refined."""
+STARTS = 5
+"""How many of them are refined."""
+STEPS = 20
+"""Gauss-Newton steps of each."""
+ENOUGH = 1e-2
+"""Change of the cost at which a fit ends."""
+SMALL = 1e-6
+"""Step of the finite differences, in radians and metres."""
+FAR_PX = 60.0
+"""A mirrored keypoint farther than this from its click counts as this far when starts are compared."""
+FREE_DEPTH_COST = DEPTH_KERNEL_SIGMAS**2
+"""What a depth costs that an explanation says nothing about, as much as one that does not fit at all."""
+FREE_CLICK_COST = 15.0
+"""What a click costs that may lie anywhere on the object: twice the logarithm of how much likelier the
+normal density of a right click (2 px) is than an even one over an object of 200 px by 200 px."""
+NAME_COST = 7.0
+"""The same for a name among thirty or so that two keypoints or a click could have exchanged."""
+
+
+class _Scene(NamedTuple):
+    """The clicks of one scene, and what all other scenes know of their keypoints.
+
+    Attributes:
+        column: place in `points` of each click's keypoint.
+        points: the keypoints in the model frame, metres.
+        covariance: of all their coordinates together, in m^2.
+        centre: about the middle of the object in the scene, metres.
+        sigma_px: standard deviation of a click in each axis.
+    """
+
+    rays: Rays
+    column: Int64[np.ndarray, " n"]
+    points: Float64[np.ndarray, "k 3"]
+    covariance: Float64[np.ndarray, "c c"]
+    centre: Float64[np.ndarray, " 3"]
+    sigma_px: float
+
+
+def mirrored_scene(first: Trial, mended: Trial, *, enough: float, rival: float) -> Explanation | None:
+    """The scene whose mirror image explains all clicks as well as the mistakes that were found.
+
+    Args:
+        first: every click at its word.
+        mended: with the mistakes undone.
+        enough: fall of the cost from which a scene contradicts all others.
+        rival: explanations cannot be told apart whose costs differ by less. The mirror image is then
+            preferred: to mark the scene again mends the other mistakes too.
+    """
+    lowest = mended.fit.cost + _cost_of_freedom(first, mended) + rival
+    best: Explanation | None = None
+    for whole in _scenes(first):
+        without = first.read(undo(first.reading, whole))
+        gain = first.fit.cost - without.fit.cost
+        if gain < enough:
+            continue
+        depths = np.isfinite(first.rays.depths_m[list(whole.clicks), 0]).sum()
+        rest = without.fit.cost + FREE_DEPTH_COST * int(depths)
+        cost = rest + _mirrored_cost(_known_elsewhere(first, without, whole), most=lowest - rest)
+        if cost < lowest:
+            best, lowest = replace(whole, gain=gain), cost
+    return best
+
+
+def _scenes(trial: Trial) -> Iterator[Explanation]:
+    """Every scene whose keypoints could tell a mirror image, as a mistake of its own."""
+    for scene in range(len(trial.fit.scene_from_model)):
+        clicks = np.flatnonzero(trial.rays.scene == scene)
+        keypoints = tuple(np.unique(trial.reading.keypoint[clicks]).tolist())
+        if len(keypoints) >= FEWEST_KEYPOINTS:
+            yield Explanation("whole scene", scene, keypoints, tuple(clicks.tolist()), mirrored=True)
+
+
+def _cost_of_freedom(first: Trial, mended: Trial) -> float:
+    """What the mistakes that were found may be anything in: clicks without a place, and other names."""
+    dropped = first.reading.ray_used & ~mended.reading.ray_used
+    depths = dropped & np.isfinite(first.rays.depths_m[:, 0])
+    renamed = (first.reading.keypoint != mended.reading.keypoint).any()
+    return float(FREE_CLICK_COST * dropped.sum() + FREE_DEPTH_COST * depths.sum() + NAME_COST * renamed)
+
+
+def _known_elsewhere(first: Trial, without: Trial, whole: Explanation) -> _Scene:
+    """The scene's clicks on keypoints that other scenes, or a known model, place."""
+    fit, clicks = without.fit, np.array(whole.clicks)
+    named = first.reading.keypoint[clicks]
+    if fit.hold_points:
+        known, covariance = np.unique(named), np.zeros((fit.points_model.size, fit.points_model.size))
+    else:
+        known = np.intersect1d(named, without.reading.keypoint[without.reading.ray_used])
+        covariance = unknowns_covariance(fit)[-fit.points_model.size :, -fit.points_model.size :]
+    shared = np.isin(named, known)
+    coordinates = (3 * known[:, None] + np.arange(3)).ravel()
+    middle = fit.points_model[known].mean(axis=0)
+    return _Scene(
+        rays=first.rays.of(np.isin(np.arange(len(first.rays.scene)), clicks[shared])),
+        column=np.searchsorted(known, named[shared]),
+        points=fit.points_model[known],
+        covariance=covariance[np.ix_(coordinates, coordinates)],
+        centre=transform(first.fit.scene_from_model[whole.scene], middle),
+        sigma_px=first.fit.sigma_px,
+    )
+
+
+def _mirrored_cost(scene: _Scene, *, most: float) -> float:
+    """Squared distance of the clicks from the mirror image of the object, in standard deviations.
+
+    Infinite when it is more than `most` or than right mirror images have.
+    """
+    if len(scene.points) < FEWEST_KEYPOINTS:
+        return np.inf
+    most = min(most, float(chi2.isf(FITS, 2 * len(scene.column) - 6)))
+    costs = (_refined_cost(scene, pose) for pose in _starts(scene))
+    return next((cost for cost in costs if cost < most), np.inf)
+
+
+def _starts(scene: _Scene) -> Iterator[Float64[np.ndarray, "4 4"]]:
+    """Orientations of the object about its place in which the mirrored clicks fit best."""
+    poses = np.tile(np.eye(4), (TURNS, 1, 1))
+    poses[:, :3, :3] = Rotation.random(TURNS, rng=np.random.default_rng(0)).as_matrix()
+    poses[:, :3, 3] = scene.centre - poses[:, :3, :3] @ scene.points.mean(axis=0)
+    squared = _residuals(scene, poses, scene.points[None]) ** 2
+    costs = np.minimum(squared, (FAR_PX / scene.sigma_px) ** 2).sum(axis=1)
+    yield from poses[np.argsort(costs)[:STARTS]]
+
+
+def _residuals(
+    scene: _Scene, poses: Float64[np.ndarray, "b 4 4"], points: Float64[np.ndarray, "#b k 3"]
+) -> Float64[np.ndarray, "b r"]:
+    """Mirrored keypoints minus clicks, in standard deviations, for a stack of poses and of points.
+
+    `points` holds one set for all poses, or one per pose. In the image of each click, u becomes
+    u_min + u_max - u, with the least and the largest u of all keypoints there.
+    """
+    to_camera = scene.rays.camera_from_scene @ poses[:, None]
+    in_camera = to_camera[..., None, :3, :3] @ points[:, None, :, :, None] + to_camera[..., None, :3, 3:]
+    xy = in_camera[..., :2, 0] / np.maximum(in_camera[..., 2:, 0], NEAREST_DEPTH_M)
+    own = xy[:, np.arange(len(scene.column)), scene.column]
+    across = xy[..., 0].min(axis=-1) + xy[..., 0].max(axis=-1)
+    mirrored = np.stack([across - own[..., 0], own[..., 1]], axis=-1)
+    sigma = scene.rays.pixel_rad[:, None] * scene.sigma_px
+    residuals: Float64[np.ndarray, "b r"] = ((mirrored - scene.rays.xy) / sigma).reshape(len(xy), -1)
+    return residuals
+
+
+def _refined_cost(scene: _Scene, pose: Float64[np.ndarray, "4 4"]) -> float:
+    """The least squared distance from a start, weighted by the clicks' and the keypoints' covariance."""
+    damping, cost = 1e-2, np.inf
+    for _ in range(STEPS):
+        residuals, by_pose, by_points = _linearised(scene, pose)
+        covariance = np.eye(len(residuals)) + by_points @ scene.covariance @ by_points.T
+        weighted = np.linalg.solve(covariance, np.column_stack([residuals, by_pose]))
+        before, cost = cost, float(residuals @ weighted[:, 0])
+        normal, gradient = by_pose.T @ weighted[:, 1:], by_pose.T @ weighted[:, 0]
+        if abs(before - cost) < ENOUGH:
+            break
+        while damping < 1e4:
+            step = -np.linalg.solve(normal + damping * np.diag(np.diag(normal)), gradient)
+            there = _turned_and_moved(scene, pose, step)
+            tried = _residuals(scene, there[None], scene.points[None])[0]
+            if tried @ np.linalg.solve(covariance, tried) < cost:
+                break
+            damping *= 10
+        else:
+            break
+        pose, damping = there, damping / 10
+    return cost
+
+
+def _linearised(scene: _Scene, pose: Float64[np.ndarray, "4 4"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Residuals, and their derivatives by the pose and by the keypoints (finite differences)."""
+    count = scene.points.size
+    poses = np.stack(
+        [pose, *(_turned_and_moved(scene, pose, step) for step in SMALL * np.eye(6)), *[pose] * count]
+    )
+    points = np.tile(scene.points, (len(poses), 1, 1))
+    points[7:] += SMALL * np.eye(count).reshape(count, -1, 3)
+    found = _residuals(scene, poses, points)
+    by = ((found[1:] - found[0]) / SMALL).T
+    return found[0], by[:, :6], by[:, 6:]
+
+
+def _turned_and_moved(
+    scene: _Scene, pose: Float64[np.ndarray, "4 4"], step: Float64[np.ndarray, " 6"]
+) -> Float64[np.ndarray, "4 4"]:
+    """The pose turned about the middle of the object by the first three, in radians, then moved."""
+    middle = transform(pose, scene.points.mean(axis=0))
+    turn = from_rotvec(step[:3], np.zeros(3))
+    there: Float64[np.ndarray, "4 4"] = turn @ pose
+    there[:3, 3] = turn[:3, :3] @ (pose[:3, 3] - middle) + middle + step[3:]
+    return there
