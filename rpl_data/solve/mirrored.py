@@ -75,7 +75,7 @@ def mirrored_scene(first: Trial, mended: Trial, *, enough: float, rival: float) 
         rival: explanations cannot be told apart whose costs differ by less. The mirror image is then
             preferred: to mark the scene again mends the other mistakes too.
     """
-    lowest = mended.fit.cost + _cost_of_freedom(first, mended) + rival
+    lowest = min(mended.fit.cost + _cost_of_freedom(first, mended) + rival, first.fit.cost)
     best: Explanation | None = None
     for whole in _scenes(first):
         without = first.read(undo(first.reading, whole))
@@ -137,7 +137,7 @@ def _mirrored_cost(scene: _Scene, *, most: float) -> float:
     if len(scene.points) < FEWEST_KEYPOINTS:
         return np.inf
     most = min(most, float(chi2.isf(FITS, 2 * len(scene.column) - 6)))
-    costs = (_refined_cost(scene, pose) for pose in _starts(scene))
+    costs = (_refined_cost(scene, pose, most=most) for pose in _starts(scene))
     return next((cost for cost in costs if cost < most), np.inf)
 
 
@@ -159,27 +159,32 @@ def _residuals(
     `points` holds one set for all poses, or one per pose. In the image of each click, u becomes
     u_min + u_max - u, with the least and the largest u of all keypoints there.
     """
-    to_camera = scene.rays.camera_from_scene @ poses[:, None]
-    in_camera = to_camera[..., None, :3, :3] @ points[:, None, :, :, None] + to_camera[..., None, :3, 3:]
-    xy = in_camera[..., :2, 0] / np.maximum(in_camera[..., 2:, 0], NEAREST_DEPTH_M)
-    own = xy[:, np.arange(len(scene.column)), scene.column]
-    across = xy[..., 0].min(axis=-1) + xy[..., 0].max(axis=-1)
+    in_scene = points @ poses[:, :3, :3].swapaxes(1, 2) + poses[:, None, :3, 3]
+    turns = scene.rays.camera_from_scene[:, :3, :3]
+    in_camera = (in_scene @ turns.transpose(2, 0, 1).reshape(3, -1)).reshape(*in_scene.shape[:2], -1, 3)
+    in_camera += scene.rays.camera_from_scene[:, :3, 3]
+    xy = in_camera[..., :2] / np.maximum(in_camera[..., 2:], NEAREST_DEPTH_M)  # pose, keypoint, click
+    own = xy[:, scene.column, np.arange(len(scene.column))]
+    across = xy[..., 0].min(axis=1) + xy[..., 0].max(axis=1)
     mirrored = np.stack([across - own[..., 0], own[..., 1]], axis=-1)
     sigma = scene.rays.pixel_rad[:, None] * scene.sigma_px
     residuals: Float64[np.ndarray, "b r"] = ((mirrored - scene.rays.xy) / sigma).reshape(len(xy), -1)
     return residuals
 
 
-def _refined_cost(scene: _Scene, pose: Float64[np.ndarray, "4 4"]) -> float:
-    """The least squared distance from a start, weighted by the clicks' and the keypoints' covariance."""
+def _refined_cost(scene: _Scene, pose: Float64[np.ndarray, "4 4"], *, most: float) -> float:
+    """The least squared distance from a start, weighted by the clicks' and the keypoints' covariance.
+
+    The fit is given up when its last step, repeated as often as is left, would not bring it below `most`.
+    """
     damping, cost = 1e-2, np.inf
-    for _ in range(STEPS):
+    for left in reversed(range(STEPS)):
         residuals, by_pose, by_points = _linearised(scene, pose)
         covariance = np.eye(len(residuals)) + by_points @ scene.covariance @ by_points.T
         weighted = np.linalg.solve(covariance, np.column_stack([residuals, by_pose]))
         before, cost = cost, float(residuals @ weighted[:, 0])
         normal, gradient = by_pose.T @ weighted[:, 1:], by_pose.T @ weighted[:, 0]
-        if abs(before - cost) < ENOUGH:
+        if abs(before - cost) < ENOUGH or cost - most > left * abs(before - cost):
             break
         while damping < 1e4:
             step = -np.linalg.solve(normal + damping * np.diag(np.diag(normal)), gradient)
