@@ -16,7 +16,7 @@ from jaxtyping import Float64
 
 from rpl_data.geometry import invert, transform
 from rpl_data.solve.click_rays import Rays
-from rpl_data.solve.mirrored import mirrored_scene
+from rpl_data.solve.mirrored_scenes import mirrored_scene
 from rpl_data.solve.refit import (
     HAND_SIGMA_PX,
     Reading,

@@ -1,14 +1,13 @@
-"""Scenes that were clicked as if in a mirror: left for right, about the middle of the object in each image.
+"""How well the clicks of a scene fit the mirror image of the object: left for right in every image.
 
-In a scene with few keypoints one wrong click explains almost anything: those that remain can be made to fit.
-So a mirror image is tried as an explanation of its own. It predicts both coordinates of every click from
-the keypoints as all other scenes have them and one pose, six unknowns in all, and drops nothing.
+The mirror image is that about the middle of the object in each image. It predicts both coordinates of
+every click from the keypoints and one pose, six unknowns in all. From afar, a mirror image in one frame is
+nearly that of the object turned about; what tells them apart is perspective, or another frame.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -18,8 +17,6 @@ from scipy.stats import chi2
 
 from rpl_data.geometry import from_rotvec, transform
 from rpl_data.solve.click_rays import NEAREST_DEPTH_M, Rays
-from rpl_data.solve.refit import DEPTH_KERNEL_SIGMAS, unknowns_covariance
-from rpl_data.solve.trial import Explanation, Trial, undo
 
 FITS = 0.01
 """A mirror image is rejected when right ones would fit as badly in a smaller share of scenes."""
@@ -37,16 +34,9 @@ SMALL = 1e-6
 """Step of the finite differences, in radians and metres."""
 FAR_PX = 60.0
 """A mirrored keypoint farther than this from its click counts as this far when starts are compared."""
-FREE_DEPTH_COST = DEPTH_KERNEL_SIGMAS**2
-"""What a depth costs that an explanation says nothing about, as much as one that does not fit at all."""
-FREE_CLICK_COST = 15.0
-"""What a click costs that may lie anywhere on the object: twice the logarithm of how much likelier the
-normal density of a right click (2 px) is than an even one over an object of 200 px by 200 px."""
-NAME_COST = 7.0
-"""The same for a name among thirty or so that two keypoints or a click could have exchanged."""
 
 
-class _Scene(NamedTuple):
+class Mirrored(NamedTuple):
     """The clicks of one scene, and what all other scenes know of their keypoints.
 
     Attributes:
@@ -65,71 +55,7 @@ class _Scene(NamedTuple):
     sigma_px: float
 
 
-def mirrored_scene(first: Trial, mended: Trial, *, enough: float, rival: float) -> Explanation | None:
-    """The scene whose mirror image explains all clicks as well as the mistakes that were found.
-
-    Args:
-        first: every click at its word.
-        mended: with the mistakes undone.
-        enough: fall of the cost from which a scene contradicts all others.
-        rival: explanations cannot be told apart whose costs differ by less. The mirror image is then
-            preferred: to mark the scene again mends the other mistakes too.
-    """
-    lowest = min(mended.fit.cost + _cost_of_freedom(first, mended) + rival, first.fit.cost)
-    best: Explanation | None = None
-    for whole in _scenes(first):
-        without = first.read(undo(first.reading, whole))
-        gain = first.fit.cost - without.fit.cost
-        if gain < enough:
-            continue
-        depths = np.isfinite(first.rays.depths_m[list(whole.clicks), 0]).sum()
-        rest = without.fit.cost + FREE_DEPTH_COST * int(depths)
-        cost = rest + _mirrored_cost(_known_elsewhere(first, without, whole), most=lowest - rest)
-        if cost < lowest:
-            best, lowest = replace(whole, gain=gain), cost
-    return best
-
-
-def _scenes(trial: Trial) -> Iterator[Explanation]:
-    """Every scene whose keypoints could tell a mirror image, as a mistake of its own."""
-    for scene in range(len(trial.fit.scene_from_model)):
-        clicks = np.flatnonzero(trial.rays.scene == scene)
-        keypoints = tuple(np.unique(trial.reading.keypoint[clicks]).tolist())
-        if len(keypoints) >= FEWEST_KEYPOINTS:
-            yield Explanation("whole scene", scene, keypoints, tuple(clicks.tolist()), mirrored=True)
-
-
-def _cost_of_freedom(first: Trial, mended: Trial) -> float:
-    """What the mistakes that were found may be anything in: clicks without a place, and other names."""
-    dropped = first.reading.ray_used & ~mended.reading.ray_used
-    depths = dropped & np.isfinite(first.rays.depths_m[:, 0])
-    renamed = (first.reading.keypoint != mended.reading.keypoint).any()
-    return float(FREE_CLICK_COST * dropped.sum() + FREE_DEPTH_COST * depths.sum() + NAME_COST * renamed)
-
-
-def _known_elsewhere(first: Trial, without: Trial, whole: Explanation) -> _Scene:
-    """The scene's clicks on keypoints that other scenes, or a known model, place."""
-    fit, clicks = without.fit, np.array(whole.clicks)
-    named = first.reading.keypoint[clicks]
-    if fit.hold_points:
-        known, covariance = np.unique(named), np.zeros((fit.points_model.size, fit.points_model.size))
-    else:
-        known = np.intersect1d(named, without.reading.keypoint[without.reading.ray_used])
-        covariance = unknowns_covariance(fit)[-fit.points_model.size :, -fit.points_model.size :]
-    shared = np.isin(named, known)
-    coordinates = (3 * known[:, None] + np.arange(3)).ravel()
-    middle = fit.points_model[known].mean(axis=0)
-    return _Scene(
-        rays=first.rays.of(np.isin(np.arange(len(first.rays.scene)), clicks[shared])),
-        column=np.searchsorted(known, named[shared]),
-        points=fit.points_model[known],
-        covariance=covariance[np.ix_(coordinates, coordinates)],
-        centre=transform(first.fit.scene_from_model[whole.scene], middle),
-        sigma_px=first.fit.sigma_px,
-    )
-
-
-def _mirrored_cost(scene: _Scene, *, most: float) -> float:
+def mirrored_cost(scene: Mirrored, *, most: float) -> float:
     """Squared distance of the clicks from the mirror image of the object, in standard deviations.
 
     Infinite when it is more than `most` or than right mirror images have.
@@ -141,7 +67,7 @@ def _mirrored_cost(scene: _Scene, *, most: float) -> float:
     return next((cost for cost in costs if cost < most), np.inf)
 
 
-def _starts(scene: _Scene) -> Iterator[Float64[np.ndarray, "4 4"]]:
+def _starts(scene: Mirrored) -> Iterator[Float64[np.ndarray, "4 4"]]:
     """Orientations of the object about its place in which the mirrored clicks fit best."""
     poses = np.tile(np.eye(4), (TURNS, 1, 1))
     poses[:, :3, :3] = Rotation.random(TURNS, rng=np.random.default_rng(0)).as_matrix()
@@ -152,7 +78,7 @@ def _starts(scene: _Scene) -> Iterator[Float64[np.ndarray, "4 4"]]:
 
 
 def _residuals(
-    scene: _Scene, poses: Float64[np.ndarray, "b 4 4"], points: Float64[np.ndarray, "#b k 3"]
+    scene: Mirrored, poses: Float64[np.ndarray, "b 4 4"], points: Float64[np.ndarray, "#b k 3"]
 ) -> Float64[np.ndarray, "b r"]:
     """Mirrored keypoints minus clicks, in standard deviations, for a stack of poses and of points.
 
@@ -172,7 +98,7 @@ def _residuals(
     return residuals
 
 
-def _refined_cost(scene: _Scene, pose: Float64[np.ndarray, "4 4"], *, most: float) -> float:
+def _refined_cost(scene: Mirrored, pose: Float64[np.ndarray, "4 4"], *, most: float) -> float:
     """The least squared distance from a start, weighted by the clicks' and the keypoints' covariance.
 
     The fit is given up when its last step, repeated as often as is left, would not bring it below `most`.
@@ -199,7 +125,9 @@ def _refined_cost(scene: _Scene, pose: Float64[np.ndarray, "4 4"], *, most: floa
     return cost
 
 
-def _linearised(scene: _Scene, pose: Float64[np.ndarray, "4 4"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _linearised(
+    scene: Mirrored, pose: Float64[np.ndarray, "4 4"]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Residuals, and their derivatives by the pose and by the keypoints (finite differences)."""
     count = scene.points.size
     poses = np.stack(
@@ -213,7 +141,7 @@ def _linearised(scene: _Scene, pose: Float64[np.ndarray, "4 4"]) -> tuple[np.nda
 
 
 def _turned_and_moved(
-    scene: _Scene, pose: Float64[np.ndarray, "4 4"], step: Float64[np.ndarray, " 6"]
+    scene: Mirrored, pose: Float64[np.ndarray, "4 4"], step: Float64[np.ndarray, " 6"]
 ) -> Float64[np.ndarray, "4 4"]:
     """The pose turned about the middle of the object by the first three, in radians, then moved."""
     middle = transform(pose, scene.points.mean(axis=0))
