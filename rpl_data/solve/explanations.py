@@ -16,6 +16,7 @@ from jaxtyping import Float64
 
 from rpl_data.geometry import invert, transform
 from rpl_data.solve.click_rays import Rays
+from rpl_data.solve.mirrored_scenes import mirrored_scene
 from rpl_data.solve.refit import (
     HAND_SIGMA_PX,
     Reading,
@@ -97,8 +98,18 @@ def find_faults(trial: Trial, left_out: Clicks = NO_CLICKS) -> tuple[list[Fault]
     Returns:
         The faults, and the fit of the reading in which all of them are undone.
     """
-    faults: list[Fault] = []
-    first = trial
+    faults, mended = _explain([], trial, trial, left_out)
+    if faults or len(left_out):
+        mirrored = mirrored_scene(trial, mended, enough=contradiction(len(trial.rays.scene)), rival=RIVAL)
+        if mirrored is not None:
+            without = trial.read(undo(trial.reading, mirrored))
+            faults, mended = _explain([Fault(mirrored)], trial, without, left_out)
+    return [fault for fault in faults if _stands_out(fault.best, mended)], mended
+
+
+def _explain(faults: list[Fault], first: Trial, trial: Trial, left_out: Clicks) -> tuple[list[Fault], Trial]:
+    """Further faults beside those that are undone already."""
+    faults = [*faults]
     while len(faults) < MOST_FAULTS:
         found = _best_explanations(trial, left_out)
         enough = contradiction(len(trial.rays.scene))
@@ -112,7 +123,7 @@ def find_faults(trial: Trial, left_out: Clicks = NO_CLICKS) -> tuple[list[Fault]
             faults, trial = _whole_scene(faults, scene, first)
         elif not explained:
             break
-    return [fault for fault in faults if _stands_out(fault.best, trial)], trial
+    return faults, trial
 
 
 def _stands_out(best: Explanation, mended: Trial) -> bool:
@@ -237,6 +248,3 @@ def _others(placed: Placements, worst: Explanation, tried: Sequence[Clicks]) -> 
     for rivals, most in ((same_keypoint, FEW_PLACEMENTS), (same_scene, FEW_IN_SCENE - 1)):
         if len(rivals) <= most:
             yield from (placed[key] for key in rivals if tuple(placed[key].tolist()) not in known)
-
-
-# Starts -------------------------------------------------------------------------------------------

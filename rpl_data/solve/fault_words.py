@@ -59,7 +59,16 @@ class FaultWords:
         )
 
     def _whole_scene(self, best: Explanation) -> str:
+        if best.mirrored:
+            return self._mirrored(best)
         return whole_scene_text(self.scenes[best.scene], len(best.clicks), known_model=self._known_model)
+
+    def _mirrored(self, best: Explanation) -> str:
+        others = "the model" if self._known_model else "those of the other scenes"
+        return (
+            f"scene {self.scenes[best.scene]}: its {len(best.clicks)} clicks contradict {others}, and fit "
+            "as a mirror image; check that left and right are not exchanged, then mark it again"
+        )
 
     @property
     def _known_model(self) -> bool:

@@ -101,6 +101,8 @@ def refit(
     """
     fit = _evaluate(rays, reading, scene_from_model, points_model, sigma_px, hold_points)
     normal, gradient = normal_matrix(fit)
+    if not normal.any():  # no click is in use, so there is nothing to adjust
+        return fit
     damping = 1e-4
     for _ in range(most_steps):
         floor = 1e-9 * np.trace(normal) / len(normal) * np.eye(len(normal))

@@ -33,6 +33,7 @@ class Explanation:
         clicks: the wrong clicks.
         meant: for `swapped` and `wrong name`, the keypoint that each of them was meant for.
         gain: fall of the cost when it is undone.
+        mirrored: for `whole scene`, whether its mirror image fits all other scenes.
     """
 
     kind: Kind
@@ -41,6 +42,7 @@ class Explanation:
     clicks: tuple[int, ...]
     meant: tuple[int, ...] = ()
     gain: float = 0.0
+    mirrored: bool = False
 
 
 @dataclass(frozen=True)

@@ -183,6 +183,45 @@ def test_a_mirrored_scene_is_said_as_a_whole():
     assert {c.scene for c in kinds["whole scene"].clicks} == {"02"}
 
 
+def four_clicks_in(scene, observations):
+    """Of that scene one click each of four keypoints only, every one in another frame."""
+    return [
+        o
+        for o in observations
+        if (o.click.scene == scene and o.click.keypoint < 4 and o.click.frame == o.click.keypoint)
+        or (o.click.scene != scene and o.click.frame == 0)
+    ]
+
+
+def test_a_mirrored_scene_of_four_clicks_is_said_as_a_whole():
+    """One wrong click would explain it too: with three of the four clicks the object can be placed."""
+    clean = clicks_on(scene_poses(4), frames=4)
+    middle_px = {}
+    for frame in range(4):
+        across = [o.click.u_px for o in clean if (o.click.scene, o.click.frame) == ("02", frame)][:4]
+        middle_px[frame] = (min(across) + max(across)) / 2
+    observations = changed(
+        four_clicks_in("02", clean),
+        lambda c: c.scene == "02",
+        lambda c: replace(c, u_px=2 * middle_px[c.frame] - c.u_px),
+    )
+    (said,) = told(observations)
+    assert said.kind == "whole scene" and {c.scene for c in said.clicks} == {"02"}
+    assert (
+        "scene 02: its 4 clicks contradict those of the other scenes, and fit as a mirror image" in said.text
+    )
+
+
+@pytest.mark.parametrize("keypoint", [0, 2])
+def test_one_wrong_click_of_four_is_not_taken_for_a_mirrored_scene(keypoint):
+    observations = changed(
+        four_clicks_in("02", clicks_on(scene_poses(4), frames=4)),
+        lambda c: (c.scene, c.keypoint) == ("02", keypoint),
+        moved(40.0),
+    )
+    assert all(said.kind != "whole scene" for said in told(observations))
+
+
 def test_a_wrong_depth_is_no_wrong_click():
     """The background beside a corner: the ray is right, the depth 30 cm too far."""
     places = scene_poses(4)
