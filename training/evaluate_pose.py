@@ -7,13 +7,14 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rpl_data.pose.estimate import Method
 from rpl_data.types import DataError
 
 from .runs.options import Crops
 
+TYPE_CHECKING = False  # not typing's: the parser of the options would import what follows, torch and all
 if TYPE_CHECKING:
     from .pose.scores import Judged
 

@@ -6,11 +6,12 @@ import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rpl_data.pose.estimate import Method, PoseEstimate, PoseFailure
 from rpl_data.types import Click, DataError, Intrinsics
 
+TYPE_CHECKING = False  # not typing's: the parser of the options would import what follows, torch and all
 if TYPE_CHECKING:
     from .pose.pipeline import PosePipeline, SeenKeypoints
 

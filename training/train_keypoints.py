@@ -5,12 +5,12 @@ from __future__ import annotations
 import sys
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from rpl_data.torch.transforms import Augmentation
 
 from .runs.options import Learning, Machine, Network, Run
 
+TYPE_CHECKING = False  # not typing's: the parser of the options would import what follows, torch and all
 if TYPE_CHECKING:
     from .keypoints.module import KeypointTraining
 

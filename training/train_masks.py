@@ -5,13 +5,13 @@ from __future__ import annotations
 import sys
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from rpl_data.torch.transforms import Augmentation
 
 from .masks.settings import AUGMENT, LEARNING, MACHINE, OLD_NAMES, MaskSettings
 from .runs.options import Learning, Machine, MaskNetwork, Run
 
+TYPE_CHECKING = False  # not typing's: the parser of the options would import what follows, torch and all
 if TYPE_CHECKING:
     from rpl_data.torch.instances import InstanceDataset
 
