@@ -58,8 +58,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 1
     except Exception as error:  # a fault of ours: the last net, so that nobody is shown a page of code
         from rpl_data.cli.faults import reported
+        from rpl_data.cli.installed import missing_package
 
-        print(f"rpl: {reported(error, given)}", file=sys.stderr)
+        missing = missing_package(error) if isinstance(error, ModuleNotFoundError) else None
+        print(f"rpl: {missing or reported(error, given)}", file=sys.stderr)
         return 1
     return 0
 
