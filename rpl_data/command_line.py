@@ -16,7 +16,10 @@ from rpl_data.version import installed_version
 
 Command = Callable[..., Any]
 Commands = Mapping[str, Any]
-"""A function by the name of its command; or more commands, with what they are for as `_help`."""
+"""A function by the name of its command; or more commands, with what they are for as `_help`.
+
+A text instead stands for a command that another parser reads: it is only listed, with that text.
+"""
 
 
 class Help(RawDescriptionHelpFormatter):
@@ -143,13 +146,13 @@ def _add_commands(parser: ArgumentParser, commands: Commands, presets: Collectio
     for name, command in commands.items():
         if name == "_help":
             continue
-        group = isinstance(command, Mapping)
-        text = command["_help"] if group else help_of(command)
+        group, listed = isinstance(command, Mapping), isinstance(command, str)
+        text = command["_help"] if group else command if listed else help_of(command)
         below = Parser(description=text, formatter_class=Help)
         chosen.add_subcommand(name, below, help=text.split("\n")[0])
         if group:  # only after its parent knows it, or the parser loses its levels
             _add_commands(below, command, presets)
-        else:
+        elif not listed:
             _add_options(below, command, presets)
 
 

@@ -56,6 +56,9 @@ SLOW = {
 """Imported inside the functions that need them, so that `rpl --help` is quick."""
 
 
+PACKAGES = {".".join(path.relative_to(ROOT).parts[:-1]) for path in ROOT.glob("training/**/__init__.py")}
+
+
 def module_of(path: Path) -> str:
     return ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
 
@@ -66,20 +69,33 @@ TREES = {
 }
 
 
-def imported(nodes: Iterator[ast.AST] | list[ast.stmt]) -> Iterator[str]:
-    """Full names of what is imported; of `from a import b`, a.b."""
+def imported(module: str, nodes: Iterator[ast.AST] | list[ast.stmt]) -> Iterator[str]:
+    """Full names of what a module imports; of `from a import b`, a.b."""
     for node in nodes:
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, "relative imports hide the layer"
-            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+            start = source(module, node)
+            yield from (f"{start}.{alias.name}" for alias in node.names)
+
+
+def source(module: str, node: ast.ImportFrom) -> str:
+    """The full name after `from`. Only the programs of `training`, which have two names, leave it out."""
+    inside = module.startswith("training") and (node.level > 0 or node.module.startswith("training"))
+    assert (node.level > 0) == inside, (
+        f"{module}, line {node.lineno}: relative within training, and only there"
+    )
+    if not node.level:
+        return node.module
+    package = module if module in PACKAGES else module.rpartition(".")[0]
+    above = package.split(".")[: len(package.split(".")) - node.level + 1]
+    return ".".join([*above, node.module] if node.module else above)
 
 
 def arrows() -> Iterator[tuple[str, str]]:
     """(module, name it imports) for every import within the project, wherever it stands."""
     for module, tree in TREES.items():
-        for name in imported(ast.walk(tree)):
+        for name in imported(module, ast.walk(tree)):
             if name.split(".")[0] in {"rpl_data", "training"}:
                 yield module, name
 
@@ -135,7 +151,7 @@ def test_torch_stays_where_learning_is() -> None:
         f"{module} imports {name}"
         for module, tree in TREES.items()
         if not module.startswith(("rpl_data.torch", "training"))
-        for name in imported(ast.walk(tree))
+        for name in imported(module, ast.walk(tree))
         if name.split(".")[0] in {"torch", "torchvision"}
     ]
     assert not elsewhere
@@ -146,7 +162,7 @@ def test_slow_packages_are_imported_where_used() -> None:
         f"{module} imports {name} at its top"
         for module, tree in TREES.items()
         if not module.startswith(("rpl_data.torch", "training", "rpl_data.annotate."))
-        for name in imported(tree.body)
+        for name in imported(module, tree.body)
         if name.split(".")[0] in SLOW
     ]
     assert not at_the_top
@@ -158,7 +174,7 @@ def test_packages_stay_in_the_rooms_that_need_them(package: str) -> None:
         room_of(module)
         for module, tree in TREES.items()
         if module.startswith("rpl_data")
-        for name in imported(ast.walk(tree))
+        for name in imported(module, ast.walk(tree))
         if name.split(".")[0] == package
     }
     assert rooms == CONFINED[package]

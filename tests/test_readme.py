@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import importlib
 import re
 import shlex
 import subprocess
@@ -15,6 +13,11 @@ import pytest
 
 from rpl_data.cli.main import COMMANDS
 from rpl_data.pipeline.build import STAGES
+from training.commands import PROGRAMS
+from training.commands import program_of as function_of
+from training.reproduce.__main__ import COMMANDS as EXPERIMENTS
+from training.reproduce.table2.experiment import table2
+from training.runs.presets import with_preset_files
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text()
@@ -45,23 +48,24 @@ def test_console_blocks_parse(line: str) -> None:
     from rpl_data.command_line import parser_of
 
     words = shlex.split(line)
-    assert words[0] == "rpl" or words[:2] == ["python", "-m"]
-    program, arguments = (COMMANDS, words[1:]) if words[0] == "rpl" else (program_of(words[2]), words[3:])
-    with contextlib.chdir(ROOT):  # where the configurations start
-        if words[0] == "rpl":
-            parser = parser_of(program, program="rpl", description="")
-        else:
-            parser = auto_parser(program)
-        parser.exit_on_error = False
-        parsed = parser.parse_args(arguments)
+    assert words[0] == "rpl"
+    program, arguments = program_of(words[1:])
+    if isinstance(program, dict):
+        parser = parser_of(program, program="rpl", description="", presets=[table2])
+    else:
+        parser = auto_parser(program)
+    parser.exit_on_error = False
+    parsed = parser.parse_args(with_preset_files(arguments))
     assert not isinstance(program, dict) or parsed.subcommand in program
 
 
-def program_of(module: str) -> Any:
-    """What `python -m <module>` hands its arguments to: a function, or functions by their names."""
-    if module == "training.reproduce":
-        return importlib.import_module("training.reproduce.__main__").COMMANDS
-    return getattr(importlib.import_module(module), module.split(".")[-1])
+def program_of(words: list[str]) -> tuple[Any, list[str]]:
+    """What `rpl` hands its arguments to: a function, or functions by their names; and the arguments."""
+    if words[0] == "reproduce":
+        return EXPERIMENTS, words[1:]
+    if words[0] in PROGRAMS:
+        return function_of(PROGRAMS[words[0]][words[1]]), words[2:]
+    return COMMANDS, words
 
 
 def test_there_are_blocks_of_both_kinds() -> None:

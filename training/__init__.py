@@ -1,1 +1,5 @@
-"""Programs run from a checkout: training, evaluation, and the paper's experiments (`training.reproduce`)."""
+"""Programs: `rpl train`, `rpl evaluate`, `rpl predict`, and the paper's experiments, `rpl reproduce`.
+
+`python -m training.train_keypoints` and the like run them from a checkout. Where `rpl-data` is installed they
+are `rpl_data.training`, so its modules import one another relatively.
+"""

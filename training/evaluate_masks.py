@@ -1,4 +1,4 @@
-"""Score a trained Mask R-CNN on an exported split: `python -m training.evaluate_masks --help`."""
+"""Score a trained Mask R-CNN on an exported split: `rpl evaluate masks --help`."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import sys
 from collections import Counter
 from pathlib import Path
 
-from training.masks.settings import SCORE_THRESHOLD
+from .masks.settings import SCORE_THRESHOLD
 
 
 def evaluate_masks(
@@ -19,21 +19,22 @@ def evaluate_masks(
 ) -> None:
     """Average precision and mean IoU per class, in percent.
 
-    For example: evaluate_masks my-workspace/export/coco runs/masks/last.ckpt --split val. With --out,
+    For example: rpl evaluate masks my-workspace/export/coco runs/masks/last.ckpt --split val. With --out,
     writes <split>_results.json (COCO results) and <split>_scores.json.
 
     Args:
         coco: folder that `rpl export` wrote: export/coco, or export/coco_truth for true labels.
-        masks: checkpoint of train_masks.
+        masks: checkpoint of `rpl train masks`.
         split: train, val or test.
         out: folder for the results and the scores; nothing is written when left out.
         threshold: least score of what counts as found for IoU, missed and false; AP uses everything.
         threads: processor threads of torch; None leaves the number to torch.
     """
     from rpl_data.torch.splits import split_file
-    from training.masks.evaluation import evaluate, table
-    from training.masks.weights import load_segmenter
-    from training.runs.program import say_left_out, use_threads
+
+    from .masks.evaluation import evaluate, table
+    from .masks.weights import load_segmenter
+    from .runs.program import say_left_out, use_threads
 
     use_threads(threads)
     unreadable: Counter[str] = Counter()
@@ -44,6 +45,6 @@ def evaluate_masks(
 
 
 if __name__ == "__main__":
-    from training.runs.program import main
+    from .runs.program import main
 
     sys.exit(main(evaluate_masks))

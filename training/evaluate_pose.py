@@ -1,4 +1,4 @@
-"""Score trained networks at estimating poses: `python -m training.evaluate_pose --help`."""
+"""Score trained networks at estimating poses: `rpl evaluate poses --help`."""
 
 from __future__ import annotations
 
@@ -7,14 +7,16 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rpl_data.pose.estimate import Method
 from rpl_data.types import DataError
-from training.runs.options import Crops
 
+from .runs.options import Crops
+
+TYPE_CHECKING = False  # not typing's: the parser of the options would import what follows, torch and all
 if TYPE_CHECKING:
-    from training.pose.scores import Judged
+    from .pose.scores import Judged
 
 
 def evaluate_pose(
@@ -31,14 +33,14 @@ def evaluate_pose(
     """Median position and orientation error, ADD, ADD-S, recall and PCK against true poses.
 
     The strict protocol is the default: scenes that training never saw, crops of the detector, and failures
-    that count as infinite errors. The paper's is `--split val --crops given`. For example: evaluate_pose
+    that count as infinite errors. The paper's is `--split val --crops given`. For example: rpl evaluate poses
     my-workspace/export/coco_truth --keypoints '[drill/last.ckpt]' --detector detector/last.ckpt. With --out,
     writes <split>_poses.json: the figures and every instance.
 
     Args:
         coco: folder with true labels: export/coco_truth (or export/coco to see how well labels are learned).
-        keypoints: checkpoint of train_keypoints, or a list with one per object.
-        detector: checkpoint of train_detector; not needed when crops are given.
+        keypoints: checkpoint of `rpl train keypoints`, or a list with one per object.
+        detector: checkpoint of `rpl train detector`; not needed when crops are given.
         split: train, val or test.
         crops: `given` takes the labels' boxes, `detected` the detector's.
         methods: of PnP. Only ransac and consensus use depth.
@@ -48,9 +50,10 @@ def evaluate_pose(
         threads: processor threads of torch; None leaves the number to torch.
     """
     from rpl_data.torch.splits import split_file
-    from training.pose.evaluation import evaluate, true_objects
-    from training.pose.pipeline import load_pipeline
-    from training.runs.program import say_left_out, use_threads
+
+    from .pose.evaluation import evaluate, true_objects
+    from .pose.pipeline import load_pipeline
+    from .runs.program import say_left_out, use_threads
 
     if out is not None and out.suffix == ".json":
         raise DataError(f"--out is a folder, {split}_poses.json is written into it; got the file {out}")
@@ -83,7 +86,7 @@ def figures_of(
     judged: Sequence[Judged], surfaces: Mapping[str, Any], methods: Sequence[Method]
 ) -> dict[str, dict[str, Any]]:
     """The fields of `PoseScore` for each "object method"."""
-    from training.pose.scores import score
+    from .pose.scores import score
 
     return {
         f"{name} {method}": asdict(
@@ -97,7 +100,8 @@ def figures_of(
 def write_figures(path: Path, figures: Mapping[str, Any], judged: Sequence[Judged]) -> None:
     """The figures and one row per instance, as JSON; infinite errors as null."""
     from rpl_data.files import write_json
-    from training.pose.scores import finite
+
+    from .pose.scores import finite
 
     rows = [
         {"object": e.object, "image": e.image, "method": e.method, "found": e.found, **asdict(e.errors)}
@@ -115,6 +119,6 @@ def line_of(found: Mapping[str, Any]) -> str:
 
 
 if __name__ == "__main__":
-    from training.runs.program import main
+    from .runs.program import main
 
     sys.exit(main(evaluate_pose))

@@ -11,7 +11,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
-from training.runs.options import Learning, Machine, MaskNetwork, Network, Precision
+from .runs.options import Learning, Machine, MaskNetwork, Network, Precision
 
 if TYPE_CHECKING:
     import torch
@@ -129,7 +129,7 @@ def hourglass(device: torch.device, *, little: bool, channels_last: bool, compil
     """The paper's hourglass on a batch of random crops of an object with 11 keypoints."""
     import torch
 
-    from training.keypoints.hourglass import StackedHourglass, mean_squares
+    from .keypoints.hourglass import StackedHourglass, mean_squares
 
     options, batch, keypoints = (LITTLE, 2, 11) if little else (Network(), Learning().batch, 11)
     network = StackedHourglass(
@@ -154,7 +154,7 @@ def mask_rcnn(device: torch.device, *, little: bool) -> Job:
     """The paper's Mask R-CNN, from random weights, on random images with one square object each."""
     import torch
 
-    from training.masks.mask_rcnn import build_model
+    from .masks.mask_rcnn import build_model
 
     options, batch = replace(LITTLE_MASKS if little else MaskNetwork(), norm="batch"), 2
     network = build_model(options, 2).to(device).train()
@@ -206,8 +206,8 @@ def measured(job: Job, device: torch.device, precision: Precision, steps: int) -
 
 def train_on_export(coco: Path, object: str, epochs: int, *, little: bool) -> tuple[float, float]:  # noqa: A002
     """Train the hourglass with the paper's preset, print its poses; loss of the first and last epoch."""
-    from training.evaluate_pose import evaluate_pose
-    from training.train_keypoints import train_keypoints
+    from .evaluate_pose import evaluate_pose
+    from .train_keypoints import train_keypoints
 
     network = LITTLE if little else Network()
     learning = Learning(epochs, 8, "adam", 2e-3) if little else Learning(epochs)
@@ -238,6 +238,6 @@ def epoch_losses(run: Path) -> list[float]:
 
 
 if __name__ == "__main__":
-    from training.runs.program import main
+    from .runs.program import main
 
     sys.exit(main(gpu_check))

@@ -1,4 +1,4 @@
-"""Estimate poses of objects in images that nobody labelled: `python -m training.predict --help`."""
+"""Estimate poses of objects in images that nobody labelled: `rpl predict poses --help`."""
 
 from __future__ import annotations
 
@@ -6,13 +6,14 @@ import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rpl_data.pose.estimate import Method, PoseEstimate, PoseFailure
 from rpl_data.types import Click, DataError, Intrinsics
 
+TYPE_CHECKING = False  # not typing's: the parser of the options would import what follows, torch and all
 if TYPE_CHECKING:
-    from training.pose.pipeline import PosePipeline, SeenKeypoints
+    from .pose.pipeline import PosePipeline, SeenKeypoints
 
 SUFFIXES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp"}
 
@@ -36,15 +37,15 @@ def predict(
 ) -> None:
     """Estimate the poses of the objects in an image, or in all images of a folder.
 
-    For example: predict photos --keypoints '[drill/last.ckpt, carton/last.ckpt]' --detector
+    For example: rpl predict poses photos --keypoints '[drill/last.ckpt, carton/last.ckpt]' --detector
     detector/last.ckpt --camera '[615, 615, 320, 240]'. Writes poses.json (one entry per image: for every
     object camera_from_object or why there is none, keypoints, confidences) and, in overlays/, the images with
     what was found drawn on them. Images that cannot be read are left out and counted.
 
     Args:
         images: an image, or a folder; folders in it are looked into.
-        keypoints: checkpoint of train_keypoints, or a list with one per object.
-        detector: checkpoint of train_detector.
+        keypoints: checkpoint of `rpl train keypoints`, or a list with one per object.
+        detector: checkpoint of `rpl train detector`.
         camera: fx, fy, cx, cy in pixels; the centre of the top-left pixel is 0, 0.
         distortion: OpenCV's coefficients, when the lens has any.
         depth: folder of depth images (16-bit PNG) registered to the images and named like them. Poses then
@@ -59,8 +60,9 @@ def predict(
     """
     from rpl_data.files import write_json, write_text
     from rpl_data.torch.image_files import read_image
-    from training.pose.pipeline import load_pipeline
-    from training.runs.program import say_left_out, use_threads
+
+    from .pose.pipeline import load_pipeline
+    from .runs.program import say_left_out, use_threads
 
     use_threads(threads)
     files = images_of(images)
@@ -184,7 +186,7 @@ def _below(file: Path, images: Path, suffix: str) -> Path:
 
 def _depth_m(depth: Path | None, file: Path, images: Path, metres_per_unit: float, image: Any) -> Any:
     """The image's depth in metres; None when no depth was named."""
-    from training.pose.pipeline import read_depth_like
+    from .pose.pipeline import read_depth_like
 
     if depth is None:
         return None
@@ -197,7 +199,8 @@ def _write_overlay(
     import cv2
 
     from rpl_data.files import write_bytes
-    from training.pose.pictures import drawn
+
+    from .pose.pictures import drawn
 
     for seen, result in found:
         pose = None if isinstance(result, PoseFailure) else result.camera_from_object
@@ -206,6 +209,6 @@ def _write_overlay(
 
 
 if __name__ == "__main__":
-    from training.runs.program import main
+    from .runs.program import main
 
     sys.exit(main(predict))

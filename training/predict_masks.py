@@ -1,4 +1,4 @@
-"""Find objects in an image, a folder or a video: `python -m training.predict_masks --help`."""
+"""Find objects in an image, a folder or a video: `rpl predict masks --help`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from collections import Counter
 from pathlib import Path
 
 from rpl_data.types import DataError
-from training.masks.settings import SCORE_THRESHOLD
+
+from .masks.settings import SCORE_THRESHOLD
 
 
 def predict_masks(
@@ -19,20 +20,20 @@ def predict_masks(
 ) -> None:
     """Find objects in an image, a folder of images or a video.
 
-    For example: predict_masks photos runs/masks/last.ckpt. Writes the pictures (or the video) with
+    For example: rpl predict masks photos runs/masks/last.ckpt. Writes the pictures (or the video) with
     masks, boxes, names and scores drawn on them, results.json (COCO results with boxes and masks) and
     images.json (which image has which id). Images of a folder that cannot be read are left out and counted.
 
     Args:
         images: an image, a folder of images, or a video.
-        masks: checkpoint of train_masks.
+        masks: checkpoint of `rpl train masks`.
         out: folder for everything that is written.
         threshold: least score of what is drawn; results.json has everything.
         threads: processor threads of torch; None leaves the number to torch.
     """
-    from training.masks.prediction import predict_to
-    from training.masks.weights import load_segmenter
-    from training.runs.program import say_left_out, use_threads
+    from .masks.prediction import predict_to
+    from .masks.weights import load_segmenter
+    from .runs.program import say_left_out, use_threads
 
     use_threads(threads)
     if out.resolve() in {images.resolve(), images.resolve().parent}:
@@ -44,6 +45,6 @@ def predict_masks(
 
 
 if __name__ == "__main__":
-    from training.runs.program import main
+    from .runs.program import main
 
     sys.exit(main(predict_masks))

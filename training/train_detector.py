@@ -1,15 +1,16 @@
-"""Train the detector of all objects of a dataset: `python -m training.train_detector --help`."""
+"""Train the detector of all objects of a dataset: `rpl train detector --help`."""
 
 from __future__ import annotations
 
 import sys
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from rpl_data.torch.transforms import Augmentation
-from training.runs.options import DetectorNetwork, Learning, Machine, Run
 
+from .runs.options import DetectorNetwork, Learning, Machine, Run
+
+TYPE_CHECKING = False  # not typing's: the parser of the options would import what follows, torch and all
 if TYPE_CHECKING:
     from rpl_data.torch.detection import DetectionDataset
 
@@ -31,10 +32,10 @@ def train_detector(
 ) -> Path:
     """Train one detector on all objects; the path of its last checkpoint comes back.
 
-    Presets: --config training/configs/detector_paper.yaml (for a GPU) or detector_cpu.yaml (minutes on a
-    CPU); options after it win. For example: train_detector my-workspace/export/coco --config
-    training/configs/detector_cpu.yaml. Writes last.ckpt after every epoch, best.ckpt (the highest val_found),
-    and CSV and TensorBoard logs.
+    Presets: --config detector_paper (for a GPU) or detector_cpu (minutes on a CPU), or a YAML file of your
+    own; options after it win. For example: rpl train detector my-workspace/export/coco --config detector_cpu.
+    Writes last.ckpt after every epoch, best.ckpt (the highest val_found), and CSV and TensorBoard logs.
+    Interrupt it whenever you like: --resume true goes on after the last finished epoch.
 
     Args:
         coco: folder that `rpl export` wrote: export/coco, or export/coco_truth for true labels.
@@ -51,9 +52,10 @@ def train_detector(
     """
     from rpl_data.torch.detection import DetectionDataset
     from rpl_data.torch.readable import collate_readable_lists
-    from training.detection.module import load_detector, untrained_detector
-    from training.runs.folder import check_same_network
-    from training.runs.trainer import Lesson, fit, say, start
+
+    from .detection.module import load_detector, untrained_detector
+    from .runs.folder import check_same_network
+    from .runs.trainer import Lesson, fit, say, start
 
     run = Run(out, learning, machine, validate_every, seed, resume, overwrite, until)
     resumed = start(run)
@@ -87,6 +89,6 @@ def _validation(coco_json: Path, network: DetectorNetwork) -> DetectionDataset |
 
 
 if __name__ == "__main__":
-    from training.runs.program import main
+    from .runs.program import main
 
     sys.exit(main(train_detector, presets=True))

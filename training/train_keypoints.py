@@ -1,17 +1,18 @@
-"""Train the hourglass of one object: `python -m training.train_keypoints --help`."""
+"""Train the hourglass of one object: `rpl train keypoints --help`."""
 
 from __future__ import annotations
 
 import sys
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from rpl_data.torch.transforms import Augmentation
-from training.runs.options import Learning, Machine, Network, Run
 
+from .runs.options import Learning, Machine, Network, Run
+
+TYPE_CHECKING = False  # not typing's: the parser of the options would import what follows, torch and all
 if TYPE_CHECKING:
-    from training.keypoints.module import KeypointTraining
+    from .keypoints.module import KeypointTraining
 
 
 def train_keypoints(
@@ -31,10 +32,10 @@ def train_keypoints(
 ) -> Path:
     """Train an hourglass on one object; the path of its last checkpoint comes back.
 
-    Presets: --config training/configs/keypoints_paper.yaml (for a GPU) or keypoints_cpu.yaml (minutes on a
-    CPU); options after it win. For example: train_keypoints my-workspace/export/coco --object cube --config
-    training/configs/keypoints_cpu.yaml. Writes last.ckpt after every epoch, best.ckpt (the highest val_pck),
-    and CSV and TensorBoard logs.
+    Presets: --config keypoints_paper (for a GPU) or keypoints_cpu (minutes on a CPU), or a YAML file of your
+    own; options after it win. For example: rpl train keypoints my-workspace/export/coco --object cube
+    --config keypoints_cpu. Writes last.ckpt after every epoch, best.ckpt (the highest val_pck), and CSV and
+    TensorBoard logs. Interrupt it whenever you like: --resume true goes on after the last finished epoch.
 
     Args:
         coco: folder that `rpl export` wrote: export/coco, or export/coco_truth for true labels.
@@ -53,8 +54,9 @@ def train_keypoints(
     """
     from rpl_data.torch.datamodule import KeypointDataModule
     from rpl_data.torch.readable import collate_readable
-    from training.keypoints.module import untrained
-    from training.runs.trainer import Lesson, fit, say, start
+
+    from .keypoints.module import untrained
+    from .runs.trainer import Lesson, fit, say, start
 
     run = Run(out, learning, machine, validate_every, seed, resume, overwrite, until)
     resumed = start(run)
@@ -86,8 +88,8 @@ def train_keypoints(
 
 def check_resumable(checkpoint: Path, module: KeypointTraining) -> None:
     """Refuse a checkpoint of another object or network with a DataError."""
-    from training.keypoints.module import check_same_object, load_keypoints
-    from training.runs.folder import check_same_network
+    from .keypoints.module import check_same_object, load_keypoints
+    from .runs.folder import check_same_network
 
     trained = load_keypoints(checkpoint)
     check_same_object(trained, module.model, source=str(checkpoint))
@@ -95,6 +97,6 @@ def check_resumable(checkpoint: Path, module: KeypointTraining) -> None:
 
 
 if __name__ == "__main__":
-    from training.runs.program import main
+    from .runs.program import main
 
     sys.exit(main(train_keypoints, presets=True))

@@ -1,19 +1,21 @@
-"""Train Mask R-CNN on all objects of a dataset: `python -m training.train_masks --help`."""
+"""Train Mask R-CNN on all objects of a dataset: `rpl train masks --help`."""
 
 from __future__ import annotations
 
 import sys
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from rpl_data.torch.transforms import Augmentation
-from training.masks.settings import AUGMENT, LEARNING, MACHINE, OLD_NAMES, MaskSettings
-from training.runs.options import Learning, Machine, MaskNetwork, Run
 
+from .masks.settings import AUGMENT, LEARNING, MACHINE, OLD_NAMES, MaskSettings
+from .runs.options import Learning, Machine, MaskNetwork, Run
+
+TYPE_CHECKING = False  # not typing's: the parser of the options would import what follows, torch and all
 if TYPE_CHECKING:
     from rpl_data.torch.instances import InstanceDataset
-    from training.masks.module import MaskTraining
+
+    from .masks.module import MaskTraining
 
 
 def train_masks(
@@ -33,10 +35,10 @@ def train_masks(
 ) -> Path:
     """Train Mask R-CNN on all objects; the path of its last checkpoint comes back.
 
-    Presets: --config training/configs/masks_paper.yaml (for a GPU) or masks_cpu.yaml (small, on a CPU);
-    options after it win. For example: train_masks my-workspace/export/coco --config
-    training/configs/masks_cpu.yaml. Writes last.ckpt after every epoch, best.ckpt (the highest val_iou), and
-    CSV and TensorBoard logs.
+    Presets: --config masks_paper (for a GPU) or masks_cpu (small, on a CPU), or a YAML file of your own;
+    options after it win. For example: rpl train masks my-workspace/export/coco --config masks_cpu. Writes
+    last.ckpt after every epoch, best.ckpt (the highest val_iou), and CSV and TensorBoard logs. Interrupt it
+    whenever you like: --resume true goes on after the last finished epoch.
 
     Args:
         coco: folder that `rpl export` wrote: export/coco, or export/coco_truth for true labels.
@@ -56,11 +58,12 @@ def train_masks(
     """
     from rpl_data.torch.readable import collate_readable_lists
     from rpl_data.torch.splits import split_file
-    from training.masks.crops import SquareCrops
-    from training.masks.mask_rcnn import with_norm
-    from training.masks.module import MaskTraining
-    from training.masks.weights import load_weights
-    from training.runs.trainer import Lesson, fit, say, start
+
+    from .masks.crops import SquareCrops
+    from .masks.mask_rcnn import with_norm
+    from .masks.module import MaskTraining
+    from .masks.weights import load_weights
+    from .runs.trainer import Lesson, fit, say, start
 
     MaskSettings(learning=learning, head_epochs=head_epochs)  # refuses stages that do not fit
     run = Run(out, learning, machine, validate_every, seed, resume, overwrite, until)
@@ -100,14 +103,14 @@ def _validation(coco_json: Path) -> InstanceDataset | None:
 
 def check_resumable(checkpoint: Path, module: MaskTraining) -> None:
     """Refuse a checkpoint of other classes or another network with a DataError."""
-    from training.masks.weights import load_segmenter
-    from training.runs.folder import check_same_network
+    from .masks.weights import load_segmenter
+    from .runs.folder import check_same_network
 
     trained = load_segmenter(checkpoint)
     check_same_network(checkpoint, (trained.names, trained.network), (module.names, module.network))
 
 
 if __name__ == "__main__":
-    from training.runs.program import main
+    from .runs.program import main
 
     sys.exit(main(train_masks, old_names=OLD_NAMES, presets=True))

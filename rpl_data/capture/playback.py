@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,9 @@ from rpl_data.types import DataError, Recording
 from rpl_data.untrusted.child import in_child
 
 SUFFIXES = (".db3", ".bag")
+GET_LIBREALSENSE = (
+    "`pip install pyrealsense2`; no wheels for macOS and ARM: build librealsense for Python there"
+)
 PATIENCE_S = 10.0
 """A file whose next frame takes longer than this has no more frames."""
 
@@ -53,13 +57,16 @@ def read_realsense(
         camera: used instead of the file's camera.
 
     Raises:
-        DataError: there is no recording, it lacks colour or depth, or nothing of it is complete.
+        DataError: there is no recording, it lacks colour or depth, nothing of it is complete, or pyrealsense2
+            is missing.
     """
     path = path.absolute()
     files = [found for found in sorted(path.iterdir()) if is_recording(found)] if path.is_dir() else [path]
     recordings = chosen({found.stem: found for found in files}, names, path)
     if not recordings:
         raise DataError(f"{path} holds no {' or '.join(SUFFIXES)} file")
+    if find_spec("pyrealsense2") is None:
+        raise DataError(f"{path} needs pyrealsense2, which is not installed; {GET_LIBREALSENSE}")
     return [
         in_child(_read_file, name, found, unpack(name), metres_per_unit, camera, file=found)
         for name, found in recordings.items()

@@ -49,7 +49,7 @@ def clicks_import(file: Path, workspace: Path = HERE, proposed: bool = False) ->
     Args:
         file: columns object,keypoint,scene,frame,u_px,v_px; a keypoint by name, or by number from 0.
         workspace: a folder made by `rpl build` or `rpl import`.
-        proposed: the clicks are a program's (`python -m training.predict --clicks`): what a person decided
+        proposed: the clicks are a program's (`rpl predict poses --clicks`): what a person decided
             stays, and they only fill in keypoints that were neither clicked in that scene nor declared not
             visible there.
     """

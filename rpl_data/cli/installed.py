@@ -43,7 +43,12 @@ PARTS = (
     Part("fastapi", "fastapi", "the annotation page"),
     Part("torch", "torch", "Datasets, training"),
     Part("torchvision", "torchvision", "Datasets, training"),
-    Part("pyrealsense2", "pyrealsense2", "RealSense cameras, .bag and .db3 files of theirs"),
+    Part(
+        "pyrealsense2",
+        "pyrealsense2",
+        "RealSense cameras, .bag and .db3 files of theirs",
+        "pip install pyrealsense2; no wheels for macOS and ARM: build librealsense for Python there",
+    ),
     Part("rosbags", "rosbags", "ROS bags"),
     Part("av", "av", "videos of phones, Azure Kinect"),
     Part("imagecodecs", "imagecodecs", "depth of Record3D"),
@@ -90,12 +95,22 @@ def _line(part: Part) -> str:
     if importlib.util.find_spec(part.module) is None:
         if part.optional:
             return f"  optional {part.package}: {part.purpose}, not installed; {part.remedy}"
-        return f"  missing  {part.package}: {part.purpose} will not work; {part.remedy}"
+        return f"  missing  {_without(part)}"
     try:
         version = importlib.metadata.version(part.package)
     except importlib.metadata.PackageNotFoundError:  # installed by other means than a package
         version = "installed"
     return f"  ok       {part.package} {version}: {part.purpose}"
+
+
+def missing_package(error: ModuleNotFoundError) -> str | None:
+    """What to say where a package of ours is not installed; None for a fault of another kind."""
+    module = (error.name or "").partition(".")[0]
+    return next((f"missing {_without(part)}" for part in PARTS if part.module == module), None)
+
+
+def _without(part: Part) -> str:
+    return f"{part.package}: {part.purpose} will not work; {part.remedy}"
 
 
 def _memory() -> str:

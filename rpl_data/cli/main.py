@@ -16,6 +16,7 @@ from rpl_data.cli.building import HERE, run_build  # noqa: E402
 from rpl_data.cli.clicks import annotate, clicks_export, clicks_import  # noqa: E402
 from rpl_data.cli.first import init  # noqa: E402
 from rpl_data.cli.machine import demo, doctor  # noqa: E402
+from rpl_data.cli.programs import PROGRAMS, run_program  # noqa: E402
 from rpl_data.cli.recordings import capture, check, import_, truth  # noqa: E402
 from rpl_data.cli.stages import (  # noqa: E402
     cut,
@@ -38,10 +39,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     3, with one line, when `rpl register --auto` is not sure.
     """
+    given = sys.argv[1:] if arguments is None else arguments
     try:
         from rpl_data.command_line import run
 
-        run(COMMANDS, arguments, program="rpl", description=HELP)
+        if given and given[0] in PROGRAMS:
+            return run_program(given)
+        run(COMMANDS | PROGRAMS, given, program="rpl", description=HELP)
         sys.stdout.flush()  # here, where a disk that is full can be said
     except DataError as error:
         print(f"rpl: {error}", file=sys.stderr)
@@ -54,8 +58,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 1
     except Exception as error:  # a fault of ours: the last net, so that nobody is shown a page of code
         from rpl_data.cli.faults import reported
+        from rpl_data.cli.installed import missing_package
 
-        print(f"rpl: {reported(error, sys.argv[1:] if arguments is None else arguments)}", file=sys.stderr)
+        missing = missing_package(error) if isinstance(error, ModuleNotFoundError) else None
+        print(f"rpl: {missing or reported(error, given)}", file=sys.stderr)
         return 1
     return 0
 

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import importlib.util
+import sys
 from pathlib import Path
 
 import pytest
 
+from rpl_data.capture.playback import read_realsense
 from rpl_data.cli import installed
 from rpl_data.cli.main import main
 from rpl_data.pipeline.demo import DEMO
 from rpl_data.pipeline.recipe_file import load_recipe
+from rpl_data.raycast import RayScene
+from rpl_data.types import DataError
 
 ROOT = Path(__file__).parents[2]
 
@@ -30,7 +34,7 @@ def test_what_is_missing_says_how_to_get_it(
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].startswith("rpl-data ") and any("ok       numpy" in line for line in lines)
     (missing,) = [line for line in lines if "missing" in line]
-    assert "pyrealsense2: RealSense cameras" in missing and missing.endswith("pip install rpl-data")
+    assert "pyrealsense2: RealSense cameras" in missing and "pip install pyrealsense2" in missing
 
 
 def test_cameras_that_nobody_has_are_optional(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -41,3 +45,28 @@ def test_cameras_that_nobody_has_are_optional(monkeypatch: pytest.MonkeyPatch) -
     lines = [line for line in installed.package_lines() if "not installed" in line]
     assert len(lines) == 4 and all(line.startswith("  optional ") for line in lines)
     assert "pyorbbecsdk2: capture with Orbbec cameras, not installed; pip install --no-deps" in lines[1]
+
+
+def test_a_command_that_needs_what_is_missing_says_so(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "open3d", None)
+    monkeypatch.setattr("rpl_data.cli.main.COMMANDS", {"cast": cast})
+    assert main(["cast"]) == 1
+    assert capsys.readouterr().err == (
+        "rpl: missing open3d: surfaces, masks will not work; pip install rpl-data\n"
+    )
+
+
+def cast() -> None:
+    """Need Open3D."""
+    RayScene([])
+
+
+def test_a_file_of_realsense_is_not_called_damaged_where_its_reader_is_missing(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    (tmp_path / "take.db3").write_bytes(b"")
+    monkeypatch.setitem(sys.modules, "pyrealsense2", None)
+    with pytest.raises(DataError, match="needs pyrealsense2, which is not installed"):
+        read_realsense(tmp_path / "take.db3", unpack=lambda name: tmp_path)

@@ -303,4 +303,4 @@ def test_ctrl_c_outside_of_the_training_is_one_line(capsys):
         raise KeyboardInterrupt
 
     assert main(predict, []) == 130
-    assert capsys.readouterr().err == "predict: interrupted\n"
+    assert capsys.readouterr().err == "predict: interrupted; give the same command again\n"

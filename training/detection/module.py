@@ -19,10 +19,11 @@ from torchvision.ops import box_iou
 
 from rpl_data.torch.detection import DetectionTarget, shrunk, square_from_box
 from rpl_data.torch.image_files import to_unit_range
-from training.keypoints.hourglass import Hourglass, Residual
-from training.runs.options import DetectorNetwork, Learning
-from training.runs.schedule import optimizer_of
-from training.runs.trainer import load_module, nothing_read, stop_if_not_finite
+
+from ..keypoints.hourglass import Hourglass, Residual
+from ..runs.options import DetectorNetwork, Learning
+from ..runs.schedule import optimizer_of
+from ..runs.trainer import load_module, nothing_read, stop_if_not_finite
 
 Collated = tuple[list[Tensor], list[DetectionTarget], Sequence[str]]
 """What `collate_readable_lists` makes of a batch: images, targets, messages about unreadable images."""
@@ -180,7 +181,7 @@ def load_detector(checkpoint: Path) -> DetectorTraining:
     Raises:
         DataError: the checkpoint is missing, or another program wrote it.
     """
-    return load_module(DetectorTraining, checkpoint, "training.train_detector")
+    return load_module(DetectorTraining, checkpoint, "`rpl train detector`")
 
 
 def _hits(output: dict[str, Tensor], target: DetectionTarget) -> list[bool]:

@@ -17,10 +17,11 @@ from rpl_data.torch.decoding import Keypoints, in_image, locate, probabilities
 from rpl_data.torch.heatmaps import positions_in_image
 from rpl_data.torch.keypoints import KeypointSample
 from rpl_data.types import DataError, KeypointModel
-from training.keypoints.hourglass import StackedHourglass, cross_entropy, mean_squares
-from training.runs.options import Learning, Network
-from training.runs.schedule import optimizer_of
-from training.runs.trainer import load_module, nothing_read, stop_if_not_finite
+
+from ..runs.options import Learning, Network
+from ..runs.schedule import optimizer_of
+from ..runs.trainer import load_module, nothing_read, stop_if_not_finite
+from .hourglass import StackedHourglass, cross_entropy, mean_squares
 
 Collated = tuple[KeypointSample | None, Sequence[str]]
 """What `collate_readable` makes of a batch: samples, and messages about unreadable images."""
@@ -164,7 +165,7 @@ def load_keypoints(checkpoint: Path) -> KeypointTraining:
     Raises:
         DataError: the checkpoint is missing, or another program wrote it.
     """
-    return load_module(KeypointTraining, checkpoint, "training.train_keypoints")
+    return load_module(KeypointTraining, checkpoint, "`rpl train keypoints`")
 
 
 def check_same_object(trained: KeypointTraining, model: KeypointModel, *, source: str) -> None:

@@ -7,10 +7,11 @@ from dataclasses import asdict
 from pathlib import Path
 
 from rpl_data.files import write_json
-from training.masks.results import predict_split
-from training.masks.scores import SplitScore, score_split
-from training.masks.settings import SCORE_THRESHOLD
-from training.masks.weights import Segmenter
+
+from .results import predict_split
+from .scores import SplitScore, score_split
+from .settings import SCORE_THRESHOLD
+from .weights import Segmenter
 
 
 def evaluate(

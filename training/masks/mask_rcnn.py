@@ -21,7 +21,7 @@ from torchvision.models.detection.rpn import RPNHead
 from torchvision.models.detection.transform import GeneralizedRCNNTransform
 from torchvision.ops import FrozenBatchNorm2d, MultiScaleRoIAlign
 
-from training.runs.options import MaskNetwork
+from ..runs.options import MaskNetwork
 
 MEAN, STD = [0.485, 0.456, 0.406], [0.229, 0.224, 0.225]
 """Mean and standard deviation of ImageNet's colours, which trained ResNets expect."""

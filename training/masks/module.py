@@ -11,13 +11,14 @@ from pytorch_lightning import LightningModule
 from torch import Tensor
 
 from rpl_data.torch.instances import InstanceTarget
-from training.masks.mask_rcnn import build_model, train_body
-from training.masks.results import MASK_THRESHOLD
-from training.masks.settings import SCORE_THRESHOLD
-from training.masks.weights import description
-from training.runs.options import Learning, MaskNetwork
-from training.runs.schedule import optimizer_of
-from training.runs.trainer import nothing_read, stop_if_not_finite
+
+from ..runs.options import Learning, MaskNetwork
+from ..runs.schedule import optimizer_of
+from ..runs.trainer import nothing_read, stop_if_not_finite
+from .mask_rcnn import build_model, train_body
+from .results import MASK_THRESHOLD
+from .settings import SCORE_THRESHOLD
+from .weights import description
 
 Collated = tuple[list[Tensor], list[InstanceTarget], Sequence[str]]
 """What `collate_readable_lists` makes of a batch: images, targets, messages about unreadable images."""

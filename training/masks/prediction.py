@@ -18,9 +18,10 @@ from rpl_data.files import write_bytes, write_json
 from rpl_data.json_arrays import Json
 from rpl_data.torch.image_files import read_image, to_unit_range
 from rpl_data.types import DataError
-from training.masks.pictures import draw
-from training.masks.results import predict
-from training.masks.weights import Segmenter
+
+from .pictures import draw
+from .results import predict
+from .weights import Segmenter
 
 IMAGE_SUFFIXES = {".bmp", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp"}
 

@@ -15,7 +15,8 @@ from torch import Tensor
 from rpl_data.json_arrays import Json
 from rpl_data.torch.instances import InstanceDataset
 from rpl_data.types import DataError
-from training.masks.weights import Segmenter
+
+from .weights import Segmenter
 
 MASK_THRESHOLD = 0.5
 """A pixel belongs to the object when the network gives it a higher probability than this."""

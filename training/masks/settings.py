@@ -9,8 +9,9 @@ from typing import Any
 
 from rpl_data.torch.transforms import Augmentation
 from rpl_data.types import DataError
-from training.runs.old_names import with_new_names
-from training.runs.options import Learning, Machine, MaskNetwork
+
+from ..runs.old_names import with_new_names
+from ..runs.options import Learning, Machine, MaskNetwork
 
 SCORE_THRESHOLD = 0.5
 """Least score of an object that counts as found, and is drawn."""
@@ -80,7 +81,7 @@ def load_settings(path: Path) -> MaskSettings:
     from jsonargparse import ArgumentError, ArgumentParser
 
     if not path.is_file():
-        raise DataError(f"{path} does not exist; expected settings such as training/configs/masks_cpu.yaml")
+        raise DataError(f"{path} does not exist; expected settings such as those of `--preset masks_cpu`")
     parser = ArgumentParser(exit_on_error=False)
     parser.add_class_arguments(MaskSettings, "settings")
     try:

@@ -13,9 +13,10 @@ from torchvision.models import get_model_weights
 from torchvision.models.detection import MaskRCNN
 
 from rpl_data.types import DataError
-from training.masks.mask_rcnn import build_model
-from training.runs.folder import read_checkpoint, reading_checkpoint
-from training.runs.options import MaskNetwork
+
+from ..runs.folder import read_checkpoint, reading_checkpoint
+from ..runs.options import MaskNetwork
+from .mask_rcnn import build_model
 
 
 def load_weights(model: MaskRCNN, config: MaskNetwork, weights: str) -> str:
@@ -88,11 +89,11 @@ def description(config: MaskNetwork, names: tuple[str, ...]) -> dict[str, Any]:
 
 
 def load_segmenter(checkpoint: Path) -> Segmenter:
-    """Load the network of a checkpoint of `training.train_masks`, ready to predict."""
+    """Load the network of a checkpoint of `rpl train masks`, ready to predict."""
     content = read_checkpoint(checkpoint)
     if "masks" not in content:
-        raise DataError(f"{checkpoint} is not a checkpoint of training.train_masks")
-    with reading_checkpoint(checkpoint, "a checkpoint of training.train_masks"):
+        raise DataError(f"{checkpoint} is not a checkpoint of `rpl train masks`")
+    with reading_checkpoint(checkpoint, "a checkpoint of `rpl train masks`"):
         config, names = MaskNetwork(**content["masks"]["model"]), tuple(content["masks"]["names"])
         model = build_model(config, len(names) - 1)
         state = content["state_dict"]

@@ -23,9 +23,10 @@ from rpl_data.pose.errors import INFINITE, pose_errors
 from rpl_data.pose.estimate import Method, PoseEstimate, PoseFailure
 from rpl_data.torch.image_files import read_image
 from rpl_data.types import DataError, InstanceLabel, KeypointModel
-from training.pose.pipeline import PosePipeline, SeenKeypoints, read_depth_like
-from training.pose.scores import Judged
-from training.runs.options import Crops
+
+from ..runs.options import Crops
+from .pipeline import PosePipeline, SeenKeypoints, read_depth_like
+from .scores import Judged
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,8 @@ import numpy as np
 
 from rpl_data.geometry import project, transform
 from rpl_data.types import Intrinsics, KeypointModel
-from training.pose.pipeline import SeenKeypoints
+
+from .pipeline import SeenKeypoints
 
 TRUE = (255, 255, 255)
 AXES = ((230, 60, 60), (60, 200, 60), (70, 110, 255))

@@ -17,8 +17,9 @@ from rpl_data.pose.estimate import Method, PoseEstimate, PoseFailure, estimate_p
 from rpl_data.torch.image_files import to_unit_range
 from rpl_data.torch.transforms import crop_from_square, warped
 from rpl_data.types import DataError, DepthImage, Intrinsics
-from training.detection.module import Detection, DetectorTraining, load_detector
-from training.keypoints.module import KeypointTraining, load_keypoints
+
+from ..detection.module import Detection, DetectorTraining, load_detector
+from ..keypoints.module import KeypointTraining, load_keypoints
 
 LEAST_CONFIDENCE = 0.1
 """Keypoints below this confidence are not used; the others are weighted by their covariance."""

@@ -11,8 +11,9 @@ import numpy as np
 
 from rpl_data.files import read_json, write_json
 from rpl_data.pose.errors import PoseErrors
-from training.keypoints.module import PCK_SHARE
-from training.pose.pipeline import SeenKeypoints
+
+from ..keypoints.module import PCK_SHARE
+from .pipeline import SeenKeypoints
 
 
 @dataclass(frozen=True)

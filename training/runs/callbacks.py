@@ -13,9 +13,10 @@ from pytorch_lightning import Callback, LightningModule, Trainer
 from torch import Tensor
 
 from rpl_data.torch.epochs import seed_of
-from training.runs.folder import BEST, LAST
-from training.runs.options import Learning
-from training.runs.schedule import set_step
+
+from .folder import BEST, LAST
+from .options import Learning
+from .schedule import set_step
 
 
 class Steps(Callback):

@@ -9,7 +9,8 @@ import torch
 from pytorch_lightning.plugins.io import TorchCheckpointIO
 
 from rpl_data.files import writing
-from training.runs.folder import BEST, LAST
+
+from .folder import BEST, LAST
 
 
 class WholeCheckpoints(TorchCheckpointIO):

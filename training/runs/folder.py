@@ -15,7 +15,8 @@ import torch
 
 from rpl_data.types import DataError
 from rpl_data.wording import counted
-from training.runs.options import Learning, Run
+
+from .options import Learning, Run
 
 LAST, BEST = "last.ckpt", "best.ckpt"
 

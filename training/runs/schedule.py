@@ -10,7 +10,7 @@ import math
 import torch
 from torch import nn
 
-from training.runs.options import Learning
+from .options import Learning
 
 RISING_SHARE = 0.3
 """Share of the steps of `one_cycle` during which the rate rises."""

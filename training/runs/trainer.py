@@ -9,6 +9,7 @@ import warnings
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -22,9 +23,10 @@ from torch.utils.data import DataLoader, Dataset
 from rpl_data.torch.epochs import Collate, training_batches, validation_batches
 from rpl_data.types import DataError
 from rpl_data.wording import counted
-from training.runs.callbacks import Checkpoints, EpochLines, Steps
-from training.runs.checkpoint_files import WholeCheckpoints, sweep_checkpoints
-from training.runs.folder import (
+
+from .callbacks import Checkpoints, EpochLines, Steps
+from .checkpoint_files import WholeCheckpoints, sweep_checkpoints
+from .folder import (
     FOREIGN,
     LAST,
     changes,
@@ -34,8 +36,8 @@ from training.runs.folder import (
     reading_checkpoint,
     trained_epochs,
 )
-from training.runs.options import Machine, Run
-from training.runs.program import say_left_out, use_threads
+from .options import Machine, Run
+from .program import EXTRA, say_left_out, use_threads
 
 Module = TypeVar("Module", bound=LightningModule)
 
@@ -75,10 +77,12 @@ def start(run: Run) -> Path | None:
 
     Raises:
         DataError: the folder holds a run, and the options do not say what to do with it; or they ask for
-            more GPUs than there are.
+            more GPUs than there are; or tensorboard is missing.
     """
     import cv2
 
+    if find_spec("tensorboard") is None:
+        raise DataError(f"tensorboard is not installed; {EXTRA}")
     _check_machine(run.machine)
     resumed = checkpoint_to_resume(run)
     use_threads(run.machine.threads)
@@ -213,12 +217,16 @@ def _fit(
             raise
     except SystemExit:  # Lightning's answer to KeyboardInterrupt
         if trainer.is_global_zero:
-            print(
-                f"interrupted in epoch {trainer.current_epoch + 1}; {last} holds what "
-                f"{counted(trained_epochs(last), 'epoch')} taught: go on with --resume true",
-                file=sys.stderr,
-            )
+            print(f"interrupted in epoch {trainer.current_epoch + 1}; {_way_on(last)}", file=sys.stderr)
         raise
+
+
+def _way_on(last: Path) -> str:
+    """How an interrupted training goes on."""
+    done = trained_epochs(last)
+    if not done:
+        return "no epoch was finished: give the same command again"
+    return f"{last} holds what {counted(done, 'epoch')} taught: go on with the same command and --resume true"
 
 
 def nothing_read(module: LightningModule) -> Tensor | None:

@@ -30,8 +30,8 @@ def ablation(
             papers_chain; all when left out. The whole chain (`all`) always comes first.
         workers: processes; one per core when left out.
     """
-    from training.reproduce.ablation.page import as_text, write_page
-    from training.reproduce.ablation.parts import PARTS
+    from .page import as_text, write_page
+    from .parts import PARTS
 
     chosen = list(dict.fromkeys(["all", *(parts or PARTS)]))
     if unknown := [part for part in chosen if part not in PARTS]:
@@ -46,8 +46,9 @@ def rows_without(source: Path, part: str, folder: Path, workers: int | None) -> 
     """Build the recording of a workspace with a part switched, and compare its labels with the truth."""
     from rpl_data.evaluate.quality import compare_workspaces
     from rpl_data.workspace.workspace import Workspace
-    from training.reproduce.ablation.parts import PARTS
-    from training.reproduce.variants import built_beside, copied
+
+    from ..variants import built_beside, copied
+    from .parts import PARTS
 
     workspace = Workspace(source)
     truth = truth_of(workspace)

@@ -10,7 +10,8 @@ import numpy as np
 
 from rpl_data.report.html import number, section, table
 from rpl_data.types import QualityRow
-from training.reproduce.results import write_results
+
+from ..results import write_results
 
 HEADER = ("part", "3D mm", "2D px", "p95 px", "IoU", "3D mm", "2D px", "p95 px", "IoU")
 DIGITS = (2, 2, 2, 3)

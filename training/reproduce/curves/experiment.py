@@ -39,8 +39,8 @@ def curves(
         click_noise_px: standard deviation of a click on each axis.
         workers: processes that render; one per core when left out.
     """
-    from training.reproduce.curves.page import write_curves
-    from training.reproduce.curves.resample import curves_of
+    from .page import write_curves
+    from .resample import curves_of
 
     if workspace is not None:
         places = [_existing(workspace)]

@@ -11,9 +11,10 @@ import numpy as np
 from jaxtyping import Float64
 
 from rpl_data.report.html import Cell, number, section, table
-from training.reproduce.curves.curve import Curve
-from training.reproduce.curves.slopes import Slope, before_the_fit, slope_of
-from training.reproduce.results import picture, png_of, write_results
+
+from ..results import picture, png_of, write_results
+from .curve import Curve
+from .slopes import Slope, before_the_fit, slope_of
 
 COLORS = ("#0f7c74", "#c26a00", "#5b4bb5", "#b3364b", "#3b6ea5", "#6b7a1f")
 SAYS = {

@@ -12,7 +12,8 @@ from rpl_data.solve.solve import solve
 from rpl_data.twin.annotator import click
 from rpl_data.types import DataError, FrameLabel, KeypointModel, Observation
 from rpl_data.workspace.workspace import Workspace
-from training.reproduce.curves.curve import Curve
+
+from .curve import Curve
 
 KEYPOINTS, SCENES = 9, 8
 """The paper's: N_k = 9 while N_s varies, N_s = 8 while N_k does."""

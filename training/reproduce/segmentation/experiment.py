@@ -11,23 +11,23 @@ from typing import TYPE_CHECKING, Any
 
 from rpl_data.files import write_json
 from rpl_data.types import DataError
-from training.reproduce.segmentation.progress import Progress, load_progress
+
+from .progress import Progress, load_progress
 
 if TYPE_CHECKING:
-    from training.masks.scores import SplitScore
-    from training.masks.settings import MaskSettings
+    from ...masks.scores import SplitScore
+    from ...masks.settings import MaskSettings
 
 OURS, MANUAL = "OURS", "MANUAL"
 """The paper's names for training on generated and on true labels."""
 ROUND_EPOCHS = 3
 """Epochs of one source before it is the other's turn; scoring both on val costs about a third of one."""
-PRESET = Path(__file__).parents[2] / "configs" / "masks_cpu.yaml"
 
 
 def segmentation(
     workspace: Path,
     out: Path = Path("runs/segmentation"),
-    preset: Path = PRESET,
+    preset: Path = Path("masks_cpu"),
     epochs: int | None = None,
     threads: int | None = None,
 ) -> None:
@@ -41,15 +41,17 @@ def segmentation(
     Args:
         workspace: a built workspace whose truth is known.
         out: folder for segmentation.json, segmentation.html, the figure and both runs.
-        preset: options of the training, such as training/configs/masks_cpu.yaml or masks_paper.yaml.
+        preset: options of the training: `masks_cpu`, `masks_paper`, or a YAML file.
         epochs: of each source; those of the preset when left out.
         threads: processor threads of torch; those of the preset when left out.
     """
     from rpl_data.formats.datasets.coco import read_coco
-    from training.masks.settings import load_settings
+
+    from ...masks.settings import load_settings
+    from ...runs.presets import preset_file
 
     sources = sources_of(workspace)
-    settings = load_settings(preset)
+    settings = load_settings(preset_file(preset))
     if epochs is not None:
         settings = replace(settings, learning=replace(settings.learning, epochs=epochs))
     if threads is not None:
@@ -98,7 +100,7 @@ def train_round(
     sources: Mapping[str, Path], settings: MaskSettings, progress: Progress, out: Path
 ) -> Progress:
     """Train both sources for a few more epochs, score them on val, and draw the figure as it stands."""
-    from training.train_masks import train_masks
+    from ...train_masks import train_masks
 
     clock, cpu = time.perf_counter(), _cpu_s()
     done = min(progress.epochs + ROUND_EPOCHS, settings.learning.epochs)
@@ -144,9 +146,9 @@ def score_sources(
     sources: Mapping[str, Path], out: Path, splits: list[str]
 ) -> dict[str, dict[str, SplitScore]]:
     """Score both networks on each split, against the true masks."""
-    from training.masks.evaluation import evaluate
-    from training.masks.weights import load_segmenter
-    from training.runs.folder import LAST
+    from ...masks.evaluation import evaluate
+    from ...masks.weights import load_segmenter
+    from ...runs.folder import LAST
 
     scores: dict[str, dict[str, SplitScore]] = {split: {} for split in splits}
     for name in sources:
@@ -166,8 +168,9 @@ def write_figure(
 ) -> Path:
     """Write segmentation.json, segmentation.html and segmentation.png; the path of the page comes back."""
     from rpl_data.formats.datasets.coco import read_coco
-    from training.reproduce.results import write_results
-    from training.reproduce.segmentation.page import bars, sections, verdict
+
+    from ..results import write_results
+    from .page import bars, sections, verdict
 
     figure = bars(scores)
     data = {

@@ -11,11 +11,12 @@ import numpy as np
 from rpl_data.files import read_json
 from rpl_data.formats.datasets.coco import read_coco
 from rpl_data.report.html import Cell, number, section, table
-from training.reproduce.results import picture, png_of
+
+from ..results import picture, png_of
 
 if TYPE_CHECKING:
-    from training.masks.scores import SplitScore
-    from training.reproduce.segmentation.progress import Progress
+    from ...masks.scores import SplitScore
+    from .progress import Progress
 
 Scores = Mapping[str, Mapping[str, "SplitScore"]]
 PROTOCOLS = {"val": "random frames of the training scenes (the paper's)", "test": "unseen scenes"}
@@ -120,8 +121,9 @@ def _examples(coco_json: Path, arms: list[str], out: Path, count: int = 3) -> st
     import cv2
 
     from rpl_data.torch.image_files import read_image
-    from training.masks.pictures import draw
-    from training.masks.settings import SCORE_THRESHOLD
+
+    from ...masks.pictures import draw
+    from ...masks.settings import SCORE_THRESHOLD
 
     data = read_coco(coco_json)
     names = ["background", *(c["name"] for c in sorted(data["categories"], key=lambda c: int(c["id"])))]

@@ -10,7 +10,7 @@ from rpl_data.files import read_json
 from rpl_data.types import DataError
 
 if TYPE_CHECKING:
-    from training.masks.settings import MaskSettings
+    from ...masks.settings import MaskSettings
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Progress:
 
 def load_progress(out: Path, settings: MaskSettings) -> Progress:
     """Read the progress of the experiment in `out`; DataError when its settings were others."""
-    from training.masks.settings import comparable
+    from ...masks.settings import comparable
 
     path = out / "progress.json"
     if not path.exists():

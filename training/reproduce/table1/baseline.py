@@ -24,8 +24,9 @@ from rpl_data.pipeline.recipe import Recipe
 from rpl_data.raycast import RayScene
 from rpl_data.types import Click, DepthImage
 from rpl_data.workspace.workspace import Workspace
-from training.reproduce.table1.rows import Scores, scores_of
-from training.reproduce.variants import built_beside, copied
+
+from ..variants import built_beside, copied
+from .rows import Scores, scores_of
 
 NUDGED_PX, NUDGED_M = 10, 0.01
 """A careful click goes to the nearest pixel, at most so far away, that measures the keypoint so well."""

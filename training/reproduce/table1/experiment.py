@@ -8,13 +8,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rpl_data.types import DataError
-from training.reproduce.table1.rows import Row, Trajectories, scores_of
+
+from .rows import Row, Trajectories, scores_of
 
 if TYPE_CHECKING:
     from rpl_data.evaluate.cad import Cad
     from rpl_data.types import QualityRow
     from rpl_data.workspace.workspace import Workspace
-    from training.reproduce.table1.cad_protocol import CadResult
+
+    from .cad_protocol import CadResult
 
 
 def table1(
@@ -47,7 +49,7 @@ def table1(
         seed: of the drift and of the simulated picks on a twin's CAD.
         workers: processes; one per core when left out.
     """
-    from training.reproduce.table1.page import as_text, write_page
+    from .page import as_text, write_page
 
     kinds: tuple[Trajectories, ...] = tuple(dict.fromkeys(trajectories or ("given",)))
     rows: list[Row] = []
@@ -87,7 +89,8 @@ def in_kind(
     """The workspace itself, or one with the same pixels and other camera paths, built up to its labels."""
     from rpl_data.pipeline.build import build
     from rpl_data.workspace.workspace import Workspace
-    from training.reproduce.table1.trajectories import with_trajectories
+
+    from .trajectories import with_trajectories
 
     if kind == "given":
         return workspace
@@ -104,7 +107,8 @@ def with_baseline(
     """The rows with the errors of the paper's chain; unchanged where the truth is not known."""
     from rpl_data.pipeline.build import context_of
     from rpl_data.pipeline.context import truth_workspace
-    from training.reproduce.table1.baseline import careful_scores, papers_scores
+
+    from .baseline import careful_scores, papers_scores
 
     truth = truth_workspace(context_of(workspace))
     if truth is None:
@@ -128,8 +132,9 @@ def measure(
     from rpl_data.evaluate.quality import compare_workspaces
     from rpl_data.pipeline.build import context_of
     from rpl_data.pipeline.context import truth_workspace
-    from training.reproduce.table1.cad_protocol import by_cad
-    from training.reproduce.table1.worst import worst_scenes
+
+    from .cad_protocol import by_cad
+    from .worst import worst_scenes
 
     context = context_of(workspace)
     truth = truth_workspace(context)
@@ -159,7 +164,8 @@ def _cads(
     seed: int,
 ) -> dict[str, Cad]:
     from rpl_data.evaluate.cad import cads_in
-    from training.reproduce.table1.cad_protocol import true_cads
+
+    from .cad_protocol import true_cads
 
     if folder is not None:
         models = [workspace.load_solution(name).model for name in names]

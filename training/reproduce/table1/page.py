@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from rpl_data.report.html import Cell, number, section, table, text
-from training.reproduce.paper import TABLE_1, TABLE_1_MEAN
-from training.reproduce.results import write_results
-from training.reproduce.table1.rows import Row, Scores
+
+from ..paper import TABLE_1, TABLE_1_MEAN
+from ..results import write_results
+from .rows import Row, Scores
 
 NOTHING = Scores(np.nan, np.nan, np.nan, np.nan)
 STRICT = ("3D mm", "2D px", "IoU", "IoU visible")

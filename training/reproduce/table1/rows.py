@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
     from rpl_data.types import QualityRow
-    from training.reproduce.table1.worst import WorstScene
+
+    from .worst import WorstScene
 
 Trajectories = Literal["given", "drifting", "tracked"]
 

@@ -15,7 +15,8 @@ from rpl_data.pipeline.recipe import Recipe, SceneSource
 from rpl_data.twin.drift import Drift, drifted
 from rpl_data.types import DataError
 from rpl_data.workspace.workspace import Workspace
-from training.reproduce.table1.rows import Trajectories
+
+from .rows import Trajectories
 
 POSES = "camera.poses"
 

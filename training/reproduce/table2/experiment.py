@@ -7,7 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from rpl_data.torch.transforms import Augmentation
-from training.runs.options import DetectorNetwork, Learning, Machine, Network
+
+from ...runs.options import DetectorNetwork, Learning, Machine, Network
 
 
 def table2(
@@ -27,7 +28,7 @@ def table2(
 
     One hourglass per object and one detector per label source, with the same frames, steps and seed for both
     sources. An interrupted experiment goes on when the same command is given again. table2.json and
-    table2.html are written anew after each hourglass. Preset: --config training/configs/table2_cpu.yaml.
+    table2.html are written anew after each hourglass. Preset: --config table2_cpu.
 
     Args:
         workspace: a built workspace whose truth is known.
@@ -42,11 +43,11 @@ def table2(
         validate_every: epochs from one validation to the next.
         seed: of everything that is drawn at random.
     """
-    from training.reproduce.label_sources import exports_of
-    from training.reproduce.table2.page import write_page
-    from training.runs.folder import trained_epochs
-    from training.train_detector import train_detector
-    from training.train_keypoints import train_keypoints
+    from ...runs.folder import trained_epochs
+    from ...train_detector import train_detector
+    from ...train_keypoints import train_keypoints
+    from ..label_sources import exports_of
+    from .page import write_page
 
     exports = exports_of(workspace)
     upright = replace(augment, rotation_deg=0.0)

@@ -7,11 +7,12 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from training.reproduce.paper import TABLE_2
+from ..paper import TABLE_2
 
 if TYPE_CHECKING:
     from rpl_data.report.html import Cell as HtmlCell
-    from training.reproduce.table2.pose_comparison import Cell, Ratio
+
+    from .pose_comparison import Cell, Ratio
 
 METHODS = {"epnp": "EPnP (paper)", "consensus": "consensus + LM"}
 SPLITS = {
@@ -23,9 +24,10 @@ SPLITS = {
 def write_page(out: Path, workspace: Path, objects: list[str]) -> Path:
     """Write table2.json and table2.html of what has been trained so far."""
     from rpl_data.report.html import section
-    from training.reproduce.results import write_results
-    from training.reproduce.table2.pictures import curves, mosaic, samples, worst
-    from training.reproduce.table2.pose_comparison import counts, measure, ratios
+
+    from ..results import write_results
+    from .pictures import curves, mosaic, samples, worst
+    from .pose_comparison import counts, measure, ratios
 
     found = list(measure(out, workspace, objects))
     cells, compared = [cell for cell, _ in found], ratios(found)
@@ -86,7 +88,7 @@ def seconds(out: Path, objects: Sequence[str]) -> dict[str, dict[str, float]]:
 
 
 def _shown(png: bytes) -> str:
-    from training.reproduce.results import picture
+    from ..results import picture
 
     return picture(png, "Circles: keypoints with two standard deviations. Crosses: true. Axes: the pose.")
 

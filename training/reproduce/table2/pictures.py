@@ -19,10 +19,11 @@ from rpl_data.formats.datasets.coco import (
 )
 from rpl_data.torch.image_files import read_image
 from rpl_data.workspace.workspace import Workspace
-from training.pose.pictures import close_up, drawn
-from training.pose.scores import Judged
-from training.reproduce.results import png_of
-from training.reproduce.table2.pose_comparison import Cell
+
+from ...pose.pictures import close_up, drawn
+from ...pose.scores import Judged
+from ..results import png_of
+from .pose_comparison import Cell
 
 
 def curves(out: Path, objects: Sequence[str]) -> bytes | None:

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from training.pose.evaluation import TrueObject, evaluate, true_objects
-from training.pose.pipeline import load_pipeline
-from training.pose.scores import Judged, PoseScore, errors_table, load_judged, save_judged, score
-from training.reproduce.label_sources import EXPORTS, Source, exports_of
+from ...pose.evaluation import TrueObject, evaluate, true_objects
+from ...pose.pipeline import load_pipeline
+from ...pose.scores import Judged, PoseScore, errors_table, load_judged, save_judged, score
+from ..label_sources import EXPORTS, Source, exports_of
 
 PROTOCOLS = {"val": "given", "test": "detected"}
 """The paper's: frames beside those trained on, the label's crop. The strict one: scenes never trained on."""
