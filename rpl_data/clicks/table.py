@@ -105,9 +105,9 @@ def _rows(text: str, source: str) -> Iterator[tuple[int, dict[str, str]]]:
     first = text[said.end() if said else 0 :].partition("\n")[0]
     separator = next((mark for mark in ";\t" if mark in first), ",")
     reader = csv.DictReader(lines, delimiter=separator, skipinitialspace=True)
-    if reader.fieldnames is not None:
-        reader.fieldnames = [name.strip().lower() for name in reader.fieldnames]
     try:
+        if reader.fieldnames is not None:
+            reader.fieldnames = [name.strip().lower() for name in reader.fieldnames]
         missing = [column for column in CSV_COLUMNS if column not in (reader.fieldnames or [])]
         if missing:
             raise DataError(
@@ -127,6 +127,7 @@ def _rows(text: str, source: str) -> Iterator[tuple[int, dict[str, str]]]:
                 row |= {column: row[column].replace(",", ".") for column in ("u_px", "v_px")}
             yield line, row
     except csv.Error as error:
+        line = reader.line_num + bool(said)
         raise DataError(f"{source} line {line}: {error}; repair or delete the line") from error
 
 
