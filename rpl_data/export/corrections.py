@@ -36,17 +36,17 @@ class Corrector:
 
     def _instance(self, label: FrameLabel, instance: InstanceLabel) -> InstanceLabel | None:
         key = (label.scene, label.frame, instance.object)
-        change = self._given.get(key)
-        if change is None or not _fits(instance, change, self._names[instance.object]):
+        change, names = self._given.get(key), self._names.get(instance.object, ())
+        if change is None or not _fits(instance, change, names):
             return instance
         self._left.discard(key)
         self._applied.update(
-            deleted=change.deleted,
-            crowd=change.crowd,
-            mask=change.mask is not None and not change.deleted,
-            keypoints=bool(change.keypoints) and not change.deleted,
+            deleted=int(change.deleted),
+            crowd=int(change.crowd),
+            mask=int(change.mask is not None),
+            keypoints=int(bool(change.keypoints)),
         )
-        return None if change.deleted else _corrected(instance, change, self._names[instance.object])
+        return None if change.deleted else _corrected(instance, change, names)
 
     def messages(self) -> list[str]:
         """Say how many corrections were applied, and what may disagree; nothing when there are none."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from rpl_data.export.split import FrameKey
 from rpl_data.files import decoding
-from rpl_data.formats.datasets.coco_edited import as_exported, check_packed
+from rpl_data.formats.datasets.coco_edited import LARGEST_SIDE_PX, as_exported, check_packed
 from rpl_data.json_arrays import Json, number
 from rpl_data.types import Correction, DataError, Rle
 
@@ -241,6 +241,8 @@ def _moved(edited: Json, own: Json, order: Orders, found: Difference) -> dict[st
         distance = float(np.hypot(point[0] - before[name][0], point[1] - before[name][1]))
         if point[2] == before[name][2] and distance <= ROUNDING_PX:
             continue
+        if max(abs(point[0]), abs(point[1])) > LARGEST_SIDE_PX:
+            raise ValueError(f"its keypoint {name} lies far outside of every image")
         moved[name] = point
         if point[2] and before[name][2]:
             found.moved_px.append(distance)

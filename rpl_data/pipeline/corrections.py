@@ -102,7 +102,7 @@ def _described(found: Difference) -> list[str]:
     """The difference in words and counts."""
     kinds: Counter[str] = Counter()
     for one in found.corrections:
-        kinds.update(deleted=one.deleted, crowd=one.crowd, keypoints=bool(one.keypoints))
+        kinds.update(deleted=int(one.deleted), crowd=int(one.crowd), keypoints=int(bool(one.keypoints)))
     lines = []
     if found.ious:
         iou = f"median {np.median(found.ious):.3f}, lowest {min(found.ious):.3f}"

@@ -136,6 +136,7 @@ def test_labels_corrected_elsewhere_come_back(
     out = said("labels", "import", str(file))
     assert "1 keypoint of 1 instance changed" in out and "1 instance marked as ignored" in out
     assert "export    to run: coco" in said("status")
+    said("label", "--again", "true", "--workers", "1")
     assert "corrected with another program: keypoints of 1 instance moved" in said("export")
     after = annotations()
     assert [key for key in after if after[key] != before[key]] == [first["id"], second["id"]]
