@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import cv2
 import numpy as np
 
 from rpl_data.export.split import FrameKey
@@ -15,8 +16,8 @@ from rpl_data.formats.datasets.coco_edited import LARGEST_SIDE_PX, as_exported, 
 from rpl_data.json_arrays import Json, number
 from rpl_data.types import Correction, DataError, Rle
 
-ROUNDING_PX = 0.01
-"""Programs write keypoints with two decimals: less than this is no move."""
+DECIMALS = (0, 1, 2, 3, 4)
+"""With which programs write keypoints (we do with 4): ours rounded to so many have not moved."""
 BOX_PX = 1.0
 """By how much a box must leave its mask to be reported as moved: programs round boxes to pixels."""
 POSE_TOLERANCE = 1e-4
@@ -51,6 +52,8 @@ class Difference:
         ious: of each changed mask with ours.
         moved_px: how far each keypoint moved that has a position before and after.
         refused: number of new instances, by the reason why they are not taken.
+        redrawn: number of masks that differ from ours by at most a pixel along the outline, as when a program
+            turns them into polygons; ours are kept.
         boxes: number of boxes that were changed without their mask.
     """
 
@@ -59,6 +62,7 @@ class Difference:
     ious: list[float] = field(default_factory=list)
     moved_px: list[float] = field(default_factory=list)
     refused: Counter[str] = field(default_factory=Counter)
+    redrawn: int = 0
     boxes: int = 0
 
 
@@ -217,9 +221,22 @@ def _changed_mask(edited: Json, own: Json, found: Difference) -> Rle | None:
     if overlap == 1:
         found.boxes += _furthest(edited, own, "bbox") > BOX_PX
         return None
-    found.ious.append(overlap)
     mask = edited["segmentation"]
+    if _is_redrawn(mask, own["segmentation"]):
+        found.redrawn += 1
+        return None
+    found.ious.append(overlap)
     return {"size": list(mask["size"]), "counts": mask["counts"]}
+
+
+def _is_redrawn(mask: Rle, before: Rle) -> bool:
+    """Whether a mask leaves only pixels on the edge of ours, and adds only pixels beside it."""
+    from pycocotools import mask as masks
+
+    now, ours = masks.decode(mask), masks.decode(before)
+    square = np.ones((3, 3), np.uint8)
+    inner, outer = cv2.erode(ours, square), cv2.dilate(ours, square)
+    return not (inner & ~now).any() and not (now & ~outer).any()
 
 
 def _points(annotation: Json, count: int) -> list[tuple[float, float, int]]:
@@ -238,12 +255,20 @@ def _moved(edited: Json, own: Json, order: Orders, found: Difference) -> dict[st
     count, moved = len(order[0]), {}
     before = dict(zip(order[1], _points(own, count), strict=True))
     for name, point in zip(order[0], _points(edited, count), strict=True):
-        distance = float(np.hypot(point[0] - before[name][0], point[1] - before[name][1]))
-        if point[2] == before[name][2] and distance <= ROUNDING_PX:
+        if point[2] == before[name][2] and all(map(_is_rounded, point[:2], before[name][:2])):
             continue
+        distance = float(np.hypot(point[0] - before[name][0], point[1] - before[name][1]))
         if max(abs(point[0]), abs(point[1])) > LARGEST_SIDE_PX:
             raise ValueError(f"its keypoint {name} lies far outside of every image")
         moved[name] = point
         if point[2] and before[name][2]:
             found.moved_px.append(distance)
     return moved
+
+
+def _is_rounded(value: float, own: float) -> bool:
+    """Whether a number is ours, written with fewer decimals."""
+    return any(
+        abs(value - own) <= 0.5 * 10.0**-digits + 1e-6 and abs(value - round(value, digits)) < 1e-6
+        for digits in DECIMALS
+    )

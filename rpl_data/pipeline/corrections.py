@@ -119,6 +119,11 @@ def _described(found: Difference) -> list[str]:
         lines.append(f"{counted(kinds['deleted'], 'instance')} deleted")
     if kinds["crowd"]:
         lines.append(f"{counted(kinds['crowd'], 'instance')} marked as ignored (`iscrowd`)")
+    if found.redrawn:
+        lines.append(
+            f"{counted(found.redrawn, 'mask')} kept as ours: the file's differ by at most 1 px along the "
+            "outline, as when a program turns masks into polygons"
+        )
     if found.boxes:
         lines.append(
             f"boxes of {counted(found.boxes, 'instance')} moved without the mask: not taken, since a box is "

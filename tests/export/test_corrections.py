@@ -3,6 +3,7 @@
 import json
 from copy import deepcopy
 
+import cv2
 import numpy as np
 import pytest
 from labelled_scenes import BOX, CAN, LAST_FRAME, labelled_scene
@@ -153,6 +154,24 @@ def test_a_box_without_its_mask_and_a_plain_rle(data):
     edited["annotations"][1]["segmentation"] = {"size": list(mask.shape), "counts": [int(n) for n in counts]}
     found = compared(edited, data)
     assert found.corrections == [] and found.boxes == 1
+
+
+def test_what_a_program_rounds_is_no_correction(data):
+    """Masks turned into polygons through the centres of their outer pixels, keypoints into whole pixels."""
+    edited = deepcopy(data)
+    for one in edited["annotations"]:
+        outlines, _ = cv2.findContours(
+            masks.decode(one["segmentation"]), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE
+        )
+        one["segmentation"] = [[float(number) for number in outline.ravel()] for outline in outlines]
+        one["keypoints"] = [round(number) for number in one["keypoints"]]
+    found = compared(edited, data)
+    assert found.corrections == [] and found.redrawn == 10
+    moved = edited["annotations"][0]
+    moved["keypoints"][3] += 1
+    moved["segmentation"][0] = [number + 2 for number in moved["segmentation"][0]]
+    (one,) = compared(edited, data).corrections
+    assert set(one.keypoints) == {"b"} and one.mask is not None
 
 
 def drop(key):
