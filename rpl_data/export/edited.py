@@ -236,7 +236,7 @@ def _is_redrawn(mask: Rle, before: Rle) -> bool:
     now, ours = masks.decode(mask), masks.decode(before)
     square = np.ones((3, 3), np.uint8)
     inner, outer = cv2.erode(ours, square), cv2.dilate(ours, square)
-    return not (inner & ~now).any() and not (now & ~outer).any()
+    return not (inner > now).any() and not (now > outer).any()
 
 
 def _points(annotation: Json, count: int) -> list[tuple[float, float, int]]:
