@@ -15,6 +15,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from rpl_data.cli.building import HERE, run_build  # noqa: E402
 from rpl_data.cli.clicks import annotate, clicks_export, clicks_import  # noqa: E402
 from rpl_data.cli.first import init  # noqa: E402
+from rpl_data.cli.labels import labels_forget, labels_import  # noqa: E402
 from rpl_data.cli.machine import demo, doctor  # noqa: E402
 from rpl_data.cli.programs import PROGRAMS, run_program  # noqa: E402
 from rpl_data.cli.recordings import capture, check, import_, truth  # noqa: E402
@@ -188,6 +189,11 @@ COMMANDS: dict[str, Any] = {
         "_help": "Clicks in and out as CSV files.",
         "import": clicks_import,
         "export": clicks_export,
+    },
+    "labels": {
+        "_help": "Labels that were corrected with another program.",
+        "import": labels_import,
+        "forget": labels_forget,
     },
     "drift": drift,
     "cut": cut,

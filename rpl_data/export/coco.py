@@ -153,8 +153,10 @@ def _collect(
                     continue
                 annotation_id += 1
                 annotations.append(entry)
-                views.append(view_direction(key, frame.timestamp_s, instance))
-            frames[key] = frozenset(view.object for view in views[len(views) - len(annotations) :])
+                if not instance.crowd:
+                    views.append(view_direction(key, frame.timestamp_s, instance))
+            shown = sum(not entry["iscrowd"] for entry in annotations)
+            frames[key] = frozenset(view.object for view in views[len(views) - shown :])
             image = _image(building, item, frame, image_id, links)
             spool.write(json.dumps([image, annotations], allow_nan=False) + "\n")
     if not frames:

@@ -10,7 +10,7 @@ A missing value is absent, ``None``, or NaN in an array of numbers; never -1 or 
 from rpl_data.types.clicks import Click, Observation
 from rpl_data.types.errors import DataError, UnsureError
 from rpl_data.types.images import Box, ColorImage, DepthImage, DepthUnits, GreyImage, Rle, SquareBox
-from rpl_data.types.labels import FrameLabel, InstanceLabel, QualityRow
+from rpl_data.types.labels import Correction, FrameLabel, InstanceLabel, QualityRow
 from rpl_data.types.recording import (
     DepthCamera,
     DepthCoding,
@@ -44,6 +44,7 @@ __all__ = [
     "Click",
     "ClickResidual",
     "ColorImage",
+    "Correction",
     "DataError",
     "DepthImage",
     "DepthState",

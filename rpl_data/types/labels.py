@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -28,6 +29,8 @@ class InstanceLabel:
         quality: from 1 (certain) to 0: 1 / (1 + e / 5 px), where e is the label's expected error.
         corrected_px: how far the frame's own colours moved the keypoints from where the trajectory puts them
             (root mean square); None where the label follows the trajectory.
+        corrected: whether a person changed the mask or keypoints in another program (`rpl labels import`).
+        crowd: whether a person marked it as a region that trainers and scores ignore.
     """
 
     object: str
@@ -44,6 +47,28 @@ class InstanceLabel:
     truncated: bool
     quality: float
     corrected_px: float | None = None
+    corrected: bool = False
+    crowd: bool = False
+
+
+@dataclass(frozen=True)
+class Correction:
+    """What a person changed in a label with another program; the label itself may be made again.
+
+    Attributes:
+        deleted: the instance is not exported.
+        crowd: it is exported with `iscrowd`.
+        mask: its visible pixels; None where they were not changed.
+        keypoints: u, v in pixels and COCO's visibility of each changed keypoint, by its name.
+    """
+
+    scene: str
+    frame: int
+    object: str
+    deleted: bool = False
+    crowd: bool = False
+    mask: Rle | None = None
+    keypoints: Mapping[str, tuple[float, float, int]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

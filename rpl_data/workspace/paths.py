@@ -16,6 +16,7 @@ class Paths:
 
         recipe.yaml                   the resolved recipe that built it
         stages.json                   the options and inputs that each stage ran with
+        corrections.json              what `rpl labels import` changed in labels
         build.lock                    held while a build runs
         recording/                    recording rendered from a twin (a synthetic scene), with truth/
         scenes/<scene>/               scene.json  trajectory.txt  given.txt  corrected.txt  drift.json
@@ -43,6 +44,11 @@ class Paths:
     def stages_file(self) -> Path:
         """The options and inputs that each stage ran with."""
         return self.root / "stages.json"
+
+    @property
+    def corrections_file(self) -> Path:
+        """What was changed in labels with other programs."""
+        return self.root / "corrections.json"
 
     @property
     def build_lock(self) -> Path:

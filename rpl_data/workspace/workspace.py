@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from rpl_data.clicks.log import Annotation, Event, replay
@@ -22,6 +23,7 @@ from rpl_data.meshes import load_mesh
 from rpl_data.overlay import draw_overlay
 from rpl_data.types import (
     ColorImage,
+    Correction,
     DataError,
     Frame,
     FrameLabel,
@@ -31,6 +33,7 @@ from rpl_data.types import (
     Solution,
 )
 from rpl_data.workspace import click_files, records
+from rpl_data.workspace.correction_records import corrections_from_json, corrections_to_json
 from rpl_data.workspace.label_arrays import LabelArrays, label_arrays
 from rpl_data.workspace.placement_records import placements_from_json, placements_to_json
 from rpl_data.workspace.scene_files import SceneFiles
@@ -152,6 +155,26 @@ class Workspace(SceneFiles):
             return frozenset()
         with decoding(path, "delete it, and choose the frames to leave out again"):
             return frozenset(each(whole)(read_json(path)))
+
+    def save_corrections(self, corrections: Sequence[Correction]) -> None:
+        """Write `corrections.json`; without any it is removed. They survive when labels are made again."""
+        if corrections:
+            write_json(self.corrections_file, corrections_to_json(corrections))
+        else:
+            remove(self.corrections_file)
+
+    def load_corrections(self) -> list[Correction]:
+        """Load what was changed in labels with other programs; empty when nothing was."""
+        path = self.corrections_file
+        if not path.exists():
+            return []
+        with decoding(path, "delete it, and import the edited labels again"):
+            return corrections_from_json(read_json(path))
+
+    def corrections_digest(self) -> str | None:
+        """Stands for the corrections; None when there are none."""
+        found = corrections_to_json(self.load_corrections())
+        return hashlib.sha256(json.dumps(found).encode()).hexdigest()[:16] if found else None
 
     def load_labels(self, scene: str) -> Iterator[FrameLabel]:
         """Load the labels of a scene, one frame at a time."""

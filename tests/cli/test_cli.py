@@ -57,7 +57,7 @@ def test_help_is_quick_and_names_every_command() -> None:
     assert all(f"    {name}" in done.stdout for name in COMMANDS)
 
 
-@pytest.mark.parametrize("command", [name for name in COMMANDS if name != "clicks"])
+@pytest.mark.parametrize("command", [name for name, command in COMMANDS.items() if callable(command)])
 def test_every_command_explains_its_arguments(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as end:
         main([command, "--help"])
@@ -112,6 +112,50 @@ def test_truth_is_exported_with_the_same_images(
     )
     ids = [[(image["id"], image["file_name"]) for image in data["images"]] for data in (own, truth)]
     assert ids[0] == ids[1]
+
+
+def test_labels_corrected_elsewhere_come_back(
+    plain_build: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """They survive new labels; a later version of the file replaces them, and they can be dropped."""
+    place = Workspace(moved_copy(plain_build, tmp_path / "copy") / "ws")
+    at, file, exported = ["--workspace", str(place.root)], tmp_path / "edited.json", place.export("coco")
+
+    def annotations() -> dict[int, dict[str, object]]:
+        return {one["id"]: one for one in json.loads((exported / "train.json").read_text())["annotations"]}
+
+    def said(*arguments: str) -> str:
+        assert main([*arguments, *at]) == 0
+        return capsys.readouterr().out
+
+    edited, before = json.loads((exported / "train.json").read_text()), annotations()
+    first, second = edited["annotations"][:2]
+    first["keypoints"][:3] = [50.0, 40.0, 2]
+    second["iscrowd"] = 1
+    file.write_text(json.dumps(edited))
+    out = said("labels", "import", str(file))
+    assert "1 keypoint of 1 instance changed" in out and "1 instance marked as ignored" in out
+    assert "export    to run: coco" in said("status")
+    said("label", "--again", "true", "--workers", "1")
+    assert "corrected with another program: keypoints of 1 instance moved" in said("export")
+    after = annotations()
+    assert [key for key in after if after[key] != before[key]] == [first["id"], second["id"]]
+    assert after[first["id"]]["keypoints"][:3] == [50.0, 40.0, 2]
+    assert after[first["id"]]["corrected"] and after[second["id"]]["iscrowd"] == 1
+
+    again = json.loads((exported / "train.json").read_text())
+    again["annotations"][1]["iscrowd"] = 0
+    file.write_text(json.dumps(again))
+    out = said("labels", "import", str(file))
+    assert "1 keypoint of 1 instance changed" in out and "they replace 2 earlier corrections" in out
+    kept = place.corrections_file.read_bytes()
+    file.write_text(json.dumps(again)[:-9])
+    assert main(["labels", "import", str(file), *at]) == 1
+    assert capsys.readouterr().err.count("\n") == 1 and place.corrections_file.read_bytes() == kept
+
+    assert said("labels", "forget") == "1 correction dropped\n"
+    said("export")
+    assert annotations() == before and not place.corrections_file.exists()
 
 
 def test_clicks_go_out_and_in(recipe: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -27,16 +27,7 @@ from rpl_data.formats.datasets.coco_check import validate_coco
 from rpl_data.formats.datasets.coco_edited import as_exported
 from rpl_data.geometry import Transform
 from rpl_data.json_arrays import Json, asdict_values, matrix_from_json, numbers, rows_from_json, rows_to_json
-from rpl_data.types import (
-    Box,
-    Frame,
-    FrameLabel,
-    InstanceLabel,
-    Intrinsics,
-    KeypointModel,
-    Rle,
-    SquareBox,
-)
+from rpl_data.types import Box, Frame, FrameLabel, InstanceLabel, Intrinsics, KeypointModel, Rle, SquareBox
 from rpl_data.version import installed_version
 
 
@@ -135,7 +126,7 @@ def instance_to_coco(
         "segmentation": dict(instance.mask),
         "area": area,
         "bbox": _box_of(instance.mask),
-        "iscrowd": 0,
+        "iscrowd": int(instance.crowd),
         "keypoints": _keypoints_to_coco(instance),
         "num_keypoints": int((instance.visibility > 0).sum()),
         "camera_from_object": numbers(instance.camera_from_object),
@@ -149,6 +140,7 @@ def instance_to_coco(
             for s, v in zip(instance.sigma_px, instance.visibility, strict=True)
         ],
         "quality": float(instance.quality),
+        **({"corrected": True} if instance.corrected else {}),
     }
 
 
@@ -232,6 +224,7 @@ def instance_from_coco(annotation: Mapping[str, Any], object_name: str) -> Insta
         visib_fract=annotation["visib_fract"],
         truncated=annotation["truncated"],
         quality=annotation["quality"],
+        corrected=annotation.get("corrected") is True,
     )
 
 

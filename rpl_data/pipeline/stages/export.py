@@ -21,6 +21,7 @@ from rpl_data.export import (
     export_webdataset,
     export_yolo,
 )
+from rpl_data.export.corrections import Corrector
 from rpl_data.export.dialect import DialectSummary
 from rpl_data.json_arrays import Json, finite_or_none
 from rpl_data.pipeline.context import Context, step, truth_workspace
@@ -68,6 +69,7 @@ def _export_step(context: Context, name: str) -> Step:
     annotations = [context.workspace.load_annotation(item) for item in context.object_names]
     chosen = {
         "left_out": {scene: frames for scene, frames in left_out.items() if frames},
+        "corrections": context.workspace.corrections_digest(),
         "grasps": {item.object: asdict(item.grasp) for item in annotations if item.grasp is not None},
     }
     options = {
@@ -105,8 +107,12 @@ def export_labels(context: Context) -> ExportSummary:
     """Write `export/coco` from the labels of the workspace that are good enough."""
     least = context.recipe.export.min_quality
     tally = QualityTally()
+    models = [context.workspace.load_placed(name).model for name in context.object_names]
+    corrector = Corrector(context.workspace.load_corrections(), models)
     try:
-        summary = _export_coco(context, context.workspace, "coco", {}, tally.good_enough(least))
+        summary = _export_coco(
+            context, context.workspace, "coco", {}, tally.good_enough(least), corrector.corrected
+        )
     except DataError as error:
         if not tally.frames or tally.frames_left_out < tally.frames:
             raise
@@ -114,7 +120,8 @@ def export_labels(context: Context) -> ExportSummary:
             f"all {counted(tally.frames, 'labelled frame')} would be left out, since a label in each has a "
             f"quality below {least:g}: check the clicks and the trajectories, or lower `export.min_quality`"
         ) from error
-    return replace(summary, low_quality=dict(tally.low), messages=(*summary.messages, *tally.messages(least)))
+    messages = (*summary.messages, *tally.messages(least), *corrector.messages())
+    return replace(summary, low_quality=dict(tally.low), messages=messages)
 
 
 def export_truth(context: Context) -> ExportSummary:
@@ -133,7 +140,12 @@ def export_truth(context: Context) -> ExportSummary:
 
 
 def _export_coco(
-    context: Context, labels: Workspace, name: str, options: Json, keep: Keep = lambda label: True
+    context: Context,
+    labels: Workspace,
+    name: str,
+    options: Json,
+    keep: Keep = lambda label: True,
+    correct: Callable[[FrameLabel], FrameLabel] = lambda label: label,
 ) -> ExportSummary:
     workspace = context.workspace
     scenes = []
@@ -142,7 +154,7 @@ def _export_coco(
             continue
         scene = workspace.load_scene(scene_name)
         kept = _without(labels.load_labels(scene_name), workspace.load_left_out(scene_name))
-        lines = filter(keep, kept)
+        lines = filter(keep, map(correct, kept))
         scenes.append(ExportScene(scene, workspace.load_trajectory(scene), lines))
     models = [labels.load_placed(item).model for item in context.object_names]
     meshes = {
