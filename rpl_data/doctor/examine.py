@@ -83,10 +83,10 @@ def examine(recording: Recording, *, progress: Callable[[int, int], None] | None
         said, found = _geometry(scene, trajectory, sample, lag.whole)
         facts.append(said)
         lag, found = decide_what_lags(aligned, lag, found)
-        if not found and not lag.whole:  # otherwise disagreement is not the poses' fault
-            said, found = _drift(scene, trajectory, progress)
+        if not lag.whole and all(finding.sure < SURE for finding in found):
+            said, strays = _drift(scene, trajectory, progress)
             facts.append(said)
-    if trajectory is not None and not timing.odd_times(scene):
+            found = strays or found  # a path that surely strays explains what is less sure
         found = timing.pose_jumps(scene, trajectory) + found
     misplaced = misregistered(scene, aligned)
     findings += lag_findings(lag) + misplaced + _after_mending(misplaced, found)
