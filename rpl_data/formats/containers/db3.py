@@ -70,10 +70,11 @@ def _repaired(path: Path, repaired: Path) -> Db3Repair:
             topics = old.execute(f"SELECT {_TOPICS} FROM topics").fetchall()
         except apsw.Error as error:
             raise _nothing_of(path) from error
-        new.executemany("INSERT INTO topics VALUES (?, ?, ?, ?, ?)", topics)
+        # A damaged row that lacks a value is left out.
+        new.executemany("INSERT OR IGNORE INTO topics VALUES (?, ?, ?, ?, ?)", topics)
         for row in _whole_messages(old):
-            new.execute("INSERT INTO messages VALUES (?, ?, ?, ?)", row)
-            times_ns.append(row[2])
+            if new.execute("INSERT OR IGNORE INTO messages VALUES (?, ?, ?, ?)", row).rowcount:
+                times_ns.append(row[2])
         new.commit()
     if not times_ns:
         raise DataError(f"{path} was cut off within its first message; nothing of it can be kept")
