@@ -53,10 +53,9 @@ def text_for(
     """
     chosen = told.format or only_format(recording)
     clicks = recording / "clicks.csv"
-    objects = objects_clicked(clicks) if object is None else []
-    if not objects:
-        objects = [_named(object, keypoints, asks=asks)]
-    elif keypoints is not None:
+    clicked = objects_clicked(clicks) if object is None else []
+    objects = clicked or [_named(object, keypoints, asks=asks)]
+    if clicked and keypoints is not None:
         raise DataError(f"{clicks} says which keypoints there are; give --keypoints together with --object")
     with TemporaryDirectory() as scratch:
         found = recordings_at(recording, Path(scratch), format=chosen, camera=told.camera, topics=told.topics)
@@ -67,7 +66,7 @@ def text_for(
         examined,
         name=recipe.stem,
         objects=objects,
-        clicks=path_from(recipe, clicks) if objects_clicked(clicks) and object is None else None,
+        clicks=path_from(recipe, clicks) if clicked else None,
     )
 
 

@@ -157,14 +157,15 @@ def export(
     run_stage(workspace, "export", again, results=format is None)
     if labels == "truth" or format is not None:
         from rpl_data.pipeline.build import alone_in, context_of
-        from rpl_data.pipeline.stages.export import EXPORTS, export_truth
+        from rpl_data.pipeline.stages.export import EXPORTS, Export, export_truth
         from rpl_data.workspace.workspace import Workspace
 
         place = Workspace(workspace)
-        wanted = [] if format is None else [format]
-        for name in ["coco_truth"] * (labels == "truth") + wanted:
+        wanted: list[tuple[str, Export]] = [("coco_truth", export_truth)] if labels == "truth" else []
+        wanted += [] if format is None else [(format, EXPORTS[format])]
+        for name, write in wanted:
             with alone_in(place):
-                summary = EXPORTS.get(name, export_truth)(context_of(place))
+                summary = write(context_of(place))
             images = f": {sum(summary.images.values())} images" if summary.images else ""
             print(f"{place.export(name)}{images}")
             for line in summary.messages:

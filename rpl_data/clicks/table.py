@@ -30,7 +30,7 @@ def clicks_to_csv(clicks: Iterable[Click], keypoints: Sequence[str]) -> str:
 
 def objects_in_csv(text: str, *, source: str) -> list[str]:
     """Names of the objects that CSV text has clicks for, sorted; DataError as `clicks_from_csv`."""
-    return sorted({row["object"] for _, row in _rows(text, source)})
+    return sorted(keypoints_in_csv(text, source=source))
 
 
 def keypoints_in_csv(text: str, *, source: str) -> dict[str, list[str]]:

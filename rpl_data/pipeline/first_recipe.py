@@ -13,7 +13,7 @@ from rpl_data.doctor.findings import Diagnosis
 from rpl_data.doctor.pairing import SURE
 from rpl_data.files import read_text
 from rpl_data.formats.recordings.ros.wanted import Topics
-from rpl_data.recordings.mend import Mend, in_recipe
+from rpl_data.recordings.mend import Mend, changed, in_recipe
 from rpl_data.types import DataError, Recording
 from rpl_data.untrusted.names import checked_keypoints, checked_name
 
@@ -62,10 +62,7 @@ def mends(diagnosis: Diagnosis) -> Mend:
     whole = Mend()
     for finding in diagnosis.findings:
         if finding.mend is not None and finding.sure >= SURE:
-            changed = {
-                name: value for name, value in asdict(finding.mend).items() if value != getattr(Mend(), name)
-            }
-            whole = replace(whole, **changed)
+            whole = replace(whole, **changed(finding.mend))
     return whole
 
 

@@ -7,6 +7,7 @@ import json
 import math
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float64
@@ -94,8 +95,12 @@ def mended(recording: Recording, mend: Mend) -> Recording:
 
 def in_recipe(mend: Mend) -> str:
     """Write the recipe's field, with what differs from the default."""
-    changed = {key: value for key, value in asdict(mend).items() if value != getattr(Mend(), key)}
-    return f"mend: {{{', '.join(f'{key}: {json.dumps(value)}' for key, value in changed.items())}}}"
+    return f"mend: {{{', '.join(f'{key}: {json.dumps(value)}' for key, value in changed(mend).items())}}}"
+
+
+def changed(mend: Mend) -> dict[str, Any]:
+    """The fields that differ from the default."""
+    return {key: value for key, value in asdict(mend).items() if value != getattr(Mend(), key)}
 
 
 def mended_poses(poses: Float64[np.ndarray, "n 4 4"], mend: Mend) -> Float64[np.ndarray, "n 4 4"]:

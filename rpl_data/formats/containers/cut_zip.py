@@ -19,6 +19,11 @@ from rpl_data.types import DataError
 MOST_BYTES = 2**28
 """Largest member that is unpacked."""
 
+ZIP_FAULTS = (
+    zipfile.BadZipFile, RuntimeError, OSError, ValueError, KeyError, EOFError, struct.error, zlib.error
+)  # fmt: skip
+"""What zipfile raises for a damaged archive; RuntimeError for a password or a packing it does not know."""
+
 _HEADER = struct.Struct("<4s5H3I2H")
 _STORED, _DEFLATED = 0, 8
 _SIZES_FOLLOW = 8
@@ -47,21 +52,20 @@ def members_of(path: Path) -> Members:
         with zipfile.ZipFile(path) as archive:
             names = [info.filename for info in archive.infolist() if not info.is_dir()]
         return Members({name: partial(_read, path, name) for name in names})
-    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError, struct.error):
+    except ZIP_FAULTS:
         return _salvaged(path)
 
 
 def _read(path: Path, name: str) -> bytes:
     try:
         with zipfile.ZipFile(path) as archive:
-            if archive.getinfo(name).file_size > MOST_BYTES:
-                raise DataError(f"{path}: {name} is larger than {MOST_BYTES} bytes; record it again")
-            return archive.read(name)
-    except (zipfile.BadZipFile, OSError, ValueError, KeyError, zlib.error, NotImplementedError, RuntimeError,
-            EOFError, struct.error) as error:  # fmt: skip
-        if isinstance(error, DataError):
-            raise
-        raise DataError(f"{path}: {name} is damaged: {error}; copy the file again") from error
+            allowed = archive.getinfo(name).file_size <= MOST_BYTES
+            content = archive.read(name) if allowed else b""
+    except ZIP_FAULTS as error:
+        raise _damaged(path, name, error) from error
+    if not allowed:
+        raise _too_large(path, name)
+    return content
 
 
 def _salvaged(path: Path) -> Members:
@@ -100,10 +104,24 @@ def _member(data: bytes, at: int) -> tuple[str, bytes, int, int] | None:
 
 
 def _unpacked(path: Path, name: str, content: bytes, method: int) -> bytes:
+    """Unpack a member; DataError where it is damaged, ends too early or is too large."""
     if method == _STORED:
         return content
+    unpacking = zlib.decompressobj(-15)
     try:
-        unpacked = zlib.decompressobj(-15).decompress(content, MOST_BYTES)
+        unpacked = unpacking.decompress(content, MOST_BYTES)
     except zlib.error as error:
-        raise DataError(f"{path}: {name} is damaged: {error}; copy the file again") from error
+        raise _damaged(path, name, error) from error
+    if unpacking.unconsumed_tail:
+        raise _too_large(path, name)
+    if not unpacking.eof:  # a packed byte sequence that looks like the mark behind a member
+        raise _damaged(path, name, "its packed content ends too early")
     return unpacked
+
+
+def _damaged(path: Path, name: str, why: object) -> DataError:
+    return DataError(f"{path}: {name} is damaged: {why}; copy the file again")
+
+
+def _too_large(path: Path, name: str) -> DataError:
+    return DataError(f"{path}: {name} is larger than {MOST_BYTES} bytes; record it again")

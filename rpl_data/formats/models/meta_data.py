@@ -23,6 +23,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from rpl_data.files import decoding, refuse_special, writing
+from rpl_data.formats.containers.cut_zip import ZIP_FAULTS
 from rpl_data.formats.models.sparse_model import points_in_first_scene
 from rpl_data.geometry import Points, from_quaternion_xyzw, invert, to_quaternion_xyzw, transform
 from rpl_data.types import DataError, Observation, Solution
@@ -81,8 +82,9 @@ def _load(path: Path) -> dict[str, np.ndarray]:
     try:
         with zipfile.ZipFile(path) as archive, decoding(path, WRITE_AGAIN):
             return {Path(name).stem: _array(archive, path, name) for name in archive.namelist()}
-    # zipfile raises the last two for a packing that it does not know and for a password.
-    except (OSError, zipfile.BadZipFile, NotImplementedError, RuntimeError) as error:
+    except DataError:
+        raise
+    except ZIP_FAULTS as error:
         raise DataError(f"{path} is not an npz archive of numbers: {error}; {WRITE_AGAIN}") from error
 
 

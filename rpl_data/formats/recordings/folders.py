@@ -57,7 +57,7 @@ from rpl_data.formats.recordings.matrices import (
     rigid_or_none,
 )
 from rpl_data.formats.recordings.saved_images import write_depth
-from rpl_data.formats.recordings.scene_folders import chosen, scene_folders
+from rpl_data.formats.recordings.scene_folders import chosen_scenes
 from rpl_data.geometry import Transform
 from rpl_data.types import DataError, Recording
 
@@ -104,13 +104,8 @@ def read_folders(
         DataError: there is no such folder, no camera, no complete frame, or the depth unit is wrong.
     """
     path = path.absolute()
-    found = scene_folders(path, is_folder_scene)
-    if not found:
-        raise DataError(f"{path} has no rgb/ (color/, images/) with depth/, and neither has any folder in it")
-    return [
-        _read_scene(name, folder, unpack, metres_per_unit, camera)
-        for name, folder in chosen(found, names, path).items()
-    ]
+    scenes = chosen_scenes(path, is_folder_scene, names, lacks="rgb/ (color/, images/) with depth/")
+    return [_read_scene(name, folder, unpack, metres_per_unit, camera) for name, folder in scenes.items()]
 
 
 def is_folder_scene(folder: Path) -> bool:

@@ -31,7 +31,7 @@ from rpl_data.formats.recordings.frame_files import (
     without_poses,
 )
 from rpl_data.formats.recordings.matrices import rigid_or_none
-from rpl_data.formats.recordings.scene_folders import chosen, scene_folders
+from rpl_data.formats.recordings.scene_folders import chosen_scenes
 from rpl_data.geometry import Transform
 from rpl_data.types import DataError, Intrinsics, Recording
 
@@ -63,13 +63,8 @@ def read_frames(
         DataError: there is no frame, no camera, no complete frame, or the depth unit is wrong.
     """
     path = path.absolute()
-    found = scene_folders(path, has_frames)
-    if not found:
-        raise DataError(f"{path} has no frame-<number>.color.jpg (or .png), and neither has any folder in it")
-    return [
-        _read_scene(name, folder, metres_per_unit, camera)
-        for name, folder in chosen(found, names, path).items()
-    ]
+    scenes = chosen_scenes(path, has_frames, names, lacks="frame-<number>.color.jpg (or .png)")
+    return [_read_scene(name, folder, metres_per_unit, camera) for name, folder in scenes.items()]
 
 
 def has_frames(folder: Path) -> bool:

@@ -19,19 +19,18 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from rpl_data.files import decoding, read_json
-from rpl_data.formats.recordings.frame_files import Camera, grouped
+from rpl_data.formats.recordings.frame_files import Camera
 from rpl_data.formats.recordings.matrices import rigid_or_none
-from rpl_data.formats.recordings.phones import Phone, PhoneFrame, phone_recording
-from rpl_data.formats.recordings.scene_folders import chosen, scene_folders
+from rpl_data.formats.recordings.phones import App, Phone, PhoneFrame
 from rpl_data.geometry import OPENGL_AXES, Transform
 from rpl_data.types import DataError, Recording
+from rpl_data.wording import counted
 
 RATE_HZ = 30.0
 """Assumed frame rate: the file has no times."""
@@ -64,16 +63,8 @@ def read_nerfstudio(
     Raises:
         DataError: there is no such file, it is broken, names no depth, or a fisheye camera.
     """
-    path = path.absolute()
-    found = scene_folders(path, is_nerfstudio)
-    if not found:
-        raise DataError(f"{path} has no {LIST}, and neither has any folder in it")
-    return [
-        phone_recording(
-            _scene(name, folder), partial(unpack, name), metres_per_unit=metres_per_unit, camera=camera
-        )
-        for name, folder in chosen(found, names, path).items()
-    ]
+    app = App(is_nerfstudio, LIST, _scene)
+    return app.recordings(path, unpack=unpack, names=names, metres_per_unit=metres_per_unit, camera=camera)
 
 
 def is_nerfstudio(folder: Path) -> bool:
@@ -95,7 +86,7 @@ def _scene(name: str, folder: Path) -> Phone:
         size = (int(said["w"]), int(said["h"])) if "w" in said and "h" in said else None
     notes = [f"no times: {RATE_HZ:g} frames per second assumed"]
     notes += [f"the world was scaled by {scale:g}, which is undone"] if scale != 1 else []
-    skipped = grouped(list(range(without)), "of the list without depth_file_path") if without else []
+    skipped = [f"{counted(without, 'frame')} of the list without depth_file_path"] if without else []
     return Phone(
         name,
         folder,
@@ -104,7 +95,7 @@ def _scene(name: str, folder: Path) -> Phone:
         camera_px=size,
         metres_per_unit=unit_m,
         notes=tuple(notes),
-        skipped=tuple(line.partition(":")[0] for line in skipped),
+        skipped=tuple(skipped),
     )
 
 

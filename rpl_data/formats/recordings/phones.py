@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,7 @@ from rpl_data.formats.recordings.frame_files import (
 from rpl_data.formats.recordings.image_headers import probe
 from rpl_data.formats.recordings.matrices import median_camera, rigid_or_none
 from rpl_data.formats.recordings.saved_images import write_depth
+from rpl_data.formats.recordings.scene_folders import chosen_scenes
 from rpl_data.geometry import OPENGL_AXES, Transform
 from rpl_data.types import DataError, Recording
 
@@ -83,6 +85,39 @@ class Phone:
     metres_per_unit: float = 0.001
     notes: tuple[str, ...] = ()
     skipped: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class App:
+    """How the recordings of an app are found and read.
+
+    Attributes:
+        is_scene: whether a folder is a recording of the app.
+        lacks: what other folders lack, for the message.
+        read: reads a scene, given its name and its folder.
+    """
+
+    is_scene: Callable[[Path], bool]
+    lacks: str
+    read: Callable[[str, Path], Phone]
+
+    def recordings(
+        self,
+        path: Path,
+        *,
+        unpack: Callable[[str], Path],
+        names: Sequence[str] | None,
+        metres_per_unit: float | None,
+        camera: Camera | None,
+    ) -> list[Recording]:
+        """Read one scene, or those in the folders of a folder; arguments and errors as `read_polycam`."""
+        path = path.absolute()
+        return [
+            phone_recording(
+                self.read(name, folder), partial(unpack, name), metres_per_unit=metres_per_unit, camera=camera
+            )
+            for name, folder in chosen_scenes(path, self.is_scene, names, lacks=self.lacks).items()
+        ]
 
 
 def phone_recording(

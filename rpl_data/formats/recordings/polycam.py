@@ -14,21 +14,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 from rpl_data.formats.recordings.frame_files import Camera, grouped
 from rpl_data.formats.recordings.phones import (
+    App,
     Phone,
     PhoneFrame,
     arkit_pose,
     has_confidence,
     json_or_empty,
-    phone_recording,
 )
-from rpl_data.formats.recordings.scene_folders import chosen, scene_folders
-from rpl_data.types import DataError, Recording
+from rpl_data.types import Recording
 
 _KEYS = ("fx", "fy", "cx", "cy", *(f"t_{row}{column}" for row in range(3) for column in range(4)))
 
@@ -56,16 +54,8 @@ def read_polycam(
     Raises:
         DataError: there is no capture, its files are broken, or no frame is complete.
     """
-    path = path.absolute()
-    found = scene_folders(path, is_polycam)
-    if not found:
-        raise DataError(f"{path} has no keyframes/depth, and neither has any folder in it")
-    return [
-        phone_recording(
-            _capture(name, folder), partial(unpack, name), metres_per_unit=metres_per_unit, camera=camera
-        )
-        for name, folder in chosen(found, names, path).items()
-    ]
+    app = App(is_polycam, "keyframes/depth", _capture)
+    return app.recordings(path, unpack=unpack, names=names, metres_per_unit=metres_per_unit, camera=camera)
 
 
 def is_polycam(folder: Path) -> bool:

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,14 +20,13 @@ import numpy as np
 
 from rpl_data.formats.recordings.frame_files import Camera, grouped
 from rpl_data.formats.recordings.phones import (
+    App,
     Phone,
     PhoneFrame,
     arkit_pose,
     json_or_empty,
-    phone_recording,
 )
-from rpl_data.formats.recordings.scene_folders import chosen, scene_folders
-from rpl_data.types import DataError, Recording
+from rpl_data.types import Recording
 from rpl_data.wording import counted
 
 RATE_HZ = 60.0
@@ -60,16 +58,8 @@ def read_scanner_app(
     Raises:
         DataError: there is no scan, its files are broken, or no frame is complete.
     """
-    path = path.absolute()
-    found = scene_folders(path, is_scanner_app)
-    if not found:
-        raise DataError(f"{path} has no frame_00000.json, and neither has any folder in it")
-    return [
-        phone_recording(
-            _scan(name, folder), partial(unpack, name), metres_per_unit=metres_per_unit, camera=camera
-        )
-        for name, folder in chosen(found, names, path).items()
-    ]
+    app = App(is_scanner_app, "frame_00000.json", _scan)
+    return app.recordings(path, unpack=unpack, names=names, metres_per_unit=metres_per_unit, camera=camera)
 
 
 def is_scanner_app(folder: Path) -> bool:

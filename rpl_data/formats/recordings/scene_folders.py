@@ -14,8 +14,32 @@ def folders_in(path: Path) -> list[Path]:
 
 
 def scene_folders(path: Path, is_scene: Callable[[Path], bool]) -> dict[str, Path]:
-    """Which of a folder and the folders directly below it hold a scene, by name."""
-    return {folder.name: folder for folder in (path, *folders_in(path)) if is_scene(folder)}
+    """Which of a folder and those directly below it hold a scene, by name; DataError for a name twice."""
+    found: dict[str, Path] = {}
+    for folder in filter(is_scene, (path, *folders_in(path))):
+        if folder.name in found:
+            raise DataError(
+                f"two scenes are called {folder.name}: {found[folder.name]} and {folder}; rename a folder"
+            )
+        found[folder.name] = folder
+    return found
+
+
+def chosen_scenes(
+    path: Path, is_scene: Callable[[Path], bool], names: Sequence[str] | None, *, lacks: str
+) -> dict[str, Path]:
+    """The scenes to read of a folder and those directly below it, by name and sorted.
+
+    Args:
+        lacks: what a folder that is no scene lacks, for the message.
+
+    Raises:
+        DataError: there is no scene, two have one name, or one of `names` does not exist.
+    """
+    found = scene_folders(path, is_scene)
+    if not found:
+        raise DataError(f"{path} has no {lacks}, and neither has any folder in it")
+    return chosen(found, names, path)
 
 
 def chosen(found: Mapping[str, Path], names: Sequence[str] | None, where: Path) -> dict[str, Path]:

@@ -37,7 +37,7 @@ from rpl_data.formats.recordings.phones import (
     read_confidence,
 )
 from rpl_data.formats.recordings.saved_images import write_images
-from rpl_data.formats.recordings.scene_folders import chosen, scene_folders
+from rpl_data.formats.recordings.scene_folders import chosen_scenes
 from rpl_data.geometry import Transform, from_quaternion_xyzw
 from rpl_data.types import DataError, Recording
 from rpl_data.untrusted.child import in_child
@@ -72,12 +72,9 @@ def read_stray(
         DataError: there is no scan, its video cannot be played, or no frame is complete.
     """
     path = path.absolute()
-    found = scene_folders(path, is_stray)
-    if not found:
-        raise DataError(f"{path} has no rgb.mp4 with depth/, and neither has any folder in it")
     return [
         in_child(read_scan, name, folder, unpack(name), metres_per_unit, camera, file=folder / "rgb.mp4")
-        for name, folder in chosen(found, names, path).items()
+        for name, folder in chosen_scenes(path, is_stray, names, lacks="rgb.mp4 with depth/").items()
     ]
 
 

@@ -44,7 +44,7 @@ from rpl_data.formats.recordings.pose_lines import (
     whole_lines,
     write_pose_lines,
 )
-from rpl_data.formats.recordings.scene_folders import chosen, scene_folders
+from rpl_data.formats.recordings.scene_folders import chosen_scenes
 from rpl_data.formats.recordings.times import Clock, clock_beside, clock_of, refuse_jumping
 from rpl_data.types import DataError, Recording
 from rpl_data.wording import counted
@@ -93,13 +93,8 @@ def read_tum(
             none has a pose.
     """
     path = path.absolute()
-    found = scene_folders(path, is_sequence)
-    if not found:
-        raise DataError(f"{path} has no rgb.txt and depth.txt, and neither has any folder in it")
-    return [
-        _read_sequence(name, folder, metres_per_unit, camera)
-        for name, folder in chosen(found, names, path).items()
-    ]
+    scenes = chosen_scenes(path, is_sequence, names, lacks="rgb.txt and depth.txt")
+    return [_read_sequence(name, folder, metres_per_unit, camera) for name, folder in scenes.items()]
 
 
 def is_sequence(folder: Path) -> bool:
