@@ -21,11 +21,11 @@ from rpl_data.export.dialect import DialectSummary, splits_of
 from rpl_data.export.folder import link, replacing
 from rpl_data.files import write_json, write_text
 from rpl_data.formats.datasets.coco import intrinsics_from_coco
+from rpl_data.formats.recordings.nerfstudio import HALF_PIXEL
 from rpl_data.geometry import OPENGL_AXES, invert, to_quaternion_xyzw
 from rpl_data.json_arrays import Json, matrix_from_json
 from rpl_data.types import DataError, Intrinsics
 
-HALF_PIXEL = 0.5
 MOST_COEFFICIENTS = 4
 """k1, k2, p1, p2: nerfstudio's and COLMAP's OPENCV model holds no more."""
 

@@ -26,7 +26,7 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8, UInt16
 
-from rpl_data.files import refuse_special, writing
+from rpl_data.files import opened, writing
 from rpl_data.images import decode_pixels
 from rpl_data.types import DataError
 
@@ -75,12 +75,8 @@ def index_klg(path: Path) -> KlgIndex:
     Raises:
         DataError: the file is missing, or does not start with a frame.
     """
-    refuse_special(path)
-    try:
-        with path.open("rb") as file:
-            return _index(file, path)
-    except OSError as error:
-        raise DataError(f"cannot read {path}: {error.strerror}") from error
+    with opened(path) as file:
+        return _index(file, path)
 
 
 def _index(file: BinaryIO, path: Path) -> KlgIndex:

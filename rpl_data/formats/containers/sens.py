@@ -24,7 +24,7 @@ from typing import BinaryIO
 import numpy as np
 from jaxtyping import Float64, UInt16
 
-from rpl_data.files import refuse_special
+from rpl_data.files import opened
 from rpl_data.types import DataError
 
 _LARGEST_SIDE_PX = 16384
@@ -79,12 +79,8 @@ def index_sens(path: Path) -> Sens:
     Raises:
         DataError: the file is missing, or is no such recording with a complete frame.
     """
-    refuse_special(path)
-    try:
-        with path.open("rb") as file:
-            return _index(file, path)
-    except OSError as error:
-        raise DataError(f"cannot read {path}: {error.strerror}") from error
+    with opened(path) as file:
+        return _index(file, path)
 
 
 def _index(file: BinaryIO, path: Path) -> Sens:

@@ -14,6 +14,11 @@ MOST_STRETCHED = 0.02
 """Largest difference between the shapes of two images of one view: sizes are whole numbers of pixels."""
 
 
+def stretched(one_px: tuple[int, int], other_px: tuple[int, int]) -> bool:
+    """Whether images of these widths and heights cannot show the same view."""
+    return abs(one_px[0] * other_px[1] / (one_px[1] * other_px[0]) - 1) > MOST_STRETCHED
+
+
 def behind_color_lens(folder: Path, color: Intrinsics, width: int, height: int) -> DepthCamera | None:
     """The camera of depth images of this size; None where it is that of the colour images.
 
@@ -22,7 +27,7 @@ def behind_color_lens(folder: Path, color: Intrinsics, width: int, height: int) 
     """
     if (width, height) == (color.width, color.height):
         return None
-    if abs(width * color.height / (height * color.width) - 1) > MOST_STRETCHED:
+    if stretched((width, height), (color.width, color.height)):
         raise DataError(
             f"{folder}: depth of {width} x {height} px and colour of {color.width} x {color.height} px do "
             "not show the same view; rotate or crop one of them, or register depth to colour when recording"

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from rpl_data.files import read_json, write_bytes
-from rpl_data.formats.recordings.color_lens import COLOR_LENS
+from rpl_data.formats.recordings.color_lens import COLOR_LENS, camera_numbers, stretched
 from rpl_data.formats.recordings.depth_files import (
     STORED_UNIT_M,
     read_depth_file,
@@ -25,6 +25,7 @@ from rpl_data.formats.recordings.frame_files import (
     Listing,
     Pair,
     examine,
+    intrinsics_of,
     with_poses,
     without_poses,
 )
@@ -32,7 +33,7 @@ from rpl_data.formats.recordings.image_headers import probe
 from rpl_data.formats.recordings.matrices import median_camera, rigid_or_none
 from rpl_data.formats.recordings.saved_images import write_depth
 from rpl_data.formats.recordings.scene_folders import chosen_scenes
-from rpl_data.geometry import OPENGL_AXES, Transform
+from rpl_data.geometry import OPENGL_AXES, Transform, resized
 from rpl_data.types import DataError, Recording
 
 DOUBTED = "depth of low confidence is left out"
@@ -176,20 +177,13 @@ def _for_images(phone: Phone, camera: Camera) -> Camera:
     color = next((header for header in headers if header is not None), None)
     if phone.camera_px is None or color is None or phone.camera_px == (color.width, color.height):
         return camera
-    across, down = color.width / phone.camera_px[0], color.height / phone.camera_px[1]
-    if abs(across / down - 1) > 0.02:
+    own = intrinsics_of(camera, *phone.camera_px)
+    if stretched(phone.camera_px, (color.width, color.height)):
         raise DataError(
             f"{phone.folder}: its camera is for images of {phone.camera_px[0]} x {phone.camera_px[1]} px, "
             f"but they have {color.width} x {color.height}; give `camera: [fx, fy, cx, cy]` for these"
         )
-    fx, fy, cx, cy, *distortion = camera
-    return (
-        fx * across,
-        fy * down,
-        (cx + 0.5) * across - 0.5,
-        (cy + 0.5) * down - 0.5,
-        *distortion,
-    )
+    return camera_numbers(resized(own, width=color.width, height=color.height))
 
 
 def _trusted(
