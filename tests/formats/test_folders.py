@@ -132,6 +132,16 @@ def test_no_part_of_a_lens_is_dropped(
         read_matrix_camera(path)
 
 
+def test_the_lens_of_a_camera_info_is_read_as_the_model_it_names(tmp_path: Path) -> None:
+    path = tmp_path / "camera_info.yaml"
+    text = "distortion_model: {}\nK: [600, 0, 320, 0, 600, 240, 0, 0, 1]\nD: [0.1, -0.2, 0.001, 0.002]\n"
+    path.write_text(text.format("plumb_bob"))
+    assert read_matrix_camera(path).camera[4:] == (0.1, -0.2, 0.001, 0.002)
+    path.write_text(text.format("equidistant"))
+    with pytest.raises(DataError, match="model equidistant"):
+        read_matrix_camera(path)
+
+
 def test_a_camera_without_its_middle_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "camera.json"
     path.write_text(json.dumps({"fx": 50, "fy": 51}))

@@ -24,7 +24,9 @@ _NUMBER = re.compile(
 )
 _NAMED = re.compile(r"\b(fx|fy|cx|cy)\b[\s\"':=]{1,4}([-+\d.eE]+)", re.IGNORECASE)
 _MATRIX_KEYS = ("intrinsic_matrix", "K", "cam_K", "camera_matrix", "intrinsics", "intrinsic", "matrix")
-_LENS_KEYS = ("distortion", "dist", "dist_coeffs", "coeffs", "distortion_coefficients")
+_LENS_KEYS = ("distortion", "dist", "dist_coeffs", "coeffs", "distortion_coefficients", "d")
+_LENS_MODELS = (None, "", "none", "plumb_bob", "rational_polynomial")
+"""Of ROS, those that OpenCV's numbers are for."""
 _SCALE_KEYS = ("depth_scale", "scale")
 
 
@@ -180,6 +182,8 @@ def _distortion(keys: Mapping[str, Any]) -> tuple[float, ...]:
     values = tuple(_flat(listed)) if isinstance(listed, list) else ()
     if not any(values):
         return ()
+    if (model := keys.get("distortion_model")) not in _LENS_MODELS:
+        raise ValueError(f"its lens is of model {model}, expected plumb_bob or rational_polynomial")
     count = next((n for n in (4, 5, 8) if len(values) >= n and not any(values[n:])), None)
     if count is None:
         raise ValueError(f"{len(values)} numbers of lens distortion, expected 4, 5 or 8")
