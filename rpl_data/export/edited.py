@@ -101,7 +101,8 @@ def compare(
 def _images(images: Sequence[Json], ours: Mapping[FrameKey, OurImage], source: str) -> dict[int, FrameKey]:
     """The frame of each image id, by scene and frame where the file has them, else by file name."""
     names = {image.file_name: key for key, image in ours.items()}
-    keys = {image["id"]: _frame(image, ours, names) for image in images}
+    own = {key: key for key in ours}  # a program may write frame 4 as 4.0
+    keys = {image["id"]: _frame(image, own, names) for image in images}
     unknown = [str(image.get("file_name")) for image in images if keys[image["id"]] is None]
     if unknown:
         raise DataError(
@@ -121,9 +122,9 @@ def _images(images: Sequence[Json], ours: Mapping[FrameKey, OurImage], source: s
     return found
 
 
-def _frame(image: Json, ours: Mapping[FrameKey, OurImage], names: Mapping[str, FrameKey]) -> FrameKey | None:
+def _frame(image: Json, own: Mapping[FrameKey, FrameKey], names: Mapping[str, FrameKey]) -> FrameKey | None:
     if "scene" in image and "frame" in image:
-        return {key: key for key in ours}.get((image["scene"], image["frame"]))
+        return own.get((image["scene"], image["frame"]))
     name = str(image["file_name"]).replace("\\", "/")
     ends = [
         key for full, key in names.items() if f"/{name}".endswith(f"/{full}") or full.endswith(f"/{name}")
