@@ -116,6 +116,7 @@ def test_units_and_distortion_that_a_camera_file_names(tmp_path: Path) -> None:
     [
         ({"k1": 0.1, "k3": 0.2}, (0.1, 0.0, 0.0, 0.0, 0.2)),
         ({"k1": 0.1, "k6": 0.3}, (0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.3)),
+        ({"distortion": {"k1": 0.1, "k2": 0.2}}, (0.1, 0.2, 0.0, 0.0)),
         ({"distortion": [0.1, 0, 0, 0, 0, 0.3]}, None),
         ({"distortion": [0.1] * 12}, None),
     ],

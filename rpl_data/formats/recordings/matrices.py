@@ -177,8 +177,9 @@ def _flat(value: Any) -> list[float]:
 def _distortion(keys: Mapping[str, Any]) -> tuple[float, ...]:
     """OpenCV's coefficients where the file names any but 0; ValueError for those of another lens."""
     listed = next((keys[key] for key in _LENS_KEYS if key in keys), None)
-    if listed is None and "k1" in keys:
-        listed = [keys.get(key, 0.0) for key in ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")]
+    named = listed if isinstance(listed, dict) else keys
+    if "k1" in named and not isinstance(listed, list):
+        listed = [named.get(key, 0.0) for key in ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")]
     values = tuple(_flat(listed)) if isinstance(listed, list) else ()
     if not any(values):
         return ()
