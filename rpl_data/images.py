@@ -131,6 +131,8 @@ def marks_no_depth(scene: Scene, frame: Frame) -> bool:
 
     Other readers would take them for depth.
     """
+    if not scene.no_depth_units:
+        return False
     try:
         raw = _stored_depth(scene, frame)
     except DataError:

@@ -175,6 +175,13 @@ def needed(module: str, *, cameras: str, install: str) -> Any:
         raise DataError(f"the package {module} cannot be loaded: {error}; {install}") from error
 
 
+USB_HINT = (
+    "plug it into a USB 3 port (on Linux its udev rules must be installed, in a container the USB bus passed "
+    "through)"
+)
+"""What to do when no camera is found."""
+
+
 def chosen_serial(connected: list[str], wanted: str | None, *, cameras: str, hint: str) -> str:
     """The serial number of the camera to use.
 

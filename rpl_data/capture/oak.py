@@ -17,6 +17,7 @@ import numpy as np
 
 from rpl_data.capture.camera import (
     POLL_S,
+    USB_HINT,
     Shot,
     StreamCamera,
     StreamCounts,
@@ -58,8 +59,7 @@ def open_oak(wanted: Wanted) -> Iterator[OakStreams]:
         connected,
         wanted.serial,
         cameras="OAK camera",
-        hint="plug it into a USB 3 port (on Linux its udev rules must be installed, in a container the USB "
-        "bus passed through)",
+        hint=USB_HINT,
     )
     try:
         device = dai.Device(dai.DeviceInfo(serial))

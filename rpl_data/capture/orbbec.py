@@ -17,6 +17,7 @@ from jaxtyping import UInt8
 
 from rpl_data.capture.camera import (
     POLL_S,
+    USB_HINT,
     Shot,
     StreamCamera,
     StreamCounts,
@@ -57,8 +58,7 @@ def open_orbbec(wanted: Wanted) -> Iterator[OrbbecStreams]:
         connected,
         wanted.serial,
         cameras="Orbbec camera",
-        hint="plug it into a USB 3 port (on Linux its udev rules must be installed, in a container the USB "
-        "bus passed through)",
+        hint=USB_HINT,
     )
     device = devices.get_device_by_serial_number(serial)
     pipeline = ob.Pipeline(device)
@@ -198,12 +198,13 @@ class OrbbecStreams:
             if frames.get_color_frame() is None or frames.get_depth_frame() is None:
                 self.counts.color_alone += frames.get_color_frame() is not None
                 return None
-            aligned = self.align.process(frames).as_frame_set()
+            moved = self.align.process(frames)
+            aligned = None if moved is None else moved.as_frame_set()
         except (RuntimeError, self.ob.OBError) as error:
             raise UnpluggedError from error
-        color, depth = frames.get_color_frame(), aligned.get_depth_frame()
+        color, depth = frames.get_color_frame(), aligned and aligned.get_depth_frame()
         rgb = _rgb(color)
-        if rgb is None:
+        if rgb is None or depth is None:  # a damaged image, or depth that could not be moved onto colour
             self.counts.color_alone += 1
             return None
         self.counts.pairs += 1

@@ -7,7 +7,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any
 
-from rpl_data.capture.camera import Shot, StreamCamera, StreamCounts, Wanted
+from rpl_data.capture.camera import USB_HINT, Shot, StreamCamera, StreamCounts, Wanted, chosen_serial
 from rpl_data.capture.device import COLOR_FORMATS, device_name, opened
 from rpl_data.capture.exposure import Key, MeanColor, Range, lock
 from rpl_data.capture.streams import Streams
@@ -126,16 +126,8 @@ def connected_camera(serial: str | None = None) -> Any:
     import pyrealsense2 as rs
 
     found = {device.get_info(rs.camera_info.serial_number): device for device in rs.context().query_devices()}
-    if not found:
-        raise DataError(
-            "no RealSense camera is connected; plug it into a USB 3 port (on Linux its udev rules must be "
-            "installed, in a container the USB bus passed through); --camera names that of another maker"
-        )
-    if serial is not None and serial not in found:
-        raise DataError(f"no camera has serial number {serial}; connected: {', '.join(found)}")
-    if serial is None and len(found) > 1:
-        raise DataError(f"{len(found)} cameras are connected; choose one with --serial: {', '.join(found)}")
-    return found[serial] if serial is not None else next(iter(found.values()))
+    hint = f"{USB_HINT}; --camera names that of another maker"
+    return found[chosen_serial(list(found), serial, cameras="RealSense camera", hint=hint)]
 
 
 def choices_of(device: Any, width: int, height: int, rate_hz: int) -> tuple[tuple[Any, Any], tuple[Any, Any]]:

@@ -152,6 +152,8 @@ def _geometry(scene: Scene, trajectory: Trajectory, sample: _Sample, lag: int) -
     geometry = Geometry(scene.intrinsics, poses)
     fit = _agreement(compared, geometry)
     found = with_turned_bits(scene, sample.depths_m, faults(compared, geometry))
+    if not np.isfinite(fit):
+        return "no two depth images show the same place under the given poses", found
     return f"depth images agree to {fit:.1%} of the depth under the given poses", found
 
 

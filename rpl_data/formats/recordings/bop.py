@@ -38,15 +38,12 @@ from rpl_data.formats.recordings.frame_files import (
     without_poses,
 )
 from rpl_data.formats.recordings.scene_folders import chosen, folders_in, scene_folders
+from rpl_data.formats.recordings.times import FRAME_RATE_HZ
 from rpl_data.formats.recordings.true_poses import with_true_poses
 from rpl_data.geometry import Transform, invert, rigid
 from rpl_data.json_arrays import Json
 from rpl_data.types import DataError, Intrinsics, Recording
 from rpl_data.wording import counted
-
-RATE_HZ = 30.0
-"""Assumed frame rate of the camera; the layout has no timestamps."""
-
 
 _KEY = re.compile(r'[\s,]*"(\d+)"\s*:\s*')
 
@@ -103,11 +100,11 @@ def _read_scene(name: str, folder: Path, unit_m: float | None, camera: Camera | 
         name,
         folder,
         "bop",
-        [Pair(i, i / RATE_HZ, _color(folder, i), folder / "depth" / f"{i:06d}.png") for i in cameras],
+        [Pair(i, i / FRAME_RATE_HZ, _color(folder, i), folder / "depth" / f"{i:06d}.png") for i in cameras],
         told.camera or own.camera,
         source,
         told.metres_per_unit or 0.001,
-        notes=(f"no timestamps: {RATE_HZ:g} image ids per second assumed",),
+        notes=(f"no timestamps: {FRAME_RATE_HZ:g} image ids per second assumed",),
         skipped=lost,
     )
     recording = examine(listing)

@@ -11,11 +11,8 @@ from pathlib import Path
 
 from rpl_data.formats.recordings.depth_files import SUFFIXES
 from rpl_data.formats.recordings.frame_files import Pair, grouped
-from rpl_data.formats.recordings.times import clock_of
+from rpl_data.formats.recordings.times import FRAME_RATE_HZ, clock_of
 from rpl_data.types import DataError
-
-RATE_HZ = 30.0
-"""Assumed frame rate where names are no times."""
 
 COLOR_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp")
 _TIME = re.compile(r"\d{1,10}\.\d{1,9}|[1-9]\d{9,18}")
@@ -70,10 +67,10 @@ def paired_images(color_folder: Path, depth_folder: Path) -> Paired:
     numbers = [key[-1] for key in both if key]
     own = len(numbers) == len(both) and all(a < b for a, b in pairwise(numbers))
     pairs = [
-        Pair(key[-1] if own else row, (key[-1] if own else row) / RATE_HZ, colors[key], depths[key])
+        Pair(key[-1] if own else row, (key[-1] if own else row) / FRAME_RATE_HZ, colors[key], depths[key])
         for row, key in enumerate(both)
     ]
-    return Paired(pairs, f"no times: {RATE_HZ:g} frames per second assumed", tuple(lines))
+    return Paired(pairs, f"no times: {FRAME_RATE_HZ:g} frames per second assumed", tuple(lines))
 
 
 def _times_in_names(stems: Sequence[str]) -> list[Fraction] | None:

@@ -32,11 +32,9 @@ from rpl_data.formats.recordings.frame_files import (
 )
 from rpl_data.formats.recordings.matrices import rigid_or_none
 from rpl_data.formats.recordings.scene_folders import chosen_scenes
+from rpl_data.formats.recordings.times import FRAME_RATE_HZ
 from rpl_data.geometry import Transform
 from rpl_data.types import DataError, Intrinsics, Recording
-
-RATE_HZ = 30.0
-"""Assumed frame rate of the camera; the layout has no timestamps."""
 
 _COLOR = re.compile(r"frame-(\d+)\.color\.(?:jpg|jpeg|png)")
 
@@ -95,7 +93,7 @@ def _read_scene(name: str, folder: Path, unit_m: float | None, camera: Camera | 
         assumed_unit=told.metres_per_unit is None,
         registered=False,
         notes=(
-            f"no timestamps: {RATE_HZ:g} frames per second assumed",
+            f"no timestamps: {FRAME_RATE_HZ:g} frames per second assumed",
             "depth assumed not to be registered to colour; set `registered: true` if the camera aligned it",
         ),
     )
@@ -111,7 +109,7 @@ def _read_scene(name: str, folder: Path, unit_m: float | None, camera: Camera | 
 def _pair(folder: Path, color: Path) -> Pair:
     stem = color.name.split(".")[0]
     number = int(stem.removeprefix("frame-"))
-    return Pair(number, number / RATE_HZ, color, folder / f"{stem}.depth.png")
+    return Pair(number, number / FRAME_RATE_HZ, color, folder / f"{stem}.depth.png")
 
 
 def _pose_file(color: Path) -> Path:

@@ -28,12 +28,10 @@ from rpl_data.files import decoding, read_json
 from rpl_data.formats.recordings.frame_files import Camera
 from rpl_data.formats.recordings.matrices import rigid_or_none
 from rpl_data.formats.recordings.phones import App, Phone, PhoneFrame
+from rpl_data.formats.recordings.times import FRAME_RATE_HZ
 from rpl_data.geometry import OPENGL_AXES, Transform
 from rpl_data.types import DataError, Recording
 from rpl_data.wording import counted
-
-RATE_HZ = 30.0
-"""Assumed frame rate: the file has no times."""
 
 HALF_PIXEL = 0.5
 
@@ -84,7 +82,7 @@ def _scene(name: str, folder: Path) -> Phone:
         frames = [_frame(folder, index, said, frame, scale) for index, frame in enumerate(listed)]
         unit_m = float(said.get("depth_unit_scale_factor", 0.001))
         size = (int(said["w"]), int(said["h"])) if "w" in said and "h" in said else None
-    notes = [f"no times: {RATE_HZ:g} frames per second assumed"]
+    notes = [f"no times: {FRAME_RATE_HZ:g} frames per second assumed"]
     notes += [f"the world was scaled by {scale:g}, which is undone"] if scale != 1 else []
     skipped = [f"{counted(without, 'frame')} of the list without depth_file_path"] if without else []
     return Phone(
@@ -109,7 +107,7 @@ def _frame(
 ) -> PhoneFrame:
     pose = _pose(frame["transform_matrix"], scale)
     color, depth = _image(folder / str(frame["file_path"])), folder / str(frame["depth_file_path"])
-    return PhoneFrame(index, index / RATE_HZ, color, depth, None, _camera({**said, **frame}), pose)
+    return PhoneFrame(index, index / FRAME_RATE_HZ, color, depth, None, _camera({**said, **frame}), pose)
 
 
 def _image(path: Path) -> Path:

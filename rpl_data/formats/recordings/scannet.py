@@ -21,10 +21,8 @@ from rpl_data.formats.recordings.frame_files import (
 from rpl_data.formats.recordings.matrices import rigid_or_none
 from rpl_data.formats.recordings.saved_images import write_color, write_depth
 from rpl_data.formats.recordings.scene_folders import chosen
+from rpl_data.formats.recordings.times import FRAME_RATE_HZ
 from rpl_data.types import DataError, Recording
-
-RATE_HZ = 30.0
-"""Assumed where the file holds no times."""
 
 
 def read_sens(
@@ -118,8 +116,8 @@ def _times_s(sens: Sens) -> tuple[list[float], tuple[str, ...]]:
     stored = [frame.time_us for frame in sens.frames]
     if len(set(stored)) > len(stored) // 2:
         return [time * 1e-6 for time in stored], ()
-    note = f"no timestamps: {RATE_HZ:g} frames per second assumed"
-    return [number / RATE_HZ for number in range(len(stored))], (note,)
+    note = f"no timestamps: {FRAME_RATE_HZ:g} frames per second assumed"
+    return [number / FRAME_RATE_HZ for number in range(len(stored))], (note,)
 
 
 def _loss(sens: Sens) -> list[str]:

@@ -36,14 +36,12 @@ from rpl_data.formats.recordings.frame_files import (
     without_poses,
 )
 from rpl_data.formats.recordings.scene_folders import chosen, scene_folders
+from rpl_data.formats.recordings.times import FRAME_RATE_HZ
 from rpl_data.formats.recordings.true_poses import with_true_poses
 from rpl_data.geometry import Transform, invert, rigid
 from rpl_data.types import DataError, Recording
 
 METRES_PER_UNIT = 1e-4
-RATE_HZ = 30.0
-"""Assumed frame rate of the camera; the layout has no timestamps."""
-
 CLASSES = (
     "002_master_chef_can", "003_cracker_box", "004_sugar_box", "005_tomato_soup_can", "006_mustard_bottle",
     "007_tuna_fish_can", "008_pudding_box", "009_gelatin_box", "010_potted_meat_can", "011_banana",
@@ -108,11 +106,11 @@ def _read_sequence(name: str, folder: Path, unit_m: float | None, camera: Camera
         name,
         folder,
         "ycb_video",
-        [Pair(n, n / RATE_HZ, colors[n], folder / f"{n:06d}-depth.png") for n in whole],
+        [Pair(n, n / FRAME_RATE_HZ, colors[n], folder / f"{n:06d}-depth.png") for n in whole],
         told.camera or own.camera,
         source,
         told.metres_per_unit or METRES_PER_UNIT,
-        notes=(f"no timestamps: {RATE_HZ:g} frames per second assumed",),
+        notes=(f"no timestamps: {FRAME_RATE_HZ:g} frames per second assumed",),
         skipped=tuple(grouped(sorted(metas.keys() - whole.keys()), "without a readable meta.mat")),
     )
     recording = _with_trajectory(examine(listing), whole, folder)

@@ -25,10 +25,8 @@ from rpl_data.formats.recordings.frame_files import (
     without_poses,
 )
 from rpl_data.formats.recordings.scene_folders import chosen, scene_folders
+from rpl_data.formats.recordings.times import FRAME_RATE_HZ
 from rpl_data.types import DataError, Recording
-
-RATE_HZ = 30.0
-"""Assumed frame rate of the camera; the export has no timestamps."""
 
 _LEFT = re.compile(r"left(\d{6})\.png")
 _SVO = (".svo", ".svo2")
@@ -102,7 +100,7 @@ def _read_scene(name: str, folder: Path, unit_m: float | None, camera: Camera | 
         left = _LEFT.fullmatch(file.name)
         if left:
             number = int(left[1])
-            pairs.append(Pair(number, number / RATE_HZ, file, folder / f"depth{left[1]}.png"))
+            pairs.append(Pair(number, number / FRAME_RATE_HZ, file, folder / f"depth{left[1]}.png"))
     listing = Listing(
         name,
         folder,
@@ -111,6 +109,6 @@ def _read_scene(name: str, folder: Path, unit_m: float | None, camera: Camera | 
         told.camera,
         told.source,
         0.001 if told.metres_per_unit is None else told.metres_per_unit,
-        notes=(f"no timestamps: {RATE_HZ:g} frames per second assumed",),
+        notes=(f"no timestamps: {FRAME_RATE_HZ:g} frames per second assumed",),
     )
     return without_poses(examine(listing), "poses in ZED's export")

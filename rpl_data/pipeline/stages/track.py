@@ -57,12 +57,11 @@ def _track_step(context: Context, name: str) -> Step:
             found = compute_path(workspace, scene, advance)
         else:
             found = check_given_path(workspace, scene, given, clicks, advance)
+        details = finite_or_none(found.details)  # a figure that could not be judged is no number
         workspace.save_given(Recording(scene, given))
         workspace.save_corrected(scene, found.corrected)
         workspace.save_trajectory(scene, found.trajectory)
-        return Outcome(
-            len(scene.frames), tuple(f"scene {name}: {line}" for line in found.lines), found.details
-        )
+        return Outcome(len(scene.frames), tuple(f"scene {name}: {line}" for line in found.lines), details)
 
     options: Json = {"method": context.recipe.reconstruct.method}
     if wants_given:  # paths are judged around what is clicked: once more when the first clicks are there
@@ -151,7 +150,6 @@ def check_given_path(
     )
     ours, theirs = errors["ours"], errors["given"]
     details |= {"color_px": [theirs.color_px, ours.color_px], "depth_m": [theirs.depth_m, ours.depth_m]}
-    details = finite_or_none(details)
     figures = (
         f"its own poses are off by {theirs.color_px:.1f} px in colour and {1000 * theirs.depth_m:.1f} mm in "
         f"depth between frames, those from its images by {ours.color_px:.1f} px and "
