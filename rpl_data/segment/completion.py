@@ -11,9 +11,12 @@ from jaxtyping import Bool, Float64
 from scipy.spatial import ConvexHull, cKDTree
 
 from rpl_data.geometry import Points
-from rpl_data.meshes import joined, select
+from rpl_data.meshes import joined, select, vertex_normals
 from rpl_data.segment.free_space import DepthView, unseen_border
 from rpl_data.types import DataError, Mesh, PointCloud
+
+BLENDED = 8
+"""Points of the cloud that a vertex takes its colour from."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +50,7 @@ def closed_mesh(
         views: depth images; without them unseen sides are closed by the convex hull.
 
     Returns:
-        A mesh in the cloud's frame, coloured by the nearest point of the cloud when that has colours.
+        A mesh in the cloud's frame, coloured by the cloud's points around each vertex, if they have colours.
 
     Raises:
         DataError: fewer than four points, or all in one plane.
@@ -61,7 +64,7 @@ def closed_mesh(
     hull = ConvexHull(every)
     unseen = _away_from(unseen_border(hull.equations, hull.points[hull.vertices], views), cloud, voxel_m)
     mesh = _poisson(joined([PointCloud(cloud.points, cloud.normals), unseen]), voxel_m)
-    mesh = _colored(Mesh(_clamped(mesh.vertices, hull), mesh.triangles), cloud)
+    mesh = _colored(Mesh(_clamped(mesh.vertices, hull), mesh.triangles), cloud, voxel_m)
     return ClosedMesh(mesh, _seen(mesh, cloud, voxel_m), open_edges(mesh))
 
 
@@ -118,7 +121,18 @@ def _clamped(points: Points, hull: Any, *, passes: int = 30) -> Points:
     return moved
 
 
-def _colored(mesh: Mesh, cloud: PointCloud) -> Mesh:
+def _colored(mesh: Mesh, cloud: PointCloud, voxel_m: float) -> Mesh:
+    """Colour each vertex by the points around it that face as it does, near ones most.
+
+    Scenes differ in light and by a fraction of a voxel; the nearest point alone would speckle the print.
+    """
     if cloud.colors is None:
         return mesh
-    return Mesh(mesh.vertices, mesh.triangles, cloud.colors[cKDTree(cloud.points).query(mesh.vertices)[1]])
+    distance, nearest = cKDTree(cloud.points).query(mesh.vertices, k=min(BLENDED, len(cloud.points)))
+    near = np.exp(-2 * (distance**2 - distance[:, :1] ** 2) / voxel_m**2)
+    facing = np.einsum("nkc,nc->nk", cloud.normals[nearest], vertex_normals(mesh))
+    weight = near * np.maximum(facing, 0.02)
+    colors = (
+        np.einsum("nk,nkc->nc", weight, cloud.colors[nearest].astype(float)) / weight.sum(axis=1)[:, None]
+    )
+    return Mesh(mesh.vertices, mesh.triangles, colors.round().astype(np.uint8))

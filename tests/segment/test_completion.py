@@ -108,3 +108,16 @@ def test_open_edges_are_counted() -> None:
     corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
     assert open_edges(Mesh(corners, tetrahedron)) == 0
     assert open_edges(Mesh(corners, tetrahedron[:3])) == 3
+
+
+def test_colours_of_two_scenes_are_blended() -> None:
+    """Each vertex of a box, which one scene saw lighter than another, gets about the mean of both."""
+    dark = box_sides(np.zeros(3), np.array([0.12, 0.09, 0.06]))
+    light = box_sides(np.full(3, 0.0004), np.array([0.1204, 0.0904, 0.0604]))
+    colors = np.repeat(np.array([[60] * 3, [140] * 3], dtype=np.uint8), len(dark.points), axis=0)
+    both = PointCloud(
+        np.concatenate([dark.points, light.points]), np.concatenate([dark.normals, light.normals]), colors
+    )
+    made = closed_mesh(both, np.empty((0, 3)), voxel_m=0.003).mesh
+    assert made.colors is not None
+    assert np.abs(made.colors.astype(float) - 100).mean() < 12  # the nearest point alone: 40

@@ -18,7 +18,7 @@ VIEWS_PER_SCENE = 8
 """Depth images per scene that show where space is free."""
 MOST_FALSE_AREA = 0.03
 """Share of a mesh's area in free space above which the user is warned."""
-VERSION = 3
+VERSION = 4
 """Increase it when the stage writes something else for the same input: its steps then run again."""
 
 if TYPE_CHECKING:
