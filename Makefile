@@ -2,7 +2,7 @@
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 STAMP := .venv/.made-from-constraints
 
-.PHONY: demo test bench lint gpu-check attack
+.PHONY: demo test bench lint docs gpu-check attack
 
 demo: $(STAMP)
 	.venv/bin/rpl build datasets/demo.yaml --workspace workspaces/demo
@@ -27,6 +27,10 @@ gpu-check: demo
 # by kind, in some tens of minutes on two idle cores.
 attack: $(STAMP)
 	PYTHONPATH=.:tests .venv/bin/python -m attack
+
+# The documentation site, in site/; a broken link or an undocumented name is an error.
+docs: $(STAMP)
+	NO_MKDOCS_2_WARNING=1 PYTHONPATH=. .venv/bin/mkdocs build --strict
 
 lint: $(STAMP)
 	.venv/bin/ruff check .

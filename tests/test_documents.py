@@ -83,10 +83,12 @@ def test_every_room_is_in_the_tree() -> None:
     assert modules <= {Path(code).name for code in inline_code(firsts)}
 
 
-def test_the_readmes_python_runs(tiny_workspace: Workspace, tmp_path: Path) -> None:
-    """The blocks in order, on a recording and an object of the names they use."""
-    blocks = python_blocks(TEXTS["README.md"])
-    assert len(blocks) == 3
+def test_the_python_runs(tiny_workspace: Workspace, tmp_path: Path) -> None:
+    """The blocks of the README and of every page, in order, on folders and an object of their names."""
+    pages = [text for name, text in TEXTS.items() if name not in ("README.md", "CONTRIBUTING.md")]
+    blocks = [*python_blocks(TEXTS["README.md"]), *(block for text in pages for block in python_blocks(text))]
+    assert len(blocks) >= 6
+    (tmp_path / "demo").symlink_to(tiny_workspace.root)
     (tmp_path / "my-recording").symlink_to(tiny_workspace.recording)
     table = (tiny_workspace.recording / "clicks.csv").read_text().replace("carton,", "cube,")
     (tmp_path / "clicks.csv").write_text(table)

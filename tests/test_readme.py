@@ -1,4 +1,4 @@
-"""The README's `bash` blocks run, its `console` blocks parse, and what it names is there."""
+"""The README's `bash` blocks run; `console` blocks, there and in docs/, parse; what they name is there."""
 
 from __future__ import annotations
 
@@ -21,11 +21,12 @@ from training.runs.presets import with_preset_files
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text()
+PAGES = "\n".join(path.read_text() for path in sorted(ROOT.glob("docs/*.md")))
 
 
-def commands(language: str) -> list[str]:
+def commands(language: str, text: str = README) -> list[str]:
     """The lines of all blocks of that language, without comments."""
-    blocks = re.findall(rf"^ *```{language}\n(.*?)^ *```", README, re.M | re.S)
+    blocks = re.findall(rf"^ *```{language}\n(.*?)^ *```", text, re.M | re.S)
     lines = [line.split("#")[0].strip() for block in blocks for line in block.splitlines()]
     return [line for line in lines if line]
 
@@ -41,13 +42,16 @@ def test_bash_blocks_run(line: str) -> None:
     subprocess.run(["bash", "-euo", "pipefail", "-c", line], cwd=ROOT, check=True, capture_output=True)
 
 
-@pytest.mark.parametrize("line", commands("console"))
+@pytest.mark.parametrize("line", dict.fromkeys(commands("console", README + "\n" + PAGES)))
 def test_console_blocks_parse(line: str) -> None:
     from jsonargparse import auto_parser
 
     from rpl_data.command_line import parser_of
 
     words = shlex.split(line)
+    if words[0] == "pip":
+        assert words[1] == "install"
+        return
     assert words[0] == "rpl"
     program, arguments = program_of(words[1:])
     if isinstance(program, dict):
