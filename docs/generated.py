@@ -54,23 +54,10 @@ def with_blocks(text: str) -> str:
 
 def parsers() -> Iterator[tuple[str, Any]]:
     """The name of every command and its parser, in the order of `rpl --help`."""
+    from rpl_data.cli.completion import whole_parser
     from rpl_data.cli.main import COMMANDS
-    from rpl_data.command_line import parser_of
-    from training.commands import PROGRAMS, program_of
-    from training.reproduce.__main__ import COMMANDS as EXPERIMENTS
-    from training.reproduce.table2.experiment import table2
 
-    programs: dict[str, Any] = {
-        group: {command: program_of(module) for command, module in commands.items()}
-        for group, commands in PROGRAMS.items()
-    }
-    trained = list(programs["train"].values())
-    for group in programs:
-        programs[group] |= {"_help": ""}
-    everything = COMMANDS | programs | {"reproduce": EXPERIMENTS | {"_help": ""}}
-    yield from leaves(
-        everything, parser_of(everything, program="rpl", description="", presets=[*trained, table2])
-    )
+    yield from leaves(*whole_parser(COMMANDS))
 
 
 def leaves(commands: Mapping[str, Any], parser: Any, above: str = "rpl") -> Iterator[tuple[str, Any]]:

@@ -134,7 +134,29 @@ def run_one(
 
 
 def _parsed(parser: ArgumentParser, arguments: Sequence[str] | None) -> Any:
-    return parser.instantiate(parser.parse_args(None if arguments is None else list(arguments)))
+    given = sys.argv[1:] if arguments is None else list(arguments)
+    return parser.instantiate(parser.parse_args(with_switches(parser, given)))
+
+
+def with_switches(parser: ArgumentParser, arguments: Sequence[str]) -> list[str]:
+    """Arguments in which `--again` alone, of an option that is true or false, stands for `--again true`."""
+    told: list[str] = []
+    for number, word in enumerate(arguments):
+        told.append(word)
+        following = arguments[number + 1] if number + 1 < len(arguments) else ""
+        below = next((action.choices for action in parser._actions if action.dest == "subcommand"), None)
+        if isinstance(below, Mapping) and word in below:
+            parser = below[word]
+        action = parser._option_string_actions.get(word)
+        if action is not None and action.metavar == SWITCH and following.lower() not in SWITCHED:
+            told.append("true")
+    return told
+
+
+SWITCH = "{true,false}"
+"""How jsonargparse shows what an option takes that is true or false."""
+SWITCHED = ("true", "false", "yes", "no")
+"""Values that may follow such an option."""
 
 
 def _called(function: Command, values: Any) -> Any:

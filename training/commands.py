@@ -34,8 +34,7 @@ def main(group: str, arguments: Sequence[str], *, description: str) -> int:
         return reproduce(arguments, called="rpl reproduce")
     names = PROGRAMS[group]
     if not arguments or arguments[0] not in names:  # help, or a mistake
-        functions = {command: program_of(name) for command, name in names.items()}
-        run(functions, arguments, program=f"rpl {group}", description=description)
+        run(functions_of(group), arguments, program=f"rpl {group}", description=description)
     command = arguments[0]
     return run_program(
         program_of(names[command]),
@@ -44,6 +43,20 @@ def main(group: str, arguments: Sequence[str], *, description: str) -> int:
         presets=group == "train",
         called=f"rpl {group} {command}",
     )
+
+
+def functions_of(group: str) -> dict[str, Callable[..., Any]]:
+    """The functions of a group's programs, by the names of their commands."""
+    if group == "reproduce":
+        from .reproduce.__main__ import COMMANDS
+
+        return dict(COMMANDS)
+    return {command: program_of(name) for command, name in PROGRAMS[group].items()}
+
+
+def presets() -> list[Callable[..., Any]]:
+    """The programs whose options may also come from a YAML file, by `--config`."""
+    return [*functions_of("train").values(), functions_of("reproduce")["table2"]]
 
 
 def program_of(name: str) -> Callable[..., Any]:

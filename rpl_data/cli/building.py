@@ -17,6 +17,16 @@ HERE = Path(".")
 """The workspace, when none is named."""
 
 
+def workspace_for(source: Path) -> Path:
+    """The workspace of a recipe or recording when none is named.
+
+    The current folder if it is a workspace, else a folder in `workspaces/`.
+    """
+    from rpl_data.workspace.paths import Paths
+
+    return HERE if Paths(HERE).stages_file.exists() else Path("workspaces") / source.resolve().stem
+
+
 def run_stage(
     workspace: Path, stage: str, again: bool, workers: int | None = None, *, results: bool = True
 ) -> Ledger:

@@ -6,13 +6,13 @@ import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 # Before NumPy is loaded: our matrices are small, and threads that wait for one another make a solve of
 # 0.15 s take more than a second on a busy machine.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from rpl_data.cli.building import HERE, run_build  # noqa: E402
+from rpl_data.cli.building import HERE, run_build, workspace_for  # noqa: E402
 from rpl_data.cli.clicks import annotate, clicks_export, clicks_import  # noqa: E402
 from rpl_data.cli.first import init  # noqa: E402
 from rpl_data.cli.labels import labels_forget, labels_import  # noqa: E402
@@ -32,6 +32,7 @@ from rpl_data.cli.stages import (  # noqa: E402
     surface,
     track,
 )
+from rpl_data.cli.status import status  # noqa: E402
 from rpl_data.types import DataError, UnsureError  # noqa: E402
 
 
@@ -93,7 +94,8 @@ def build_recipe(
 
     Args:
         recipe: the YAML file.
-        workspace: folder for everything that is made; workspaces/<name of the file> when left out.
+        workspace: folder for everything that is made; when left out, the current one if it is a workspace,
+            else workspaces/<name of the file>.
         root: where the relative paths of the recipe start; the recipe's own folder when left out.
         workers: number of processes for labelling and rendering; as many as there are cores when left out,
             1 = only this one.
@@ -101,9 +103,7 @@ def build_recipe(
     """
     from rpl_data.pipeline.recipe_file import load_recipe
 
-    run_build(
-        load_recipe(recipe, root=root), workspace or Path("workspaces") / recipe.stem, None, again, workers
-    )
+    run_build(load_recipe(recipe, root=root), workspace or workspace_for(recipe), None, again, workers)
 
 
 def register(object: str, scene: str, workspace: Path = HERE, auto: bool = False) -> None:
@@ -113,7 +113,7 @@ def register(object: str, scene: str, workspace: Path = HERE, auto: bool = False
     the object has a dense model, it is then aligned to the depth and colours of the scene; the clicks' own
     pose stays where parts of the surface that were held out do not agree better afterwards.
 
-    With `--auto true` no click is needed: shape proposes poses on what stands on the table, colours and free
+    With `--auto` no click is needed: shape proposes poses on what stands on the table, colours and free
     space verify them. Where that is not sure, nothing is written, the exit status is 3, and the message names
     the one click that would tell; with it, the same command goes on.
 
@@ -146,31 +146,19 @@ def register(object: str, scene: str, workspace: Path = HERE, auto: bool = False
     print("\n".join(entry.outcome.messages))
 
 
-def status(workspace: Path = HERE) -> None:
-    """Say which stages of a workspace are up to date and what the next build would run; changes nothing.
+def completion(shell: Literal["bash", "zsh"]) -> None:
+    """Print a script by which the shell completes commands and options.
 
-    Example: rpl status --workspace workspaces/demo
+    Put the line of the example into ~/.bashrc (with `zsh`, into ~/.zshrc); it takes effect in the next shell.
+
+    Example: eval "$(rpl completion bash)"
 
     Args:
-        workspace: a folder made by `rpl build` or `rpl import`.
+        shell: the shell whose language it is in.
     """
-    from rpl_data.pipeline.build import STAGES, recipe_of, stale_steps
-    from rpl_data.pipeline.placements import placement_lines
-    from rpl_data.workspace.workspace import Workspace
+    from rpl_data.cli.completion import completion_script
 
-    place = Workspace(workspace)
-    found = stale_steps(recipe_of(place), place)
-    for stage in STAGES:
-        steps = found.get(stage)
-        if steps is None:
-            print(f"{stage:8s}  waits for the stages before it")
-        elif not steps:
-            print(f"{stage:8s}  not asked for")
-        else:
-            stale = [item or stage for item, holds in steps if not holds]
-            print(f"{stage:8s}  {'to run: ' + ', '.join(stale) if stale else 'up to date'}")
-    for line in placement_lines(place):
-        print(line)
+    print(completion_script(COMMANDS, shell))
 
 
 HELP = "Labelled pose, keypoint and mask datasets from RGB-D videos and a few clicks. Start with `rpl init`."
@@ -207,6 +195,7 @@ COMMANDS: dict[str, Any] = {
     "quality": quality,
     "truth": truth,
     "report": report,
+    "completion": completion,
 }
 
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from rpl_data.cli.building import HERE, run_build
+from rpl_data.cli.building import run_build, workspace_for
 from rpl_data.formats.recordings.ros.wanted import Topics
 from rpl_data.types import DataError
 
 
 def import_(
     recipe: Path,
-    workspace: Path = HERE,
+    workspace: Path | None = None,
     root: Path | None = None,
     again: bool = False,
     object: str | None = None,
@@ -29,7 +29,8 @@ def import_(
 
     Args:
         recipe: the YAML file, or a recording.
-        workspace: folder for everything that is made.
+        workspace: folder for everything that is made; when left out, the current one if it is a workspace,
+            else workspaces/<name of the recipe or recording>.
         root: where the relative paths of the recipe start; the recipe's own folder when left out.
         again: run the stage even if nothing it depends on has changed.
         object: of a lone recording: what the object is called; `object` when left out.
@@ -40,6 +41,7 @@ def import_(
     """
     from rpl_data.pipeline.recipe_file import load_recipe
 
+    workspace = workspace or workspace_for(recipe)
     if recipe.suffix in (".yaml", ".yml") or not recipe.exists():
         if any(option is not None for option in (object, keypoints, format, camera, topics)):
             raise DataError(

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import subprocess
+from pathlib import Path
+
 import pytest
 
-from rpl_data.cli.main import main
-from rpl_data.command_line import one_line
+from rpl_data.cli.main import COMMANDS, main
+from rpl_data.command_line import one_line, parser_of, with_switches
 from rpl_data.pipeline.recipe_file import load_recipe
 
 
@@ -50,3 +53,35 @@ def test_the_recipe_in_the_help_is_one(tmp_path, capsys: pytest.CaptureFixture[s
     (tmp_path / "my.yaml").write_text(shown)
     recipe = load_recipe(tmp_path / "my.yaml")
     assert [len(item.keypoint_names) for item in recipe.objects] == [8]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["solve", "--again"], ["solve", "--again", "true"]),
+        (["solve", "--again", "false"], ["solve", "--again", "false"]),
+        (["solve", "--again", "--workspace", "ws"], ["solve", "--again", "true", "--workspace", "ws"]),
+        (["register", "--auto", "cube", "00"], ["register", "--auto", "true", "cube", "00"]),
+        (["build", "my.yaml", "--again", "solve"], ["build", "my.yaml", "--again", "solve"]),
+        (["clicks", "import", "a.csv", "--proposed"], ["clicks", "import", "a.csv", "--proposed", "true"]),
+    ],
+)
+def test_a_switch_needs_no_value(arguments: list[str], expected: list[str]) -> None:
+    parser = parser_of(COMMANDS, program="rpl", description="")
+    assert with_switches(parser, arguments) == expected
+
+
+def test_a_shell_completes_commands_and_options(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["completion", "bash"]) == 0
+    (tmp_path / "rpl.sh").write_text(capsys.readouterr().out)
+    for line, offered in {
+        "rpl reg": "register",
+        "rpl train keypoints --learning.ep": "--learning.epochs",
+    }.items():
+        words = line.split()
+        script = (
+            f"source {tmp_path}/rpl.sh; COMP_WORDS=({line}); COMP_CWORD={len(words) - 1}; "
+            f"_shtab_rpl rpl {words[-1]} {words[-2]}; echo ${{COMPREPLY[@]}}"
+        )
+        done = subprocess.run(["bash", "-c", script], capture_output=True, text=True)
+        assert offered in done.stdout.split(), line
