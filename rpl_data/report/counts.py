@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
+import numpy as np
+
+from rpl_data.geometry import invert
 from rpl_data.types import FrameLabel, Recording
 from rpl_data.workspace.workspace import Workspace
 
@@ -24,7 +27,12 @@ class FrameSummary:
 
 @dataclass
 class Tally:
-    """Sums over the labels of one object in one scene."""
+    """Sums over the labels of one object in one scene.
+
+    Attributes:
+        directions: from the object to the camera, unit vectors in the object frame, one per label.
+        sigmas_px: median over the keypoints of how far off each label should be.
+    """
 
     instances: int = 0
     seen: int = 0
@@ -34,6 +42,8 @@ class Tally:
     visib_fract: float = 0.0
     quality: float = 0.0
     low_quality: int = 0
+    directions: list[np.ndarray] = field(default_factory=list)
+    sigmas_px: list[float] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -70,4 +80,8 @@ def _add(tallies: dict[str, Tally], label: FrameLabel, min_quality: float) -> No
         tally.truncated += instance.truncated
         tally.visib_fract += instance.visib_fract
         tally.quality += instance.quality
+        towards = invert(instance.camera_from_object)[:3, 3]
+        tally.directions.append(towards / max(float(np.linalg.norm(towards)), 1e-9))
+        known = instance.sigma_px[np.isfinite(instance.sigma_px)]
+        tally.sigmas_px += [float(np.median(known))] if len(known) else []
         tally.low_quality += instance.box is not None and instance.quality < min_quality

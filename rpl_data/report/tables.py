@@ -101,6 +101,7 @@ def labels_section(scenes: Sequence[SceneReport]) -> str:
         "not labelled",
         "cut off",
         "visible",
+        "off by, px",
         "quality",
         "too low",
     )
@@ -110,11 +111,13 @@ def labels_section(scenes: Sequence[SceneReport]) -> str:
             counts = (tally.instances, tally.seen, tally.hidden, tally.unlabelled, tally.truncated)
             means = (
                 f"{100 * tally.visib_fract / tally.instances:.0f} %",
+                number(float(np.median(tally.sigmas_px)), 1) if tally.sigmas_px else "–",
                 number(tally.quality / tally.instances),
                 number(tally.low_quality, 0),
             )
             body.append([scene.recording.scene.name, name, *(number(count, 0) for count in counts), *means])
     note = (
+        "Off by: how far a keypoint should be from its true place, as `sigma_px` states it (median). "
         "Quality is 1 / (1 + e / 5 px), where e is the expected error of a label: 0.5 stands for 5 px, 0.25 "
         "for 15 px. Frames with a label whose quality is too low (`export: {min_quality: ...}` in the "
         "recipe) are left out of the export."

@@ -12,7 +12,9 @@ from rpl_data.files import read_text, write_text
 from rpl_data.meshes import load_mesh
 from rpl_data.report.clicks import click_section, distance_table
 from rpl_data.report.counts import SceneReport, summarise_scene
+from rpl_data.report.coverage import Directions, coverage, coverage_section
 from rpl_data.report.html import Cell, folded, number, page, section, table, text
+from rpl_data.report.next_steps import next_steps, next_steps_list
 from rpl_data.report.pictures import contact_sheet, frames_per_scene, legends
 from rpl_data.report.solid import solid
 from rpl_data.report.tables import labels_section, quality_section, timings_section
@@ -47,11 +49,13 @@ def write_report(
         for name in workspace.object_names()
         if workspace.solution_file(name).exists()
     ]
+    views = _views(scenes)
     parts = {
         "quality": quality_section(rows) if rows else "",
         "scenes": _scenes(workspace, scenes, solutions, remarks or {}),
         "objects": _objects(workspace, solutions),
         "labels": labels_section(scenes),
+        "views": coverage_section(views),
         "split": section("split", "Split", f"<pre>{text(split.rstrip())}</pre>") if split else "",
         "timings": timings_section(timings) if timings else "",
     }
@@ -59,7 +63,10 @@ def write_report(
     title = dataset_name(workspace)
     place = f'<p class="sub">{text(workspace.root.resolve())}</p>'
     head = f"<header><h1>{text(title)}</h1>{place}<nav>{links}</nav></header>"
-    body = head + _tiles(scenes, solutions) + _warnings(scenes, solutions, warnings) + "".join(parts.values())
+    seen = {name: coverage(np.concatenate(list(by_scene.values()))) for name, by_scene in views.items()}
+    advice = next_steps_list(next_steps(scenes, solutions, seen))
+    top = _tiles(scenes, solutions) + advice + _warnings(scenes, solutions, warnings)
+    body = head + top + "".join(parts.values())
     write_text(workspace.report, page(f"{title} · rpl report", body))
     return workspace.report
 
@@ -91,6 +98,15 @@ def _tiles(scenes: Sequence[SceneReport], solutions: Sequence[Solution]) -> str:
         f"<div><b>{number(count, 0)}</b><span>{name}</span></div>" for name, count in counts.items()
     )
     return f'<div class="tiles">{tiles}</div>'
+
+
+def _views(scenes: Sequence[SceneReport]) -> dict[str, dict[str, Directions]]:
+    """By object and scene, the directions from which it was seen."""
+    views: dict[str, dict[str, Directions]] = {}
+    for scene in scenes:
+        for name, tally in scene.tallies.items():
+            views.setdefault(name, {})[scene.recording.scene.name] = np.array(tally.directions)
+    return views
 
 
 def _warnings(scenes: Sequence[SceneReport], solutions: Sequence[Solution], others: Sequence[str]) -> str:
