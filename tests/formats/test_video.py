@@ -7,7 +7,6 @@ from pathlib import Path
 
 import av
 import numpy as np
-import pytest
 
 from rpl_data.formats.containers.video import video_frames
 
@@ -16,7 +15,7 @@ _STORED = {"crf": "10", "x264-params": "bframes=3:b-adapt=0:scenecut=0"}
 
 
 def write(path: Path) -> None:
-    """A video whose frames are stored in another order than they are shown; its brightness says which is which."""
+    """A video that stores frames in another order than it shows them; brightness says which is which."""
     with av.open(str(path), "w", options={"movflags": "faststart"}) as container:
         stream = container.add_stream("libx264", rate=30, options=_STORED)
         stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
