@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import struct
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,9 @@ def container_seeds(folder: Path) -> Iterator[tuple[str, Path, Parser]]:
         bag = folder / f"whole.{suffix}"
         shutil.copy(made if made.is_file() else made / f"ros_{suffix}.{suffix}", bag)
         yield f"ROS {suffix}", bag, lambda path: _read_bag(path, folder / "out")
+    ramp = np.arange(500, 500 + 64 * 48, dtype="<u4") % 701
+    (folder / "depth.rvl").write_bytes(struct.pack("<iffII", 0, 0, 0, 64, 48) + ramp.tobytes())
+    yield "RVL", folder / "depth.rvl", _read_rvl
     yield "whose db3", folder / "whole.db3", is_of_ros
     yield "whose bag", folder / "whole.bag", is_of_ros
     yield "Azure Kinect", recorded(folder / "kinect.mkv", 1), _survey_mkv
@@ -37,6 +41,18 @@ def _read_bag(path: Path, out: Path) -> None:
     from rpl_data.formats.recordings.ros.wanted import Topics
 
     read_bag("a", (path,), out, None, None, Topics())
+
+
+def _read_rvl(path: Path) -> None:
+    from types import SimpleNamespace
+
+    from rpl_data.formats.recordings.ros.decode import depth_of, size_of
+
+    for kind in ("16UC1", "32FC1"):
+        data = np.frombuffer(path.read_bytes(), np.uint8)
+        image = SimpleNamespace(format=f"{kind}; compressedDepth rvl", data=data)
+        size_of(image)
+        depth_of(image)
 
 
 def _survey_mkv(path: Path) -> None:

@@ -12,16 +12,19 @@ from typing import Any
 
 import cv2
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import UInt8, UInt16
 
 from rpl_data.files import FAULTS
+from rpl_data.formats.containers.rvl import unpack_rvl
 from rpl_data.formats.recordings.ros.bags import Message
 from rpl_data.types import DepthImage
 
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 _LARGEST_SIDE_PX = 16384
+_MOST_RVL_PIXELS = 2**26
+"""8192 x 8192: a few bytes of RVL may stand for any number of empty pixels."""
 _DEPTH_HEADER_BYTES = 12
-"""compressedDepth puts before its PNG: a number for the format, then A and B of its float depth."""
+"""compressedDepth puts before its PNG or RVL: a number for the format, then A and B of its float depth."""
 
 _COLORS = {
     "rgb8": (3, None),
@@ -113,7 +116,10 @@ def size_of(image: Any) -> tuple[int, int] | None:
     """Width and height of an image message, raw or compressed; None when it cannot be decoded."""
     if hasattr(image, "encoding"):
         return int(image.width), int(image.height)
-    packed = _image_file(image.data.tobytes())
+    content = image.data.tobytes()
+    if _is_rvl(str(image.format)):
+        return _rvl_size(content)
+    packed = _image_file(content)
     pixels = cv2.imdecode(np.frombuffer(packed, np.uint8), cv2.IMREAD_UNCHANGED) if packed else None
     return None if pixels is None else (pixels.shape[1], pixels.shape[0])
 
@@ -160,16 +166,13 @@ def depth_of(image: Any) -> tuple[np.ndarray, bool] | None:
 
 
 def _compressed_depth(format: str, content: bytes) -> tuple[np.ndarray, bool] | None:
-    """Depth as PNG. Floats are stored as inverse depth q, from which z = A / (q - B), q = 0 for none."""
-    packed = _image_file(content)
-    if packed is None or not packed.startswith(b"\x89PNG"):
-        return None
-    units = cv2.imdecode(np.frombuffer(packed, np.uint8), cv2.IMREAD_UNCHANGED)
-    if units is None or units.dtype != np.uint16 or units.ndim != 2:
+    """Depth as PNG or RVL. Floats are stored as inverse depth q: z = A / (q - B), q = 0 for none."""
+    units = _rvl_image(content) if _is_rvl(format) else _png_image(content)
+    if units is None:
         return None
     if base_encoding(format) != "32fc1":
         return units, True
-    if len(content) - len(packed) != _DEPTH_HEADER_BYTES:
+    if content[:_DEPTH_HEADER_BYTES].startswith(b"\x89PNG"):
         return None
     a, b = struct.unpack_from("<ff", content, 4)
     depth_m: DepthImage = np.full(units.shape, np.nan, np.float32)
@@ -177,6 +180,36 @@ def _compressed_depth(format: str, content: bytes) -> tuple[np.ndarray, bool] | 
     with np.errstate(divide="ignore", invalid="ignore"):
         depth_m[some] = np.float32(a) / (units[some].astype(np.float32) - np.float32(b))
     return depth_m, False
+
+
+def _png_image(content: bytes) -> UInt16[np.ndarray, "height width"] | None:
+    """The whole numbers of a 16-bit PNG; None for anything else."""
+    packed = _image_file(content)
+    if packed is None or not packed.startswith(b"\x89PNG"):
+        return None
+    units = cv2.imdecode(np.frombuffer(packed, np.uint8), cv2.IMREAD_UNCHANGED)
+    return units if units is not None and units.dtype == np.uint16 and units.ndim == 2 else None
+
+
+def _is_rvl(format: str) -> bool:
+    return "compresseddepth rvl" in format.lower()
+
+
+def _rvl_size(content: bytes) -> tuple[int, int] | None:
+    """Width and height, which stand between the header of compressedDepth and its RVL; None for odd ones."""
+    if len(content) < _DEPTH_HEADER_BYTES + 8:
+        return None
+    width, height = struct.unpack_from("<II", content, _DEPTH_HEADER_BYTES)
+    bearable = 0 < width <= _LARGEST_SIDE_PX and 0 < height <= _LARGEST_SIDE_PX
+    return (width, height) if bearable and width * height <= _MOST_RVL_PIXELS else None
+
+
+def _rvl_image(content: bytes) -> UInt16[np.ndarray, "height width"] | None:
+    size = _rvl_size(content)
+    if size is None:
+        return None
+    units = unpack_rvl(content[_DEPTH_HEADER_BYTES + 8 :], size[0] * size[1])
+    return None if units is None else units.reshape(size[1], size[0])
 
 
 def _image_file(content: bytes) -> bytes | None:
