@@ -11,8 +11,9 @@ from bags import ALIGNED, COLOR, bag, stamp
 from recordings import color_image, depth_image
 
 from rpl_data.formats.containers.rvl import unpack_rvl
+from rpl_data.formats.recordings.ros.read import read_bag
+from rpl_data.formats.recordings.ros.wanted import Topics
 from rpl_data.images import read_depth_m
-from rpl_data.recordings.open import open_scenes
 
 
 def pack(image: np.ndarray) -> bytes:
@@ -96,7 +97,7 @@ def test_a_topic_of_rvl(kind: str, tmp_path: Path) -> None:
                 head + pack(stored),
                 f"{kind}; compressedDepth rvl",
             )
-    (recording,) = open_scenes(tmp_path / "a.bag", "ros", unpack=(tmp_path / "unpacked").joinpath)
+    recording = read_bag("a", (tmp_path / "a.bag",), tmp_path / "out", None, None, Topics())
     for number, frame in enumerate(recording.scene.frames):
         expected = depth_image(number) / 1000
         step = 0.0005 if kind == "32FC1" else 1e-6  # inverse depth in whole numbers, then 0.25 mm

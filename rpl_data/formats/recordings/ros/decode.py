@@ -1,4 +1,4 @@
-"""Decode the messages that a recording is made of: images, raw and compressed, with their stamps.
+"""Decode the messages that a recording is made of: images, raw, compressed and of videos, with their stamps.
 
 Sources: sensor_msgs/Image and image_encodings.hpp (ros2/common_interfaces), cv_bridge for the byte orders,
 compressed_image_transport and compressed_depth_image_transport (ros-perception/image_transport_plugins).
@@ -17,6 +17,13 @@ from jaxtyping import UInt8, UInt16
 from rpl_data.files import FAULTS
 from rpl_data.formats.containers.rvl import unpack_rvl
 from rpl_data.formats.recordings.ros.bags import Message
+from rpl_data.formats.recordings.ros.video import (
+    VIDEO_TYPES,
+    VideoPacket,
+    is_video_format,
+    size_of_video,
+    video_packet,
+)
 from rpl_data.types import DepthImage
 
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
@@ -53,7 +60,7 @@ _DEPTHS = {"16uc1": "u2", "mono16": "u2", "32fc1": "f4"}
 def is_color_encoding(encoding: str) -> bool:
     """Whether images of this encoding (or compressed images of this format) are seen, not measured."""
     name = base_encoding(encoding)
-    return name in _COLORS or name in ("jpeg", "jpg", "png")
+    return name in _COLORS or name in ("jpeg", "jpg", "png") or is_video_format(name)
 
 
 def is_depth_encoding(encoding: str) -> bool:
@@ -77,6 +84,7 @@ def _store(is_ros1: bool) -> Any:
         "realsense2_camera_msgs/msg/Extrinsics": extrinsics,
         "realsense2_camera/msg/Extrinsics": f"std_msgs/Header header\n{extrinsics}",
     }
+    added |= {} if is_ros1 else VIDEO_TYPES
     if is_ros1:
         transforms = "geometry_msgs/TransformStamped[] transforms"
         added |= {"tf2_msgs/msg/TFMessage": transforms, "tf/msg/tfMessage": transforms}
@@ -86,7 +94,7 @@ def _store(is_ros1: bool) -> Any:
 
 
 def decoded(message: Message) -> Any:
-    """The fields of a message, None when it is damaged.
+    """The fields of a message, a packet where it is one of a video, None when it is damaged.
 
     Those of ROS 1's CameraInfo are called D, K, R, P, those of ROS 2's d, k, r, p.
     """
@@ -95,7 +103,8 @@ def decoded(message: Message) -> Any:
     store = _store(message.is_ros1)
     unpack = store.deserialize_ros1 if message.is_ros1 else store.deserialize_cdr
     try:
-        return unpack(message.raw, message.type)
+        fields = unpack(message.raw, message.type)
+        return video_packet(fields) if message.type in VIDEO_TYPES else fields
     except (*FAULTS, struct.error, AssertionError, SerdeError):
         return None
 
@@ -116,6 +125,8 @@ def size_of(image: Any) -> tuple[int, int] | None:
     """Width and height of an image message, raw or compressed; None when it cannot be decoded."""
     if hasattr(image, "encoding"):
         return int(image.width), int(image.height)
+    if isinstance(image, VideoPacket):
+        return size_of_video(image)
     content = image.data.tobytes()
     if _is_rvl(str(image.format)):
         return _rvl_size(content)
