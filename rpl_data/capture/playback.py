@@ -155,7 +155,7 @@ def _repair(file: Path, repaired: Path) -> str:
         return f"{file.name} was cut off: the first {kept.seconds:.1f} s are complete, the rest is lost"
     bag = repair_bag(file, repaired)
     cut = f"{file.name} was never closed or cut off"
-    return f"{cut}: its first {bag.seconds:.1f} s are complete, what comes after them is lost"
+    return f"{cut}: what is complete is read, its first {bag.seconds:.1f} s"
 
 
 def _choices(device: Any, file: Path) -> tuple[tuple[Any, Any], tuple[Any, Any]]:
