@@ -37,6 +37,7 @@ from rpl_data.types.solution import (
     expected_mm,
 )
 from rpl_data.types.surfaces import Mesh, PointCloud
+from rpl_data.types.symmetry import Symmetries, SymmetryAxis
 
 __all__ = [
     "HINTS",
@@ -74,6 +75,8 @@ __all__ = [
     "SquareBox",
     "Statement",
     "StatementKind",
+    "Symmetries",
+    "SymmetryAxis",
     "Trajectory",
     "UnsureError",
     "expected_mm",

@@ -27,7 +27,18 @@ from rpl_data.formats.datasets.coco_check import validate_coco
 from rpl_data.formats.datasets.coco_edited import as_exported
 from rpl_data.geometry import Transform
 from rpl_data.json_arrays import Json, asdict_values, matrix_from_json, numbers, rows_from_json, rows_to_json
-from rpl_data.types import Box, Frame, FrameLabel, InstanceLabel, Intrinsics, KeypointModel, Rle, SquareBox
+from rpl_data.symmetries import symmetries_from_json, symmetries_to_json
+from rpl_data.types import (
+    Box,
+    Frame,
+    FrameLabel,
+    InstanceLabel,
+    Intrinsics,
+    KeypointModel,
+    Rle,
+    SquareBox,
+    Symmetries,
+)
 from rpl_data.version import installed_version
 
 
@@ -37,13 +48,13 @@ class CocoObject:
 
     Attributes:
         mesh: path of its mesh, relative to the JSON file's folder; None when there is none.
-        symmetries: rigid transforms (16 numbers, row-major) that leave the object looking the same.
+        symmetries: what leaves the object looking the same; `symmetry_transforms` lists it.
         grasp: `object_from_grasp` where the user marked one: z out of the surface, x along it.
     """
 
     model: KeypointModel
     mesh: str | None = None
-    symmetries: tuple[tuple[float, ...], ...] = ()
+    symmetries: Symmetries = Symmetries()
     grasp: Transform | None = None
 
 
@@ -74,12 +85,14 @@ def _category(number: int, model: KeypointModel) -> Json:
 
 
 def _object(number: int, item: CocoObject) -> Json:
+    symmetries = symmetries_to_json(item.symmetries)
     return {
         "name": item.model.name,
         "category_id": number,
         "points_object": rows_to_json(item.model.points_object),
         "mesh": item.mesh,
-        "symmetries": [list(symmetry) for symmetry in item.symmetries],
+        "symmetries": symmetries.pop("symmetries_discrete", []),
+        **symmetries,
         **({} if item.grasp is None else {"object_from_grasp": numbers(item.grasp)}),
     }
 
@@ -174,11 +187,15 @@ def objects_from_coco(data: Mapping[str, Any]) -> list[CocoObject]:
                 skeleton=tuple((a - 1, b - 1) for a, b in category["skeleton"]),
             ),
             mesh=described[category["id"]]["mesh"],
-            symmetries=tuple(tuple(s) for s in described[category["id"]]["symmetries"]),
+            symmetries=_symmetries(described[category["id"]]),
             grasp=_grasp(described[category["id"]]),
         )
         for category in sorted(data["categories"], key=lambda c: int(c["id"]))
     ]
+
+
+def _symmetries(described: Mapping[str, Any]) -> Symmetries:
+    return symmetries_from_json({**described, "symmetries_discrete": described["symmetries"]})
 
 
 def _grasp(described: Mapping[str, Any]) -> Transform | None:
