@@ -314,7 +314,9 @@ def test_scores_one_against_itself(data, tmp_path, kind, capsys):
 
 def test_symmetries_come_back_and_an_axis_without_direction_is_named(data):
     half_turn = tuple(np.diag([-1.0, 1.0, -1.0, 1.0]).ravel().tolist())
-    item = CocoObject(BOX, symmetries=Symmetries((half_turn,), (SymmetryAxis((0, 0, 1), (0, 0, 0.1)),)))
+    item = CocoObject(
+        BOX, symmetries=Symmetries((half_turn,), (SymmetryAxis((0.0, 0.0, 1.0), (0.0, 0.0, 0.1)),))
+    )
     written = header([item, OBJECTS[1]])
     data["rpl"] = written["rpl"]
     assert [found.symmetries for found in objects_from_coco(data)] == [item.symmetries, Symmetries()]
