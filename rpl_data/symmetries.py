@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ from jaxtyping import Float64
 
 from rpl_data.geometry import Transform, from_rotvec, invert, rigid, transform
 from rpl_data.json_arrays import Json, each, matrix_from_json, number, numbers, taken
-from rpl_data.types import Symmetries, SymmetryAxis
+from rpl_data.types import Symmetries, SymmetryAxis, Turns
 
 BOP_STEP = 0.01
 """Largest deviation between two steps of a continuous symmetry, as a part of the object's diameter."""
@@ -47,6 +48,22 @@ def turn(axis: SymmetryAxis, angle_rad: float) -> Transform:
     return rigid(turned[:3, :3], point - turned[:3, :3] @ point)
 
 
+def symmetries_of(turns: Sequence[Turns]) -> Symmetries:
+    """What leaves an object looking the same, from the equal turns about its axes."""
+    discrete = [
+        tuple(numbers(turn(one.axis, 2 * math.pi * step / one.turns)))
+        for one in turns
+        for step in range(1, one.turns or 1)
+        if one.turns
+    ]
+    return Symmetries(tuple(discrete), tuple(one.axis for one in turns if one.turns is None))
+
+
+def moved_turns(turns: Sequence[Turns], other_from_object: Transform) -> tuple[Turns, ...]:
+    """Express axes in another frame of the same object."""
+    return tuple(Turns(moved_axis(one.axis, other_from_object), one.turns) for one in turns)
+
+
 def moved_symmetries(symmetries: Symmetries, other_from_object: Transform) -> Symmetries:
     """Express symmetries in another frame of the same object."""
     object_from_other = invert(other_from_object)
@@ -55,11 +72,12 @@ def moved_symmetries(symmetries: Symmetries, other_from_object: Transform) -> Sy
             tuple(numbers(other_from_object @ np.reshape(values, (4, 4)) @ object_from_other))
             for values in symmetries.discrete
         ),
-        continuous=tuple(_moved_axis(axis, other_from_object) for axis in symmetries.continuous),
+        continuous=tuple(moved_axis(axis, other_from_object) for axis in symmetries.continuous),
     )
 
 
-def _moved_axis(axis: SymmetryAxis, other_from_object: Transform) -> SymmetryAxis:
+def moved_axis(axis: SymmetryAxis, other_from_object: Transform) -> SymmetryAxis:
+    """Express an axis in another frame of the same object."""
     direction = other_from_object[:3, :3] @ np.array(axis.direction)
     return SymmetryAxis(_three(direction), _three(transform(other_from_object, np.array(axis.point_m))))
 
@@ -79,13 +97,15 @@ def symmetries_to_json(symmetries: Symmetries, *, unit_m: float = 1.0) -> Json:
     factors = np.ones((4, 4))
     factors[:3, 3] = 1 / unit_m  # the translation alone has a unit
     discrete = [numbers(factors * np.reshape(values, (4, 4))) for values in symmetries.discrete]
-    continuous = [
-        {"axis": list(axis.direction), "offset": [value / unit_m for value in axis.point_m]}
-        for axis in symmetries.continuous
-    ]
+    continuous = [axis_to_json(axis, unit_m=unit_m) for axis in symmetries.continuous]
     return ({"symmetries_discrete": discrete} if discrete else {}) | (
         {"symmetries_continuous": continuous} if continuous else {}
     )
+
+
+def axis_to_json(axis: SymmetryAxis, *, unit_m: float = 1.0) -> Json:
+    """Write an axis as BOP does: its direction, and a point on it."""
+    return {"axis": list(axis.direction), "offset": [value / unit_m for value in axis.point_m]}
 
 
 def symmetries_from_json(data: Json) -> Symmetries:

@@ -18,7 +18,7 @@ LAYERS = [
     {"json_arrays", "orientation", "registered", "untrusted"},
     {"images", "meshes", "raycast", "overlay", "drift", "symmetries"},
     {"formats", "clicks", "pose", "reconstruct", "workspace"},
-    {"capture", "solve", "refine", "segment", "label", "export", "torch"},
+    {"capture", "solve", "refine", "segment", "label", "symmetry", "export", "torch"},
     {"recordings", "place"},
     {"twin", "evaluate", "report", "annotate", "doctor"},
     {"pipeline"},

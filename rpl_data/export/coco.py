@@ -25,7 +25,16 @@ from rpl_data.geometry import Transform
 from rpl_data.images import marks_no_depth, registered_units
 from rpl_data.json_arrays import Json
 from rpl_data.orientation import orientation_of, without_orientation
-from rpl_data.types import DataError, DepthCoding, Frame, FrameLabel, KeypointModel, Scene, Trajectory
+from rpl_data.types import (
+    DataError,
+    DepthCoding,
+    Frame,
+    FrameLabel,
+    KeypointModel,
+    Scene,
+    Symmetries,
+    Trajectory,
+)
 from rpl_data.wording import counted
 
 
@@ -75,6 +84,7 @@ def export_coco(
     split: SplitRule,
     meshes: Mapping[str, Path] | None = None,
     grasps: Mapping[str, Transform] | None = None,
+    symmetries: Mapping[str, Symmetries] | None = None,
     as_in: Path | None = None,
 ) -> ExportSummary:
     """Write `folder`: {train,val,test}.json, images/<scene>/, depth/<scene>/, meshes/ and nothing else.
@@ -86,6 +96,7 @@ def export_coco(
         split: rule for which frames train, validate and test.
         meshes: files of dense models by object name; linked too, as meshes/<object><suffix>.
         grasps: `object_from_grasp` by object name.
+        symmetries: what leaves the objects looking the same, by object name.
         as_in: an exported folder whose split and image ids are kept (for labels made from truth); frames that
             it does not have are left out.
 
@@ -96,7 +107,7 @@ def export_coco(
     fixed = None if as_in is None else _assignment(as_in)
     with replacing(folder) as building, tempfile.TemporaryFile("w+", dir=building) as spool:
         links: Counter[str] = Counter()
-        objects = _objects(building, models, meshes or {}, grasps or {}, links)
+        objects = _objects(building, models, meshes or {}, grasps or {}, symmetries or {}, links)
         collected = _collect(building, spool, scenes, objects, links, fixed)
         if fixed is None:
             splits, messages = choose_splits(collected.frames, split)
@@ -230,6 +241,7 @@ def _objects(
     models: Sequence[KeypointModel],
     meshes: Mapping[str, Path],
     grasps: Mapping[str, Transform],
+    symmetries: Mapping[str, Symmetries],
     links: Counter[str],
 ) -> list[CocoObject]:
     objects = []
@@ -238,7 +250,8 @@ def _objects(
         if model.name in meshes:
             mesh = f"meshes/{model.name}{meshes[model.name].suffix}"
             links[link(meshes[model.name], building / mesh)] += 1
-        objects.append(CocoObject(model, mesh, grasp=grasps.get(model.name)))
+        same = symmetries.get(model.name, Symmetries())
+        objects.append(CocoObject(model, mesh, symmetries=same, grasp=grasps.get(model.name)))
     return objects
 
 

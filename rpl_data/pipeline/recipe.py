@@ -60,6 +60,21 @@ class CropBox:
 
 
 @dataclass(frozen=True)
+class AxisRecipe:
+    """An axis about which an object looks the same after some turns; `rpl symmetry` shows such numbers.
+
+    Attributes:
+        axis: its direction, in the object frame of the workspace.
+        turns: 2 = after half a turn, 4 = after each quarter, `any` = after any.
+        point_m: a point on it, metres; the origin when left out.
+    """
+
+    axis: tuple[float, float, float]
+    turns: int | Literal["any"]
+    point_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
 class ObjectRecipe:
     """One object.
 
@@ -70,6 +85,8 @@ class ObjectRecipe:
             are already in the workspace (`rpl clicks import`, the annotation page).
         skeleton: pairs of keypoint numbers (from 0) to draw a line between.
         crop: cut the dense model to this box; rarely needed.
+        symmetry: `none`, or the axes about which it looks the same; what was confirmed by `rpl symmetry` when
+            left out.
     """
 
     name: str
@@ -77,6 +94,7 @@ class ObjectRecipe:
     clicks: Path | None = None
     skeleton: tuple[tuple[int, int], ...] = ()
     crop: CropBox | None = None
+    symmetry: Literal["none"] | tuple[AxisRecipe, ...] | None = None
 
     @property
     def keypoint_names(self) -> tuple[str, ...]:

@@ -37,7 +37,7 @@ from rpl_data.types.solution import (
     expected_mm,
 )
 from rpl_data.types.surfaces import Mesh, PointCloud
-from rpl_data.types.symmetry import Symmetries, SymmetryAxis
+from rpl_data.types.symmetry import FoundAxis, Symmetries, SymmetryAxis, SymmetryRecord, Turns
 
 __all__ = [
     "HINTS",
@@ -53,6 +53,7 @@ __all__ = [
     "DepthCamera",
     "DepthCoding",
     "DepthWarp",
+    "FoundAxis",
     "Frame",
     "FrameLabel",
     "GreyImage",
@@ -77,6 +78,8 @@ __all__ = [
     "StatementKind",
     "Symmetries",
     "SymmetryAxis",
+    "SymmetryRecord",
+    "Turns",
     "Trajectory",
     "UnsureError",
     "expected_mm",

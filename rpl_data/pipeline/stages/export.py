@@ -28,7 +28,9 @@ from rpl_data.pipeline.context import Context, step, truth_workspace
 from rpl_data.pipeline.good_enough import Keep, QualityTally
 from rpl_data.pipeline.grasp import save_grasps
 from rpl_data.pipeline.ledger import Advance, Ledger, Outcome, Step
-from rpl_data.types import DataError, FrameLabel
+from rpl_data.pipeline.symmetry import frame_change, symmetry_turns
+from rpl_data.symmetries import moved_symmetries, symmetries_of
+from rpl_data.types import DataError, FrameLabel, KeypointModel, Symmetries
 from rpl_data.wording import counted
 from rpl_data.workspace.workspace import Workspace
 
@@ -67,9 +69,13 @@ def _export_step(context: Context, name: str) -> Step:
 
     left_out = {scene: sorted(context.workspace.load_left_out(scene)) for scene in context.placed_videos()}
     annotations = [context.workspace.load_annotation(item) for item in context.object_names]
+    symmetries = {
+        item.name: [asdict(one) for one in symmetry_turns(context, item)] for item in context.objects
+    }
     chosen = {
         "left_out": {scene: frames for scene, frames in left_out.items() if frames},
         "corrections": context.workspace.corrections_digest(),
+        "symmetries": {name: turns for name, turns in symmetries.items() if turns},
         "grasps": {item.object: asdict(item.grasp) for item in annotations if item.grasp is not None},
     }
     options = {
@@ -168,8 +174,20 @@ def _export_coco(
         split=context.recipe.split,
         meshes=meshes,
         grasps=grasps,
+        symmetries=_symmetries(context, models),
         **options,
     )
+
+
+def _symmetries(context: Context, models: Sequence[KeypointModel]) -> dict[str, Symmetries]:
+    """What leaves the objects looking the same, in the frames of these models."""
+    found = {}
+    for item, model in zip(context.objects, models, strict=True):
+        turns = symmetry_turns(context, item)
+        if turns:
+            own = context.workspace.load_placed(item.name).model
+            found[item.name] = moved_symmetries(symmetries_of(turns), frame_change(model, own))
+    return found
 
 
 def _without(labels: Iterator[FrameLabel], left_out: frozenset[int]) -> Iterator[FrameLabel]:
