@@ -16,6 +16,8 @@ DIRECTIONS = 350
 """Directions of axes that are tried, over half a sphere: 7 degrees apart."""
 COARSE_SAMPLES = 250
 FINE_SAMPLES = 1000
+FEWEST_POINTS = 20
+"""An axis is not moved by fewer."""
 APART_DEG = 15.0
 """Candidates nearer to a better one are the same axis."""
 
@@ -60,6 +62,8 @@ def refined_axis(
     for _ in range(steps):
         rows, values = zip(*(_linearised(matcher, axis, angle) for angle in angles_rad), strict=True)
         jacobian, residual = np.concatenate(rows), np.concatenate(values)
+        if len(residual) < FEWEST_POINTS:  # nothing was seen both before and after the turn
+            return axis
         weight = 1 / (1 + (residual / (2 * np.median(np.abs(residual)) + 1e-5)) ** 2)
         normal = jacobian.T @ (jacobian * weight[:, None])
         damped = normal + np.diag(1e-6 * np.trace(normal) / 4 + 1e-3 * np.diag(normal))
