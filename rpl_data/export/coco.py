@@ -11,14 +11,14 @@ import tempfile
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import IO
 
 from rpl_data.export.folder import link, replacing
-from rpl_data.export.split import FrameKey, SplitName, SplitRule, choose_splits
+from rpl_data.export.split import FrameKey, SplitName, SplitRule, assigned_splits, choose_splits
 from rpl_data.export.view_distances import ViewDirection, ViewDistance, view_direction, view_distances
-from rpl_data.files import read_bytes, read_json, write_bytes
+from rpl_data.files import read_bytes, write_bytes
 from rpl_data.formats.datasets.coco import CocoObject, image_to_coco, instance_to_coco, writing_coco
 from rpl_data.formats.recordings.saved_images import encoded
 from rpl_data.geometry import Transform
@@ -85,6 +85,7 @@ def export_coco(
     meshes: Mapping[str, Path] | None = None,
     grasps: Mapping[str, Transform] | None = None,
     symmetries: Mapping[str, Symmetries] | None = None,
+    frames: Mapping[str, Transform] | None = None,
     as_in: Path | None = None,
 ) -> ExportSummary:
     """Write `folder`: {train,val,test}.json, images/<scene>/, depth/<scene>/, meshes/ and nothing else.
@@ -97,6 +98,7 @@ def export_coco(
         meshes: files of dense models by object name; linked too, as meshes/<object><suffix>.
         grasps: `object_from_grasp` by object name.
         symmetries: what leaves the objects looking the same, by object name.
+        frames: `frame_from_object` by object name, where models and poses are not in the workspace's frame.
         as_in: an exported folder whose split and image ids are kept (for labels made from truth); frames that
             it does not have are left out.
 
@@ -104,10 +106,19 @@ def export_coco(
         DataError: an image is missing, a label names an unknown object or frame, nothing is labelled, or the
             folder cannot be written; the folder that was there is then unchanged.
     """
-    fixed = None if as_in is None else _assignment(as_in)
+    fixed = None if as_in is None else assigned_splits(as_in)
     with replacing(folder) as building, tempfile.TemporaryFile("w+", dir=building) as spool:
         links: Counter[str] = Counter()
-        objects = _objects(building, models, meshes or {}, grasps or {}, symmetries or {}, links)
+        objects = _objects(building, models, meshes or {}, links)
+        objects = [
+            replace(
+                item,
+                grasp=(grasps or {}).get(item.model.name),
+                symmetries=(symmetries or {}).get(item.model.name, Symmetries()),
+                frame=(frames or {}).get(item.model.name),
+            )
+            for item in objects
+        ]
         collected = _collect(building, spool, scenes, objects, links, fixed)
         if fixed is None:
             splits, messages = choose_splits(collected.frames, split)
@@ -240,8 +251,6 @@ def _objects(
     building: Path,
     models: Sequence[KeypointModel],
     meshes: Mapping[str, Path],
-    grasps: Mapping[str, Transform],
-    symmetries: Mapping[str, Symmetries],
     links: Counter[str],
 ) -> list[CocoObject]:
     objects = []
@@ -250,8 +259,7 @@ def _objects(
         if model.name in meshes:
             mesh = f"meshes/{model.name}{meshes[model.name].suffix}"
             links[link(meshes[model.name], building / mesh)] += 1
-        same = symmetries.get(model.name, Symmetries())
-        objects.append(CocoObject(model, mesh, symmetries=same, grasp=grasps.get(model.name)))
+        objects.append(CocoObject(model, mesh))
     return objects
 
 
@@ -283,17 +291,3 @@ def _write_splits(
         views=view_distances(collected.views, frames),
         messages=tuple(messages),
     )
-
-
-def _assignment(folder: Path) -> dict[FrameKey, tuple[SplitName, int]]:
-    """Read the split and image id of every frame of an exported folder."""
-    names: tuple[SplitName, ...] = ("train", "val", "test")
-    found = {
-        (image["scene"], image["frame"]): (name, image["id"])
-        for name in names
-        if (folder / f"{name}.json").exists()
-        for image in read_json(folder / f"{name}.json")["images"]
-    }
-    if not found:
-        raise DataError(f"{folder} holds no exported COCO files; export the labels first")
-    return found

@@ -187,6 +187,10 @@ class LabelRecipe:
         return self.method == "splat"
 
 
+FrameChoice = Literal["keypoints", "box", "up"] | tuple[str, str, str]
+"""The object frame of exports."""
+
+
 @dataclass(frozen=True)
 class ExportRecipe:
     """What is exported. A plain list, `export: [coco, yolo]`, gives the formats alone.
@@ -196,10 +200,15 @@ class ExportRecipe:
         min_quality: a frame is left out when one of its labels has a lower quality; how many is said. A
             label's quality is 1 / (1 + e / 5 px), where e is its expected error: 0.25 stands for 15 px, 0.5
             for 5 px. 0 keeps all.
+        frame: the object frame of poses, keypoints and meshes. `keypoints`: the workspace's own, with its
+            origin at their centroid; `box`: its axes, with the origin at the centre of the box around the
+            mesh; `up`: z up from the table, x along the longest side, origin at the centre of that box; or
+            three keypoints: the origin, where x points to, and a third in the plane of x and y.
     """
 
     formats: tuple[str, ...] = ("coco",)
     min_quality: float = 0.25
+    frame: FrameChoice = "keypoints"
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,7 @@ class Paths:
                                       parts.json, when it was cut into scenes/<scene>.1/, <scene>.2/, ...
         objects/<object>/             clicks.jsonl  solution.json  refined.json  placed.json  mesh.ply
                                       cloud.ply  given.ply  grasp.json  symmetry.json
+                                      exported.ply
         labels/<scene>.jsonl          one line per frame
         labels/<scene>.left_out.json  frames that the user excluded from exports
         export/<format>/              coco, coco_truth, ...
@@ -137,6 +138,10 @@ class Paths:
     def mesh_file(self, object_name: str) -> Path:
         """The dense model as triangles, in the object frame, metres."""
         return self._object(object_name) / "mesh.ply"
+
+    def exported_mesh_file(self, object_name: str) -> Path:
+        """The dense model in the frame of the exports, where the recipe asks for another than its own."""
+        return self._object(object_name) / "exported.ply"
 
     def cloud_file(self, object_name: str) -> Path:
         """The dense model as points, in the object frame, metres."""

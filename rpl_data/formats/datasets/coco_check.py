@@ -161,8 +161,9 @@ def _check_categories(categories: Mapping[int, Json], objects: Any, source: str)
             symmetries_from_json(item)
         except FAULTS as error:
             raise DataError(f"{where}: symmetries_continuous: {error}; {REMEDY}") from error
-        for transform in (*item["symmetries"], *filter(None, [item.get("object_from_grasp")])):
-            _check_rigid(transform, f"{where}: symmetries, object_from_grasp")
+        others = filter(None, (item.get("object_from_grasp"), item.get("frame_from_object")))
+        for transform in (*item["symmetries"], *others):
+            _check_rigid(transform, f"{where}: symmetries, object_from_grasp, frame_from_object")
 
 
 def _check_instance(annotation: Json, image: Json, category: Json, where: str) -> None:

@@ -20,12 +20,15 @@ class CocoObject:
         mesh: path of its mesh, relative to the JSON file's folder; None when there is none.
         symmetries: what leaves the object looking the same; `symmetry_transforms` lists it.
         grasp: `object_from_grasp` where the user marked one: z out of the surface, x along it.
+        frame: `frame_from_object`: where the file's object frame is not that of the workspace, this takes
+            points from the workspace's to the file's.
     """
 
     model: KeypointModel
     mesh: str | None = None
     symmetries: Symmetries = Symmetries()
     grasp: Transform | None = None
+    frame: Transform | None = None
 
 
 def category_to_coco(number: int, model: KeypointModel) -> Json:
@@ -49,6 +52,7 @@ def object_to_coco(number: int, item: CocoObject) -> Json:
         "mesh": item.mesh,
         "symmetries": symmetries.pop("symmetries_discrete", []),
         **symmetries,
+        **({} if item.frame is None else {"frame_from_object": numbers(item.frame)}),
         **({} if item.grasp is None else {"object_from_grasp": numbers(item.grasp)}),
     }
 
@@ -72,4 +76,5 @@ def _object_from_coco(category: Json, described: Json) -> CocoObject:
         mesh=described["mesh"],
         symmetries=symmetries_from_json(described | {"symmetries_discrete": described["symmetries"]}),
         grasp=optional(matrix_from_json)(described.get("object_from_grasp")),
+        frame=optional(matrix_from_json)(described.get("frame_from_object")),
     )

@@ -7,6 +7,8 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
+import numpy as np
+
 from rpl_data.export import (
     ExportScene,
     ExportSummary,
@@ -25,6 +27,7 @@ from rpl_data.export.corrections import Corrector
 from rpl_data.export.dialect import DialectSummary
 from rpl_data.json_arrays import Json, finite_or_none
 from rpl_data.pipeline.context import Context, step, truth_workspace
+from rpl_data.pipeline.frames import exported_mesh, frames_for, moved_label, moved_model
 from rpl_data.pipeline.good_enough import Keep, QualityTally
 from rpl_data.pipeline.grasp import save_grasps
 from rpl_data.pipeline.ledger import Advance, Ledger, Outcome, Step
@@ -82,6 +85,7 @@ def _export_step(context: Context, name: str) -> Step:
         "split": asdict(context.recipe.split),
         "objects": context.object_names,
         "min_quality": context.recipe.export.min_quality,
+        **({} if context.recipe.export.frame == "keypoints" else {"frame": context.recipe.export.frame}),
     }
     return step(
         "export",
@@ -153,7 +157,7 @@ def _export_coco(
     keep: Keep = lambda label: True,
     correct: Callable[[FrameLabel], FrameLabel] = lambda label: label,
 ) -> ExportSummary:
-    workspace = context.workspace
+    workspace, frames = context.workspace, frames_for(context, labels)
     scenes = []
     for scene_name in labels.labelled_scene_names():
         if not workspace.scene_file(scene_name).exists():
@@ -161,12 +165,17 @@ def _export_coco(
         scene = workspace.load_scene(scene_name)
         kept = _without(labels.load_labels(scene_name), workspace.load_left_out(scene_name))
         lines = filter(keep, map(correct, kept))
-        scenes.append(ExportScene(scene, workspace.load_trajectory(scene), lines))
-    models = [labels.load_placed(item).model for item in context.object_names]
+        moved = (moved_label(line, frames) for line in lines)
+        scenes.append(ExportScene(scene, workspace.load_trajectory(scene), moved))
+    names = context.object_names
+    models = [moved_model(labels.load_placed(item).model, frames.get(item)) for item in names]
     meshes = {
-        item: labels.mesh_file(item) for item in context.object_names if labels.mesh_file(item).exists()
+        item: exported_mesh(labels, item, frames.get(item))
+        for item in names
+        if labels.mesh_file(item).exists()
     }
-    grasps = save_grasps(workspace, context.object_names) if labels == workspace else {}
+    grasps = save_grasps(workspace, names) if labels == workspace else {}
+    grasps = {item: frames.get(item, np.eye(4)) @ grasp for item, grasp in grasps.items()}
     return export_coco(
         workspace.export(name),
         scenes,
@@ -175,6 +184,7 @@ def _export_coco(
         meshes=meshes,
         grasps=grasps,
         symmetries=_symmetries(context, models),
+        frames=frames,
         **options,
     )
 
@@ -213,6 +223,17 @@ def _units(context: Context) -> dict[str, float]:
     return {name: workspace.load_scene(name).metres_per_unit for name in workspace.labelled_scene_names()}
 
 
+def _guessed(context: Context) -> dict[str, float]:
+    """Share of each object's triangles that close unseen sides, as the segment stage counted them."""
+    entries = Ledger(context.workspace.stages_file).of_stage("segment")
+    details = {name: entry.outcome.details for name, entry in entries.items()}
+    return {
+        name: found["unseen_triangles"] / found["triangles"]
+        for name, found in details.items()
+        if found.get("triangles") and "unseen_triangles" in found
+    }
+
+
 EXPORTS: dict[str, Export] = {
     "coco": export_labels,
     "yolo": _dialect("yolo", export_yolo),
@@ -222,7 +243,9 @@ EXPORTS: dict[str, Export] = {
     "bundlesdf": _with_units("bundlesdf", export_bundlesdf),
     "nerfstudio": _with_units("nerfstudio", export_nerfstudio),
     "huggingface": _dialect("huggingface", export_huggingface),
-    "assets": _dialect("assets", export_assets),
+    "assets": lambda context: export_assets(
+        context.workspace.export("assets"), context.workspace.export("coco"), _guessed(context)
+    ),
     "webdataset": _dialect("webdataset", export_webdataset),
 }
 """The writer of each format, by its name in the recipe."""
