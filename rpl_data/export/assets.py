@@ -55,7 +55,7 @@ def export_assets(folder: Path, coco: Path, guessed: Mapping[str, float] | None 
             write_bytes(building / f"{name}_mm.ply", mesh_to_ply(in_mm, normals=True))
             facts = _facts(item, mesh, (guessed or {}).get(name))
             write_json(building / f"{name}.json", facts)
-            if facts["guessed"]:
+            if (facts["guessed"] or 0) >= 0.005:
                 lines.append(
                     f"{name}: {facts['guessed']:.0%} of the triangles close sides that no camera saw; their "
                     "shape and colour are a guess"

@@ -30,9 +30,9 @@ themselves at least (after a true turn, 95 % of their surface is within 0.3 to 1
 TOLERANCE_NOISE = 3.0
 """The same in units of the mesh's own noise, where that is more: the 95th percentile of the distance between
 samples and the surface through the other samples, without any turn."""
-MOST_SHAPE_OFF = 0.03
-"""Largest share of a symmetric surface that may be farther off: built objects have 0 to 1 % after a true
-turn, the handle of a cup 12 %."""
+MOST_SHAPE_OFF = 0.05
+"""Largest share of a symmetric surface that may be farther off: five objects of synthetic recordings have 0
+to 1 % after a true turn, a real bowl 4 %, the handle of a cup 12 %."""
 MOST_PRINT_OFF = 0.25
 """Largest share of a symmetric surface whose colour may differ: plain built objects have 10 to 18 % from
 light and gloss, printed ones 37 to 84 %."""

@@ -6,10 +6,20 @@ import dataclasses
 
 import numpy as np
 import pytest
+from built_once import moved_copy
 
-from rpl_data.geometry import from_rotvec, transform
+from rpl_data.formats.datasets.coco import objects_from_coco, read_coco
+from rpl_data.geometry import from_rotvec, invert, transform
+from rpl_data.pipeline.build import context_of
 from rpl_data.pipeline.recipe import AxisRecipe, ObjectRecipe
-from rpl_data.pipeline.symmetry import frame_change, recipe_turns, symmetry_lines
+from rpl_data.pipeline.stages.export import EXPORTS
+from rpl_data.pipeline.symmetry import (
+    confirm_symmetry,
+    frame_change,
+    recipe_turns,
+    symmetry_lines,
+    symmetry_turns,
+)
 from rpl_data.symmetries import symmetries_of
 from rpl_data.types import DataError, FoundAxis, KeypointModel, SymmetryAxis, SymmetryRecord, Turns
 from rpl_data.workspace.workspace import Workspace
@@ -70,3 +80,28 @@ def test_only_what_was_looked_at_well_enough_is_called_asymmetric():
     assert "not confirmed, so not used" in proposed
     printed = "\n".join(symmetry_lines(CUP, SymmetryRecord(POINTS, (LABELLED,), 0.9)))
     assert "the shape has some, the print does not" in printed and "colours differ on 60%" in printed
+
+
+def test_confirmed_axes_follow_the_object_frame_into_the_export(tiny_workspace, tmp_path):
+    place = Workspace(moved_copy(tiny_workspace.root, tmp_path / "copy"))
+    context = context_of(place)
+    then_from_now = from_rotvec(np.array([0.0, np.pi / 2, 0.0]), np.array([0.0, 0.0, 0.3]))
+    points = transform(then_from_now, place.load_placed("carton").model.points_object)
+    with pytest.raises(DataError, match="run `rpl symmetry --object carton` first"):
+        confirm_symmetry(context, "carton", "found")
+    place.save_symmetry("carton", SymmetryRecord(points, (FREE, LABELLED), 0.9))
+    for answer in ("3", "0", "all"):
+        with pytest.raises(DataError, match="numbers of its axes from 1 to 2"):
+            confirm_symmetry(context, "carton", answer)
+    record = confirm_symmetry(context, "carton", "found")
+    assert record.confirmed is not None and [one.turns for one in record.confirmed] == [None]
+    EXPORTS["coco"](context)
+    (item,) = objects_from_coco(read_coco(place.export("coco") / "train.json"))
+    (axis,) = item.symmetries.continuous
+    np.testing.assert_allclose(axis.direction, [-1, 0, 0], atol=1e-9)
+    np.testing.assert_allclose(
+        axis.point_m, transform(invert(then_from_now), np.array([[0.01, 0.0, 0.0]]))[0], atol=1e-9
+    )
+    assert [one.turns for one in confirm_symmetry(context, "carton", "1,2").confirmed] == [None, None]
+    assert confirm_symmetry(context, "carton", "none").confirmed == ()
+    assert symmetry_turns(context, context.objects[0]) == ()
