@@ -141,6 +141,10 @@ def export(
     huggingface, an image folder for `datasets`; webdataset, tar shards; assets, the objects'
     textured meshes.
 
+    `export: {frame: up}` in the recipe gives all of them a canonical object frame: z up from the table, the
+    origin at the centre of the box around the mesh; `box` keeps the axes; three keypoints give origin, x axis
+    and plane. Nothing moves in the images.
+
     Example: rpl export --workspace workspaces/demo --format foundationpose
 
     Args:

@@ -7,6 +7,8 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
+import numpy as np
+
 from rpl_data.export import (
     ExportScene,
     ExportSummary,
@@ -25,10 +27,13 @@ from rpl_data.export.corrections import Corrector
 from rpl_data.export.dialect import DialectSummary
 from rpl_data.json_arrays import Json, finite_or_none
 from rpl_data.pipeline.context import Context, step, truth_workspace
+from rpl_data.pipeline.frames import exported_mesh, frames_for, moved_label, moved_model
 from rpl_data.pipeline.good_enough import Keep, QualityTally
 from rpl_data.pipeline.grasp import save_grasps
 from rpl_data.pipeline.ledger import Advance, Ledger, Outcome, Step
-from rpl_data.types import DataError, FrameLabel
+from rpl_data.pipeline.symmetry import frame_change, symmetry_turns
+from rpl_data.symmetries import moved_symmetries, symmetries_of
+from rpl_data.types import DataError, FrameLabel, KeypointModel, Symmetries
 from rpl_data.wording import counted
 from rpl_data.workspace.workspace import Workspace
 
@@ -67,15 +72,20 @@ def _export_step(context: Context, name: str) -> Step:
 
     left_out = {scene: sorted(context.workspace.load_left_out(scene)) for scene in context.placed_videos()}
     annotations = [context.workspace.load_annotation(item) for item in context.object_names]
+    symmetries = {
+        item.name: [asdict(one) for one in symmetry_turns(context, item)] for item in context.objects
+    }
     chosen = {
         "left_out": {scene: frames for scene, frames in left_out.items() if frames},
         "corrections": context.workspace.corrections_digest(),
+        "symmetries": {name: turns for name, turns in symmetries.items() if turns},
         "grasps": {item.object: asdict(item.grasp) for item in annotations if item.grasp is not None},
     }
     options = {
         "split": asdict(context.recipe.split),
         "objects": context.object_names,
         "min_quality": context.recipe.export.min_quality,
+        **({} if context.recipe.export.frame == "keypoints" else {"frame": context.recipe.export.frame}),
     }
     return step(
         "export",
@@ -147,7 +157,7 @@ def _export_coco(
     keep: Keep = lambda label: True,
     correct: Callable[[FrameLabel], FrameLabel] = lambda label: label,
 ) -> ExportSummary:
-    workspace = context.workspace
+    workspace, frames = context.workspace, frames_for(context, labels)
     scenes = []
     for scene_name in labels.labelled_scene_names():
         if not workspace.scene_file(scene_name).exists():
@@ -155,12 +165,17 @@ def _export_coco(
         scene = workspace.load_scene(scene_name)
         kept = _without(labels.load_labels(scene_name), workspace.load_left_out(scene_name))
         lines = filter(keep, map(correct, kept))
-        scenes.append(ExportScene(scene, workspace.load_trajectory(scene), lines))
-    models = [labels.load_placed(item).model for item in context.object_names]
+        moved = (moved_label(line, frames) for line in lines)
+        scenes.append(ExportScene(scene, workspace.load_trajectory(scene), moved))
+    names = context.object_names
+    models = [moved_model(labels.load_placed(item).model, frames.get(item)) for item in names]
     meshes = {
-        item: labels.mesh_file(item) for item in context.object_names if labels.mesh_file(item).exists()
+        item: exported_mesh(labels, item, frames.get(item))
+        for item in names
+        if labels.mesh_file(item).exists()
     }
-    grasps = save_grasps(workspace, context.object_names) if labels == workspace else {}
+    grasps = save_grasps(workspace, names) if labels == workspace else {}
+    grasps = {item: frames.get(item, np.eye(4)) @ grasp for item, grasp in grasps.items()}
     return export_coco(
         workspace.export(name),
         scenes,
@@ -168,8 +183,21 @@ def _export_coco(
         split=context.recipe.split,
         meshes=meshes,
         grasps=grasps,
+        symmetries=_symmetries(context, models),
+        frames=frames,
         **options,
     )
+
+
+def _symmetries(context: Context, models: Sequence[KeypointModel]) -> dict[str, Symmetries]:
+    """What leaves the objects looking the same, in the frames of these models."""
+    found = {}
+    for item, model in zip(context.objects, models, strict=True):
+        turns = symmetry_turns(context, item)
+        if turns:
+            own = context.workspace.load_placed(item.name).model
+            found[item.name] = moved_symmetries(symmetries_of(turns), frame_change(model, own))
+    return found
 
 
 def _without(labels: Iterator[FrameLabel], left_out: frozenset[int]) -> Iterator[FrameLabel]:
@@ -195,6 +223,17 @@ def _units(context: Context) -> dict[str, float]:
     return {name: workspace.load_scene(name).metres_per_unit for name in workspace.labelled_scene_names()}
 
 
+def _guessed(context: Context) -> dict[str, float]:
+    """Share of each object's triangles that close unseen sides, as the segment stage counted them."""
+    entries = Ledger(context.workspace.stages_file).of_stage("segment")
+    details = {name: entry.outcome.details for name, entry in entries.items()}
+    return {
+        name: found["unseen_triangles"] / found["triangles"]
+        for name, found in details.items()
+        if found.get("triangles") and "unseen_triangles" in found
+    }
+
+
 EXPORTS: dict[str, Export] = {
     "coco": export_labels,
     "yolo": _dialect("yolo", export_yolo),
@@ -204,7 +243,9 @@ EXPORTS: dict[str, Export] = {
     "bundlesdf": _with_units("bundlesdf", export_bundlesdf),
     "nerfstudio": _with_units("nerfstudio", export_nerfstudio),
     "huggingface": _dialect("huggingface", export_huggingface),
-    "assets": _dialect("assets", export_assets),
+    "assets": lambda context: export_assets(
+        context.workspace.export("assets"), context.workspace.export("coco"), _guessed(context)
+    ),
     "webdataset": _dialect("webdataset", export_webdataset),
 }
 """The writer of each format, by its name in the recipe."""
