@@ -46,7 +46,7 @@ def test_bash_blocks_run(line: str) -> None:
 def test_console_blocks_parse(line: str) -> None:
     from jsonargparse import auto_parser
 
-    from rpl_data.command_line import parser_of
+    from rpl_data.command_line import parser_of, with_switches
 
     words = shlex.split(line)
     if words[0] == "pip":
@@ -59,7 +59,7 @@ def test_console_blocks_parse(line: str) -> None:
     else:
         parser = auto_parser(program)
     parser.exit_on_error = False
-    parsed = parser.parse_args(with_preset_files(arguments))
+    parsed = parser.parse_args(with_switches(parser, with_preset_files(arguments)))
     assert not isinstance(program, dict) or parsed.subcommand in program
 
 
