@@ -13,17 +13,21 @@ from rpl_data.types import DataError
 
 @dataclass
 class ImageIndex:
-    """Image files by their content: the same file on the disk, or as many bytes and the same bytes."""
+    """Image files by their content: the same file on the disk, or as many bytes and the same bytes.
+
+    Attributes:
+        unread: files by size, of which no digest was needed yet; by_digest: the others, by size and digest.
+    """
 
     by_file: dict[Hashable, FrameKey] = field(default_factory=dict)
-    by_size: dict[int, list[tuple[FrameKey, Path]]] = field(default_factory=dict)
-    digests: dict[Path, str] = field(default_factory=dict)
+    unread: dict[int, list[tuple[FrameKey, Path]]] = field(default_factory=dict)
+    by_digest: dict[int, dict[str, FrameKey]] = field(default_factory=dict)
 
     def add(self, key: FrameKey, path: Path) -> None:
         """Remember an image."""
         identity, size = _identity(path)
         self.by_file.setdefault(identity, key)
-        self.by_size.setdefault(size, []).append((key, path))
+        self.unread.setdefault(size, []).append((key, path))
 
     def find(self, path: Path) -> FrameKey | None:
         """The frame that was remembered with the same image; None when there is none.
@@ -33,15 +37,9 @@ class ImageIndex:
         identity, size = _identity(path)
         if identity in self.by_file:
             return self.by_file[identity]
-        for key, other in self.by_size.get(size, ()):
-            if self._digest(other) == self._digest(path):
-                return key
-        return None
-
-    def _digest(self, path: Path) -> str:
-        if path not in self.digests:
-            self.digests[path] = file_hash(path)
-        return self.digests[path]
+        for key, other in self.unread.pop(size, ()):
+            self.by_digest.setdefault(size, {}).setdefault(file_hash(other), key)
+        return self.by_digest[size].get(file_hash(path)) if size in self.by_digest else None
 
 
 def _identity(path: Path) -> tuple[Hashable, int]:
