@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float64, Int8, Int64
+from scipy.spatial import cKDTree
 
 from rpl_data.geometry import NEAREST_M, Points, project, transform
 from rpl_data.meshes import joined, select
@@ -51,11 +52,13 @@ class Verdict:
 
     Attributes:
         inside, outside: points that most frames which see them call the object, or not; others are open.
+        hardly_seen: points that too few frames see to decide.
         wrong_frames: frames that contradict what the others agree on; they were not counted.
     """
 
     inside: Bool[np.ndarray, " n"]
     outside: Bool[np.ndarray, " n"]
+    hardly_seen: Bool[np.ndarray, " n"]
     wrong_frames: tuple[int, ...]
 
 
@@ -84,7 +87,8 @@ def regions_by_masks(
             lines.append(f"scene {scene}: {found}")
             continue
         region = np.arange(len(both.points)) < count
-        regions[scene] = select(both, (region & ~found.outside) | (~region & found.inside))
+        denied = found.outside | _beside_denied(both.points, region, found)
+        regions[scene] = select(both, (region & ~denied) | (~region & found.inside))
         if found.wrong_frames:
             lines.append(
                 f"scene {scene}: the given masks of {counted(len(found.wrong_frames), 'frame')} are "
@@ -106,7 +110,8 @@ def mask_verdict(
     Returns:
         The verdict, or why the masks cannot be used.
     """
-    votes = np.array([_votes(points, view) for view in views])
+    looks = [_seen_at(points, view) for view in views]
+    votes = np.array([_votes(look, view) for look, view in zip(looks, views, strict=True)])
     believed = np.ones(len(views), bool)
     for _ in range(2):  # A wrong frame spoils what the others agree on a little; without it they agree better
         consensus = np.sign(votes[believed].sum(axis=0, dtype=np.int64))
@@ -119,29 +124,65 @@ def mask_verdict(
         )
     if not (votes[believed].sum(axis=0) > 0).any():
         return "given masks are not used: they agree on no part of the surface as the object"
-    on_object = np.array([_votes(keypoints, view) for view in views])[believed].sum(axis=0)
+    on_object = np.array([_votes(_seen_at(keypoints, view), view) for view in views])[believed].sum(axis=0)
     if (on_object < 0).sum() > (on_object > 0).sum():
         return "given masks are not used: most clicked keypoints lie outside them; say which object they show"
     total = votes[believed].sum(axis=0)
     for_, against = (votes[believed] > 0).sum(axis=0), (votes[believed] < 0).sum(axis=0)
-    return Verdict((total > 0) & (for_ >= LEAST_VOTES), (total < 0) & (against >= LEAST_VOTES), wrong)
+    seen = np.array([look.seen for look in looks])[believed].sum(axis=0)
+    return Verdict(
+        inside=(total > 0) & (for_ >= LEAST_VOTES),
+        outside=(total < 0) & (against >= LEAST_VOTES),
+        hardly_seen=seen < LEAST_VOTES,
+        wrong_frames=wrong,
+    )
 
 
-def _votes(points: Points, view: MaskView) -> Int8[np.ndarray, " n"]:
+def _beside_denied(points: Points, region: Bool[np.ndarray, " n"], found: Verdict) -> Bool[np.ndarray, " n"]:
+    """Points of a region that hardly a frame sees, where the nearest that is judged is denied."""
+    asked, judged = region & found.hardly_seen, region & (found.inside | found.outside)
+    denied = np.zeros(len(points), bool)
+    if asked.any() and judged.any():
+        nearest = cKDTree(points[judged]).query(points[asked])[1]
+        denied[asked] = found.outside[judged][nearest]
+    return denied
+
+
+@dataclass(frozen=True)
+class _Look:
+    """Where a frame sees points.
+
+    Attributes:
+        seen: points that its depth image measures.
+        rows, columns: pixels of those.
+    """
+
+    seen: Bool[np.ndarray, " n"]
+    rows: Int64[np.ndarray, " m"]
+    columns: Int64[np.ndarray, " m"]
+
+
+def _seen_at(points: Points, view: MaskView) -> _Look:
+    in_camera = transform(view.view.camera_from_object, points)
+    ahead = np.flatnonzero(in_camera[:, 2] > NEAREST_M)
+    pixel = np.round(project(view.view.intrinsics, in_camera[ahead])).astype(np.int64)
+    height, width = view.mask.shape
+    within = ((pixel >= 0) & (pixel < [width, height])).all(axis=1)
+    ahead, (u, v) = ahead[within], pixel[within].T
+    measured_m = view.view.depth_m[v, u]
+    agrees = (measured_m > 0) & (np.abs(measured_m - in_camera[ahead, 2]) < SEEN_M)
+    seen = np.zeros(len(points), bool)
+    seen[ahead[agrees]] = True
+    return _Look(seen, v[agrees], u[agrees])
+
+
+def _votes(look: _Look, view: MaskView) -> Int8[np.ndarray, " n"]:
     """1 for points seen inside the mask, -1 outside, 0 near its outline and where the point is not seen."""
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * OUTLINE_PX + 1,) * 2)
     mask = view.mask.astype(np.uint8)
     sides = cv2.erode(mask, kernel, borderValue=1).astype(np.int8) - (1 - cv2.dilate(mask, kernel))
-    in_camera = transform(view.view.camera_from_object, points)
-    ahead = np.flatnonzero(in_camera[:, 2] > NEAREST_M)
-    pixel = np.round(project(view.view.intrinsics, in_camera[ahead])).astype(np.int64)
-    height, width = mask.shape
-    within = ((pixel >= 0) & (pixel < [width, height])).all(axis=1)
-    ahead, (u, v) = ahead[within], pixel[within].T
-    measured_m = view.view.depth_m[v, u]
-    seen = (measured_m > 0) & (np.abs(measured_m - in_camera[ahead, 2]) < SEEN_M)
-    votes = np.zeros(len(points), np.int8)
-    votes[ahead[seen]] = sides[v[seen], u[seen]]
+    votes = np.zeros(len(look.seen), np.int8)
+    votes[look.seen] = sides[look.rows, look.columns]
     return votes
 
 

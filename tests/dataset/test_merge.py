@@ -116,6 +116,15 @@ def test_another_reader_opens_the_result(tmp_path: Path) -> None:
     assert all(coco.annToMask(a).sum() == a["area"] for a in coco.loadAnns(coco.getAnnIds()))
 
 
+def test_our_own_datasets_open_the_result(tmp_path: Path) -> None:
+    from rpl_data.torch import InstanceDataset, KeypointDataset
+
+    merged(tmp_path)
+    _, target = InstanceDataset(tmp_path / "out", split="train")[3]
+    assert target["masks"].shape == (2, CAMERA.height, CAMERA.width)
+    assert len(KeypointDataset(tmp_path / "out", split="train", object="can")) == 10
+
+
 def test_same_input_gives_the_same_hash_and_other_input_another(tmp_path: Path) -> None:
     written, _ = merged(tmp_path)
     again = merge_datasets(tmp_path / "again", [tmp_path / "a", tmp_path / "b"], images="copy")
