@@ -53,6 +53,8 @@ def mask_source(context: Context, video: str) -> MaskSource | None:
     """Where the recipe has masks of a recording; None where it has none."""
     read_from = context.workspace.load_scene(video).source
     sources = [source for source in context.scene_sources if str(source.path) in read_from]
+    if len(context.scene_sources) == 1:
+        sources = list(context.scene_sources)
     nearest = max(sources, key=lambda source: len(str(source.path)), default=None)
     return None if nearest is None else nearest.masks
 
@@ -78,7 +80,16 @@ def object_masks(context: Context, video: str) -> ObjectMasks | None:
     source, workspace = mask_source(context, video), context.workspace
     if source is None:
         return None
-    masks = open_masks(source.path, source.format, workspace.load_scene(video))
+    sharing = [other for other in workspace.video_names() if mask_source(context, other) == source]
+    with_some = [
+        other
+        for other in sharing
+        if (source.path / other).exists() or (source.path / f"{other}.json").exists()
+    ]
+    if with_some and video not in with_some:
+        return ObjectMasks(GivenMasks({}, ()), {}, (f"{source.path} has no masks of this scene",))
+    alone = sharing == [video]
+    masks = open_masks(source.path, source.format, workspace.load_scene(video), alone=alone)
     names = context.object_names
     unknown = sorted(set(source.objects or ()) - set(names))
     if unknown:

@@ -114,6 +114,12 @@ def test_names_that_fit_no_frame_are_refused(tmp_path: Path) -> None:
         open_masks(tmp_path / "nowhere", "png", scene(["0"]))
 
 
+def test_one_folder_for_several_scenes_is_refused(tmp_path: Path) -> None:
+    with_palette(tmp_path / "000000.png")  # of which scene?
+    with pytest.raises(DataError, match="expected a folder per scene in it, such as .*desk"):
+        open_masks(tmp_path, "png", scene(["000000"]), alone=False)
+
+
 def test_a_folder_per_object_in_a_folder_per_scene(tmp_path: Path) -> None:
     for key in (1, 2):
         path = tmp_path / f"desk/{key:03d}/00000.png"  # SAM 2 with --per_obj_png_file
@@ -141,7 +147,7 @@ def coco_file(path: Path, **changes: object) -> Path:
 
 
 def test_coco_has_polygons_and_run_lengths(tmp_path: Path) -> None:
-    masks = open_masks(coco_file(tmp_path / "all.json"), "coco", scene(["000005"]))
+    masks = open_masks(coco_file(tmp_path / "all.json"), "coco", scene(["000005"]), alone=False)
     found = masks.at(0)
     assert found is not None
     np.testing.assert_array_equal(found["cup"], IDS == 1)
@@ -149,6 +155,7 @@ def test_coco_has_polygons_and_run_lengths(tmp_path: Path) -> None:
 
 
 def test_coco_of_another_size_is_refused(tmp_path: Path) -> None:
-    masks = open_masks(coco_file(tmp_path / "all.json", width=61), "coco", scene(["000005"]))
+    file = coco_file(tmp_path / "all.json", width=61)
+    masks = open_masks(file, "coco", scene(["000005"]), alone=False)
     with pytest.raises(DataError, match="61 x 40 px; expected 60 x 40"):
         masks.at(0)

@@ -51,11 +51,12 @@ class GivenMasks:
         return self.readers[frame]() if frame in self.readers else None
 
 
-def open_masks(path: Path, kind: MaskFormat, scene: Scene) -> GivenMasks:
+def open_masks(path: Path, kind: MaskFormat, scene: Scene, *, alone: bool = True) -> GivenMasks:
     """Find the masks of a recording.
 
     Args:
         path: a folder or a JSON file; when it has an entry with the name of the scene, that one counts.
+        alone: no other scene has its masks there, so that what is not named by scene is of this one.
 
     Raises:
         DataError: there are none, or none whose name is that of a frame.
@@ -64,8 +65,13 @@ def open_masks(path: Path, kind: MaskFormat, scene: Scene) -> GivenMasks:
     here = named if path.is_dir() and named.exists() else path
     if not here.exists():
         raise DataError(f"the masks of scene {scene.name}: {here} does not exist; {REMEDY}")
+    if not alone and here == path and kind != "coco":
+        raise DataError(
+            f"the masks of scene {scene.name}: {path} is named for several scenes; expected a folder per "
+            f"scene in it, such as {named}; sort them into folders"
+        )
     size = (scene.intrinsics.height, scene.intrinsics.width)
-    found = FINDERS[kind](here, size, scene.name)
+    found = FINDERS[kind](here, size, None if alone or here != path else scene.name)
     frames = _matched(found, scene, here)
     unmatched, without = len(found) - len(frames), len(scene.frames) - len(frames)
     notes = []
@@ -95,7 +101,7 @@ def _matched(
     )
 
 
-def _png(folder: Path, size: tuple[int, int], scene: str) -> dict[str, Callable[[], Masks]]:
+def _png(folder: Path, size: tuple[int, int], scene: str | None) -> dict[str, Callable[[], Masks]]:
     def reader(file: Path) -> Callable[[], Masks]:
         def read() -> Masks:
             ids = read_ids(file, size=size)
@@ -106,7 +112,7 @@ def _png(folder: Path, size: tuple[int, int], scene: str) -> dict[str, Callable[
     return {file.stem: reader(file) for file in sorted(folder.glob("*.png"))}
 
 
-def _folders(folder: Path, size: tuple[int, int], scene: str) -> dict[str, Callable[[], Masks]]:
+def _folders(folder: Path, size: tuple[int, int], scene: str | None) -> dict[str, Callable[[], Masks]]:
     files: dict[str, dict[str, Path]] = {}
     for file in sorted(folder.glob("*/*.png")):
         files.setdefault(file.stem, {})[file.parent.name] = file
@@ -117,12 +123,11 @@ def _folders(folder: Path, size: tuple[int, int], scene: str) -> dict[str, Calla
     return {stem: reader(of_frame) for stem, of_frame in files.items()}
 
 
-def _coco(file: Path, size: tuple[int, int], scene: str) -> dict[str, Callable[[], Masks]]:
+def _coco(file: Path, size: tuple[int, int], scene: str | None) -> dict[str, Callable[[], Masks]]:
     data = read_json(file)
     with decoding(file, REMEDY):
         names = {category["id"]: str(category["name"]) for category in data["categories"]}
-        several = len({_scene_of(image) for image in data["images"]}) > 1
-        images = [image for image in data["images"] if not several or _scene_of(image) == scene]
+        images = [image for image in data["images"] if scene is None or _scene_of(image) == scene]
         entries: dict[Any, list[Any]] = {image["id"]: [] for image in images}
         for annotation in data["annotations"]:
             if annotation["image_id"] in entries:
@@ -160,9 +165,11 @@ def _of_image(
     return joined
 
 
-FINDERS: Mapping[MaskFormat, Callable[[Path, tuple[int, int], str], dict[str, Callable[[], Masks]]]] = {
+FINDERS: Mapping[
+    MaskFormat, Callable[[Path, tuple[int, int], str | None], dict[str, Callable[[], Masks]]]
+] = {
     "png": _png,
     "folders": _folders,
     "coco": _coco,
 }
-"""What finds the masks of each format: readers by the name of their frame."""
+"""What finds the masks of each format, of one scene if it is named: readers by the name of their frame."""
