@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
-
-if TYPE_CHECKING:
-    from rpl_data.dataset.written import Written
+from typing import Literal
 
 
 def dataset_merge(
@@ -34,7 +31,8 @@ def dataset_merge(
     """
     from rpl_data.dataset import merge_datasets
 
-    _say(out, merge_datasets(out, sources, images=images, most_residual_mm=max_residual_mm))
+    written = merge_datasets(out, sources, images=images, most_residual_mm=max_residual_mm)
+    print("\n".join(written.lines(out)))
 
 
 def dataset_filter(
@@ -65,7 +63,7 @@ def dataset_filter(
     from rpl_data.dataset import Wanted, filter_dataset
 
     wanted = Wanted(objects, scenes, min_visibility, min_quality, rate)
-    _say(out, filter_dataset(out, source, wanted, images=images))
+    print("\n".join(filter_dataset(out, source, wanted, images=images).lines(out)))
 
 
 def dataset_split(
@@ -91,7 +89,8 @@ def dataset_split(
     from rpl_data.dataset import split_dataset
     from rpl_data.export.split import SplitRule
 
-    _say(out, split_dataset(out, source, SplitRule(test_scenes, val_fraction, seed), images=images))
+    rule = SplitRule(test_scenes, val_fraction, seed)
+    print("\n".join(split_dataset(out, source, rule, images=images).lines(out)))
 
 
 def dataset_stats(source: Path, json: Path | None = None) -> None:
@@ -111,11 +110,3 @@ def dataset_stats(source: Path, json: Path | None = None) -> None:
     if json is not None:
         write_json(json, found)
     print("\n".join(stats_table(found)))
-
-
-def _say(out: Path, written: Written) -> None:
-    for name, count in written.images.items():
-        print(f"{out / f'{name}.json'}: {count} images, {written.annotations[name]} annotations")
-    for line in written.messages:
-        print(f"    {line}")
-    print(f"    {written.content_hash}")

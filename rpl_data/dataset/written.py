@@ -20,6 +20,7 @@ from rpl_data.formats.datasets.coco_entries import writing_entries
 from rpl_data.json_arrays import Json
 from rpl_data.types import DataError
 from rpl_data.version import installed_version
+from rpl_data.wording import counted
 
 Images = Literal["link", "copy"]
 """How images come into a dataset: linked where the file system can, or copied."""
@@ -39,6 +40,14 @@ class Written:
     annotations: Mapping[SplitName, int]
     messages: tuple[str, ...]
     content_hash: str
+
+    def lines(self, out: Path) -> list[str]:
+        """All of it in words, for the terminal; `out` is the folder that was written."""
+        splits = [
+            f"{out / name}.json: {counted(count, 'image')}, {counted(self.annotations[name], 'annotation')}"
+            for name, count in self.images.items()
+        ]
+        return [*splits, *(f"    {line}" for line in (*self.messages, self.content_hash))]
 
 
 @dataclass
