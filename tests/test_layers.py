@@ -19,7 +19,7 @@ LAYERS = [
     {"images", "meshes", "raycast", "overlay", "drift", "symmetries"},
     {"formats", "clicks", "pose", "reconstruct", "workspace"},
     {"capture", "solve", "refine", "segment", "label", "symmetry", "export", "torch"},
-    {"recordings", "place"},
+    {"recordings", "place", "dataset"},
     {"twin", "evaluate", "report", "annotate", "doctor"},
     {"pipeline"},
     {"cli"},

@@ -14,6 +14,12 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from rpl_data.cli.building import HERE, run_build, workspace_for  # noqa: E402
 from rpl_data.cli.clicks import annotate, clicks_export, clicks_import  # noqa: E402
+from rpl_data.cli.datasets import (  # noqa: E402
+    dataset_filter,
+    dataset_merge,
+    dataset_split,
+    dataset_stats,
+)
 from rpl_data.cli.first import init  # noqa: E402
 from rpl_data.cli.labels import labels_forget, labels_import  # noqa: E402
 from rpl_data.cli.machine import demo, doctor  # noqa: E402
@@ -183,6 +189,13 @@ COMMANDS: dict[str, Any] = {
         "_help": "Labels that were corrected with another program.",
         "import": labels_import,
         "forget": labels_forget,
+    },
+    "dataset": {
+        "_help": "Exported datasets, merged, filtered, split anew and counted.",
+        "merge": dataset_merge,
+        "filter": dataset_filter,
+        "split": dataset_split,
+        "stats": dataset_stats,
     },
     "drift": drift,
     "cut": cut,

@@ -13,9 +13,31 @@ from typing import Literal
 
 from rpl_data.drift.drift import MAX_DRIFT_MM
 from rpl_data.export.split import SplitRule
+from rpl_data.formats.masks.given import MaskFormat
 from rpl_data.formats.recordings.ros.wanted import Topics
 from rpl_data.recordings.mend import Mend
 from rpl_data.twin.spec import TwinSpec
+
+
+@dataclass(frozen=True)
+class MaskSource:
+    """Masks of the objects that another program made (SAM 2, Cutie, an annotation tool).
+
+    They vote in the segmentation, where the surface is seen mostly outside them, and check the labels; they
+    never become labels. A frame whose mask contradicts the others is out-voted and named.
+
+    Attributes:
+        path: the folder or file; where it has a folder `<scene>` (or `<scene>.json`), that is the scene's.
+        format: `png`: `<frame>.png` with 0 and 255, or a number per object, also by palette (SAM 2, Cutie,
+            XMem); `folders`: `<object>/<frame>.png` (SAM 2 with one file per object); `coco`: polygons or run
+            lengths. Frames are those of the same name, or number, as the colour images.
+        objects: which number, folder or category each object has, `{cup: 1, drill: 2}`. Where it is left out,
+            names that are those of objects count, and the others go by where the clicks fall.
+    """
+
+    path: Path
+    format: MaskFormat = "png"
+    objects: dict[str, int | str] | None = None
 
 
 @dataclass(frozen=True)
@@ -36,6 +58,7 @@ class SceneSource:
         mend: faults of these recordings to correct while they are read; `rpl check` names them.
         topics: which topics of a ROS bag to use (`{color: ..., depth: ..., poses: /tf}`); found by their
             names when left out, without poses.
+        masks: masks that another program made of the objects in these scenes.
     """
 
     path: Path
@@ -46,6 +69,7 @@ class SceneSource:
     registered: bool | None = None
     mend: Mend = Mend()
     topics: Topics | None = None
+    masks: MaskSource | None = None
 
 
 @dataclass(frozen=True)

@@ -62,6 +62,8 @@ def _misfit_of_one(kind: Any, value: object, where: str) -> Misfit | None:
         return _first(_of_fields(kind, value, where)) if isinstance(value, Mapping) else here
     if typing.get_origin(kind) is tuple:
         return _first(_of_items(kind, value, where)) if _is_list(value) else here
+    if typing.get_origin(kind) is dict:
+        return _first(_of_values(kind, value, where)) if isinstance(value, Mapping) else here
     if typing.get_origin(kind) is Literal:
         return None if value in typing.get_args(kind) else here
     return None if kind not in NAMES or _fits(kind, value) else here
@@ -90,6 +92,11 @@ def _of_items(kind: Any, value: Sequence[object], where: str) -> Iterator[Misfit
         yield misfit(item, one, f"{where}[{number}]")
 
 
+def _of_values(kind: Any, value: Mapping[object, object], where: str) -> Iterator[Misfit | None]:
+    for key, one in value.items():
+        yield misfit(typing.get_args(kind)[1], one, f"{where}.{key}")
+
+
 def _is_list(value: object) -> typing.TypeGuard[Sequence[object]]:
     return isinstance(value, list | tuple)
 
@@ -113,7 +120,8 @@ def _described(kind: Any) -> str:
     if typing.get_origin(kind) is tuple:
         items = typing.get_args(kind)
         return "a list, as [a, b]" if items[-1] is Ellipsis else f"a list of {len(items)}"
-    return "`key: value` lines" if dataclasses.is_dataclass(kind) else NAMES.get(kind, str(kind))
+    keyed = dataclasses.is_dataclass(kind) or typing.get_origin(kind) is dict
+    return "`key: value` lines" if keyed else NAMES.get(kind, str(kind))
 
 
 def _shown(value: object) -> str:

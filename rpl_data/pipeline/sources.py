@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 from rpl_data.pipeline.recipe import SceneSource
 from rpl_data.recordings.open import open_scenes
@@ -36,12 +37,17 @@ def recordings_of(
             assert unpack is not None  # else nothing asks for a folder
             return unpack(name)
 
-        for recording in open_scenes(**vars(source), unpack=None if unpack is None else fresh):
+        for recording in open_scenes(**_recorded(source), unpack=None if unpack is None else fresh):
             name = checked_name(recording.scene.name, "scene", where=str(source.path))
             if name in found:
                 raise _same_name(name, found[name].scene.source, recording.scene.source)
             found[name] = recording
     return list(found.values())
+
+
+def _recorded(source: SceneSource) -> dict[str, Any]:
+    """All that a source says of its recordings: not the masks, which were made of them."""
+    return {name: value for name, value in vars(source).items() if name != "masks"}
 
 
 def _same_name(name: str, one: str, other: str) -> DataError:

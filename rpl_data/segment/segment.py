@@ -14,6 +14,7 @@ from rpl_data.geometry import Points, invert, transform
 from rpl_data.meshes import joined, oriented_points, select, smoothed_normals, thinned
 from rpl_data.segment.completion import closed_mesh
 from rpl_data.segment.free_space import DepthView, free_share, witnesses
+from rpl_data.segment.mask_votes import MaskView, regions_by_masks
 from rpl_data.segment.region_growing import (
     Plane,
     beyond_footprint_m,
@@ -72,6 +73,7 @@ def segment_object(
     voxel_m: float = 0.003,
     crop_m: CropBox | None = None,
     depth_views: Sequence[DepthView] = (),
+    mask_views: Sequence[MaskView] = (),
 ) -> DenseModel:
     """Make the dense model: grow regions from the keypoints in each scene's surface, merge and close them.
 
@@ -85,6 +87,7 @@ def segment_object(
         voxel_m: resolution of the surfaces.
         crop_m: lowest and highest corner of a box in the object frame; everything outside is cut.
         depth_views: depth images of the scenes, which show where space is free.
+        mask_views: masks that another program made of the object, which vote on the surface of their scene.
 
     Raises:
         DataError: no scene is placed, or no surface is found at the keypoints.
@@ -92,6 +95,8 @@ def segment_object(
     keypoints = solution.model.points_object[solution.model.known]
     surroundings = _all_surroundings(surfaces, solution, voxel_m, crop_m)
     grown = _regions(surroundings, keypoints, voxel_m)
+    above = {scene: around.above for scene, around in surroundings.items()}
+    grown, said = regions_by_masks(grown, above, mask_views, keypoints)
     if not grown:
         refuse_without_surface(solution.model.name, len(surfaces))
     agreed = [
@@ -100,9 +105,8 @@ def segment_object(
     ]
     cloud = _around_keypoints(thinned(joined(agreed), voxel_m=voxel_m * 0.7), keypoints, voxel_m)
     anchors = np.concatenate([keypoints, _contact_points(cloud, surroundings)])
-    warnings = tuple(
-        f"scene {scene} has no surface at the keypoints" for scene in surfaces if scene not in grown
-    )
+    lacking = [f"scene {scene} has no surface at the keypoints" for scene in surfaces if scene not in grown]
+    warnings = (*lacking, *said)
     closed = closed_mesh(cloud, anchors, voxel_m=voxel_m, views=depth_views)
     share = free_share(closed.mesh, depth_views) if depth_views else float("nan")
     return DenseModel(closed.mesh, cloud, closed.seen, closed.open_edges, share, warnings)

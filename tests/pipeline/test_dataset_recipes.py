@@ -19,6 +19,7 @@ from rpl_data.geometry import invert, project, transform
 from rpl_data.meshes import save_mesh
 from rpl_data.pipeline.build import build
 from rpl_data.pipeline.recipe_file import load_recipe
+from rpl_data.pipeline.sources import recordings_of
 from rpl_data.recordings.open import open_scenes
 from rpl_data.types import DataError, Mesh
 from rpl_data.workspace.workspace import Workspace
@@ -100,5 +101,5 @@ def test_realsense_tracks_what_capture_and_the_viewer_record(tmp_path: Path) -> 
     assert recipe.reconstruct.method == "track"
     record(tmp_path / "00.db3", 3)
     source = replace(recipe.scenes[0], format="realsense")
-    (recording,) = open_scenes(**vars(source), unpack=lambda scene: tmp_path / "images" / scene)
+    (recording,) = recordings_of([source], unpack=lambda scene: tmp_path / "images" / scene)
     assert recording.trajectory is None and len(recording.scene.frames) == 3

@@ -7,11 +7,14 @@ from itertools import product
 import numpy as np
 import pytest
 
-from rpl_data.geometry import Transform, rigid, transform
+from rpl_data.geometry import Transform, invert, rigid, transform
 from rpl_data.pipeline.stages.surface import joined_meshes
+from rpl_data.raycast import RayScene, render_depth_m
+from rpl_data.segment.free_space import DepthView
+from rpl_data.segment.mask_votes import MaskView
 from rpl_data.segment.region_growing import height_above
 from rpl_data.segment.segment import DenseModel, grown_regions, segment_object
-from rpl_data.types import DataError, KeypointModel, Mesh, Solution
+from rpl_data.types import DataError, Intrinsics, KeypointModel, Mesh, Solution
 
 SIZE_M = np.array([0.12, 0.08, 0.06])
 CORNERS = SIZE_M * (np.array(list(product((0, 1), repeat=3))) - 0.5)
@@ -142,3 +145,56 @@ def test_height_is_known_only_straight_above_the_surface() -> None:
     points = np.array([[0.015, 0.015, 0.01], [0.015, 0.015, -0.01], [0.08, 0.015, 0.01]])
     height_m = height_above(flat, cKDTree(flat.points), points)
     np.testing.assert_allclose(height_m, [0.01, -0.01, np.nan], atol=1e-12)
+
+
+# Given masks --------------------------------------------------------------------------------------
+
+CAMERA = Intrinsics(300.0, 300.0, 119.5, 89.5, 240, 180)
+BESIDE = np.array([0.0, SIZE_M[1], 0.0])
+"""Where the same box stands once more, flush and in both scenes, as an object on its stand does."""
+
+
+def flush_neighbour(scene_from_object: Transform, hidden: tuple[int, int], seed: int) -> Mesh:
+    """The surface of a scene in which the box touches its twin, object frame: no edge parts the two."""
+    own = [face for face in box_faces(hidden) if face.vertices[:, 1].min() < SIZE_M[1] / 2 - 1e-6]
+    other = [Mesh(face.vertices + BESIDE, face.triangles) for face in box_faces(hidden)]
+    other = [face for face in other if face.vertices[:, 1].max() > SIZE_M[1] / 2 + 1e-6]
+    corners = transform(scene_from_object, np.concatenate([CORNERS, CORNERS + BESIDE]))
+    table = joined_meshes(table_around(corners.min(axis=0), corners.max(axis=0)))
+    table = Mesh(transform(invert(scene_from_object), table.vertices), table.triangles)
+    whole = joined_meshes([*own, *other, table])
+    noise_m = np.random.default_rng(seed).normal(0, NOISE_M, whole.vertices.shape)
+    return Mesh(whole.vertices + noise_m, whole.triangles)
+
+
+def seen_from(scene: str, frame: int, surface: Mesh, up: np.ndarray, *, empty: bool) -> MaskView:
+    """Depth of the surface from above and aside, and the true mask of the box alone; or an empty one."""
+    turn = 2 * np.pi * frame / 6
+    aside = np.linalg.svd(up[None])[2][1:]  # two axes across
+    towards = 0.75 * up + 0.6 * (np.cos(turn) * aside[0] + np.sin(turn) * aside[1])
+    forward = -towards / np.linalg.norm(towards)
+    right = np.cross(forward, up) / np.linalg.norm(np.cross(forward, up))
+    rotation = np.array([right, np.cross(forward, right), forward])
+    pose = rigid(rotation, np.array([0, 0, 0.45]))
+    window = {"left_px": 0, "top_px": 0, "width": CAMERA.width, "height": CAMERA.height}
+    depth_m = render_depth_m(RayScene([surface]), CAMERA, pose, **window)
+    box_m = render_depth_m(RayScene([joined_meshes(box_faces((9, 9)))]), CAMERA, pose, **window)
+    mask = (box_m > 0) & (np.abs(box_m - depth_m) < 0.005) & (not empty)
+    return MaskView(frame, DepthView(scene, CAMERA, pose, depth_m), mask)
+
+
+def test_masks_part_what_no_edge_parts() -> None:
+    _, solution = two_scenes()
+    standing, pose = rigid(np.eye(3), np.array([0, 0, SIZE_M[2] / 2])), solution.scene_from_object["00"]
+    own = flush_neighbour(standing, (2, -1), 0)
+    views = [seen_from("00", n, own, np.array([0.0, 0, 1]), empty=n == 2) for n in range(6)]
+    glued = {"00": Mesh(transform(pose, own.vertices), own.triangles)}
+
+    def beyond_m(points: np.ndarray) -> float:
+        return float((np.abs(points) - SIZE_M / 2).max())
+
+    without = grown_regions(glued, solution)["00"]
+    assert beyond_m(without.points) > 0.9 * SIZE_M[1]  # the other box is taken along
+    parted = segment_object(glued, solution, mask_views=views)
+    assert beyond_m(parted.cloud.points) < 0.02  # the votes end 5 px, 8 mm, beside the outline
+    assert [line for line in parted.warnings if "out-voted" in line and line.endswith("not used: 2")]

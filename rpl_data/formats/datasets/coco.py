@@ -11,13 +11,10 @@ from __future__ import annotations
 
 import json
 import math
-import shutil
-import tempfile
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float64
@@ -25,6 +22,7 @@ from jaxtyping import Float64
 from rpl_data.files import read_json, writing
 from rpl_data.formats.datasets.coco_check import validate_coco
 from rpl_data.formats.datasets.coco_edited import as_exported
+from rpl_data.formats.datasets.coco_entries import CocoWriter, writing_entries
 from rpl_data.formats.datasets.coco_objects import CocoObject as CocoObject
 from rpl_data.formats.datasets.coco_objects import category_to_coco, object_to_coco
 from rpl_data.formats.datasets.coco_objects import objects_from_coco as objects_from_coco
@@ -180,43 +178,11 @@ def _rle(segmentation: Mapping[str, Any]) -> Rle:
 # Files --------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class CocoWriter:
-    """Collects the entries of `writing_coco` in two open temporary files."""
-
-    images: IO[str]
-    annotations: IO[str]
-
-    def add(self, image: Json, annotations: Iterable[Json]) -> None:
-        """Add an image and its annotations."""
-        _append(self.images, image)
-        for annotation in annotations:
-            _append(self.annotations, annotation)
-
-
 @contextmanager
 def writing_coco(path: Path, objects: Sequence[CocoObject]) -> Iterator[CocoWriter]:
     """Yield a writer whose file appears, complete, when the block ends well; memory stays constant."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with (
-        tempfile.TemporaryFile("w+", encoding="utf-8", dir=path.parent) as images,
-        tempfile.TemporaryFile("w+", encoding="utf-8", dir=path.parent) as annotations,
-    ):
-        yield CocoWriter(images, annotations)
-        top = json.dumps(header(objects), allow_nan=False)
-        with writing(path) as file:
-            file.write(top[:-1])
-            for key, part in (("images", images), ("annotations", annotations)):
-                file.write(f',\n"{key}": [\n')
-                part.seek(0)
-                shutil.copyfileobj(part, file)
-                file.write("]")
-            file.write("}\n")
-
-
-def _append(file: IO[str], entry: Json) -> None:
-    """Append an element of a JSON array, one per line."""
-    file.write((",\n" if file.tell() else "") + json.dumps(entry, allow_nan=False))
+    with writing_entries(path, header(objects)) as writer:
+        yield writer
 
 
 def write_coco(path: Path, data: Json) -> None:

@@ -102,23 +102,43 @@ def _redraw(annotation: Json, size: tuple[int, int] | None, *, crowd: bool) -> N
 
 def _pack(annotation: Json, key: str, size: tuple[int, int]) -> bool:
     """Pack a mask in place; whether it was in another form than ours."""
+    given = annotation[key]
+    if isinstance(given, dict) and not isinstance(given.get("counts"), list):
+        return False
+    if not isinstance(given, list | dict):
+        return False
+    annotation[key] = packed_mask(given, size, name=key)
+    return True
+
+
+def packed_mask(given: Any, size: tuple[int, int], *, name: str = "segmentation") -> Json:
+    """Pack a mask of any form that COCO has: polygons, plain run lengths, or packed ones.
+
+    Args:
+        size: height and width of the image.
+
+    Raises:
+        ValueError: it is none of these, or damaged.
+    """
     from pycocotools import mask as masks
 
-    given, (height, width) = annotation[key], size
+    height, width = size
     if isinstance(given, list):
         polygons = [_polygon(polygon, height, width) for polygon in given]
         if not polygons:
-            raise ValueError(f"{key}: it has no polygon")
+            raise ValueError(f"{name}: it has no polygon")
         packed = masks.merge(masks.frPyObjects(polygons, height, width))
     elif isinstance(given, dict) and isinstance(given.get("counts"), list):
         runs = [whole(run) for run in given["counts"]]
         if sum(runs) != height * width or min(runs) < 0 or list(given["size"]) != [height, width]:
-            raise ValueError(f"{key}: its runs are not those of {width} x {height} pixels")
+            raise ValueError(f"{name}: its runs are not those of {width} x {height} pixels")
         packed = masks.frPyObjects({"size": [height, width], "counts": runs}, height, width)
+    elif isinstance(given, dict) and list(given["size"]) == [height, width]:
+        check_packed(given)
+        return {"size": [height, width], "counts": given["counts"]}
     else:
-        return False
-    annotation[key] = {"size": [height, width], "counts": packed["counts"].decode("ascii")}
-    return True
+        raise ValueError(f"{name}: neither polygons nor run lengths of {width} x {height} pixels")
+    return {"size": [height, width], "counts": packed["counts"].decode("ascii")}
 
 
 def _polygon(values: Any, height: int, width: int) -> list[float]:

@@ -68,6 +68,7 @@ def _options(source: SceneSource) -> Json:
     options: Json = asdict(source) | {"path": str(source.path)}
     if source.topics is None:  # then as before there were any: what was imported stays
         del options["topics"]
+    del options["masks"]  # which are not read with the recording
     return options
 
 

@@ -18,8 +18,10 @@ from rpl_data.json_arrays import Json
 from rpl_data.label.alone import SceneObject
 from rpl_data.label.frame_correction import frame_corrector
 from rpl_data.label.label import label_frames, sample_frames
+from rpl_data.label.mask_check import MaskCheck
 from rpl_data.meshes import load_cloud, load_mesh
 from rpl_data.pipeline.context import Context, posed_frames, step
+from rpl_data.pipeline.given_masks import mask_options, object_masks
 from rpl_data.pipeline.ledger import Advance, Outcome, Step
 from rpl_data.types import FrameLabel
 from rpl_data.wording import counted
@@ -52,6 +54,7 @@ def _label_step(context: Context, video: str) -> Step:
         counts: Counter[str] = Counter()
         moved_px: dict[str, list[float]] = {}
         scene = workspace.load_scene(video)
+        given, check = object_masks(context, video), MaskCheck()
         posed = posed_frames(scene, workspace.load_trajectory(scene))
         frames = sample_frames(posed, rate_hz=rate_hz)
         chosen = {
@@ -73,14 +76,20 @@ def _label_step(context: Context, video: str) -> Step:
                 for instance in label.instances:
                     if instance.corrected_px is not None:
                         moved_px.setdefault(instance.object, []).append(instance.corrected_px)
+                    if given is not None and instance.object in given.keys:
+                        mask = given.mask(instance.object, label.frame, scene)
+                        check.add(instance.object, label.frame, instance.mask, mask)
                 yield label
 
         workspace.save_labels(video, counted())
-        lines = [corrected_line(video, item, moved_px[item], counts[item]) for item in sorted(moved_px)]
+        notes = [] if given is None else [f"scene {video}: {line}" for line in given.notes]
+        lines = [*notes, *check.lines(video)]
+        lines += [corrected_line(video, item, moved_px[item], counts[item]) for item in sorted(moved_px)]
         details = {
             "instances": {item: counts[item] for item in names},
             "posed": len(posed),
             "corrected": {item: len(found) for item, found in moved_px.items()},
+            **({} if given is None else {"given_masks": check.details()}),
         }
         return Outcome(total, tuple(lines), details)
 
@@ -91,12 +100,14 @@ def _label_step(context: Context, video: str) -> Step:
     if correct != "auto":
         options |= {"correct": correct}
     output = workspace.labels_file(video)
+    mask_choice, mask_files = mask_options(context, [video])
     return step(
         "label",
         video,
         run,
         version=VERSION,
-        options=options,
+        options=options | mask_choice,
+        sources=mask_files,
         after=[*context.poses_of(video), *before],
         outputs=[output],
     )

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from rpl_data.meshes import load_mesh, oriented_points, save_cloud, save_mesh
-from rpl_data.pipeline.context import Context, crop_of, known_points, model_key, step
+from rpl_data.pipeline.context import Context, crop_of, known_points, model_key, posed_frames, step
+from rpl_data.pipeline.given_masks import mask_options, object_masks
 from rpl_data.pipeline.ledger import Advance, Outcome, Step, stamps
 from rpl_data.pipeline.placements import standing
 from rpl_data.pipeline.recipe import ObjectRecipe
@@ -16,6 +18,8 @@ from rpl_data.workspace.workspace import Workspace
 
 VIEWS_PER_SCENE = 8
 """Depth images per scene that show where space is free."""
+MASKS_PER_SCENE = 12
+"""Given masks per scene that vote on the surface."""
 MOST_FALSE_AREA = 0.03
 """Share of a mesh's area in free space above which the user is warned."""
 VERSION = 4
@@ -23,6 +27,7 @@ VERSION = 4
 
 if TYPE_CHECKING:
     from rpl_data.segment.free_space import DepthView
+    from rpl_data.segment.mask_votes import MaskView
     from rpl_data.segment.segment import DenseModel
 
 
@@ -39,19 +44,28 @@ def _segment_step(context: Context, item: ObjectRecipe) -> Step:
     scenes = [s for s in context.placed_scenes() if s in scene_from_object and s not in outside]
     crop, given = crop_of(workspace, item), given_mesh(workspace, item.name)
     method = context.recipe.segment.method
+    parts = workspace.parts()
+    mask_choice, mask_files = mask_options(context, sorted({parts.video_of(scene) for scene in scenes}))
 
     def run(advance: Advance) -> Outcome:
         if given is not None:
             return _keep_given(workspace, item.name, given)
         from rpl_data.segment import METHODS
+        from rpl_data.segment.segment import segment_object
 
         solution = workspace.load_placed(item.name)
         surfaces = {name: load_mesh(workspace.surface_file(name)) for name in scenes}
         views = [view for name in scenes for view in depth_views(workspace, name, solution)]
-        dense = METHODS[method](surfaces, solution, voxel_m=voxel_m, crop_m=crop, depth_views=views)
+        segment = METHODS[method]
+        if mask_choice and method == "convex":
+            masks = [view for name in scenes for view in mask_views(context, name, solution)]
+            segment = partial(segment_object, mask_views=masks)
+        dense = segment(surfaces, solution, voxel_m=voxel_m, crop_m=crop, depth_views=views)
         save_mesh(workspace.mesh_file(item.name), dense.mesh, seen=dense.seen)
         save_cloud(workspace.cloud_file(item.name), dense.cloud)
         lines = (*dense.warnings, *mesh_remarks(dense))
+        if mask_choice and method != "convex":
+            lines = (*lines, "given masks are not used by `segment: {method: smooth}`, which is the paper's")
         return Outcome(
             messages=tuple(f"{item.name}: {line}" for line in lines),
             details={
@@ -69,8 +83,10 @@ def _segment_step(context: Context, item: ObjectRecipe) -> Step:
         item.name,
         run,
         version=VERSION,
-        options={"voxel_m": voxel_m, "crop": crop} | ({} if method == "convex" else {"method": method}),
-        sources={} if given is None else stamps(workspace.given_mesh_file(item.name)),
+        options={"voxel_m": voxel_m, "crop": crop}
+        | ({} if method == "convex" else {"method": method})
+        | mask_choice,
+        sources=mask_files if given is None else stamps(workspace.given_mesh_file(item.name)),
         after=[context.placed_by(item.name), *(f"surface/{name}" for name in scenes)],
         outputs=[workspace.mesh_file(item.name), workspace.cloud_file(item.name)],
     )
@@ -92,6 +108,31 @@ def depth_views(workspace: Workspace, scene_name: str, solution: Solution) -> li
         view_of(scene_name, scene.intrinsics, trajectory.at(frame.index), pose, read(frame))
         for frame in chosen
     ]
+
+
+def mask_views(context: Context, scene_name: str, solution: Solution) -> list[MaskView]:
+    """Read some given masks of an object in a scene, with the depth images of their frames."""
+    from rpl_data.segment.free_space import view_of
+    from rpl_data.segment.mask_votes import MaskView
+
+    workspace = context.workspace
+    given = object_masks(context, workspace.parts().video_of(scene_name))
+    name = solution.model.name
+    if given is None or name not in given.keys:
+        return []
+    scene = workspace.load_scene(scene_name)
+    trajectory, read = workspace.load_trajectory(scene), workspace.depth_reader(scene)
+    pose = solution.scene_from_object[scene_name]
+    posed = posed_frames(scene, trajectory)
+    frames = [frame for frame in posed if frame.depth is not None and frame.index in given.masks.readers]
+    spread = np.linspace(0, len(frames) - 1, MASKS_PER_SCENE).astype(int) if frames else np.empty(0, int)
+    found = []
+    for frame in [frames[n] for n in np.unique(spread)]:
+        mask = given.mask(name, frame.index, scene)
+        view = view_of(scene_name, scene.intrinsics, trajectory.at(frame.index), pose, read(frame))
+        if mask is not None:
+            found.append(MaskView(frame.index, view, mask))
+    return found
 
 
 def mesh_remarks(dense: DenseModel) -> list[str]:
