@@ -15,7 +15,6 @@ SHARES = np.arange(0.05, 0.51, 0.05)
 """Thresholds of VSD, and of MSSD in diameters."""
 PIXELS = np.arange(5.0, 51.0, 5.0)
 """Thresholds of MSPD, in pixels of an image that is 640 px wide."""
-WIDTH_PX = 640.0
 ADD_AUC_M = 0.1
 """Where the curve of ADD ends: Xiang et al., "PoseCNN", RSS 2018."""
 

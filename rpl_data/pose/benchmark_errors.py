@@ -76,7 +76,7 @@ def vsd(
     """
 
     def in_sight(model_m: Depths) -> Bool[np.ndarray, "h w"]:
-        return (model_m > 0) & ((model_m - measured_m <= delta_m) | (measured_m == 0))
+        return np.asarray((model_m > 0) & ((model_m - measured_m <= delta_m) | (measured_m == 0)))
 
     true_seen = in_sight(true_m)
     estimated_seen = in_sight(estimated_m) | (true_seen & (estimated_m > 0))
@@ -114,5 +114,5 @@ def rendered_vsd(
         return np.ones(len(VSD_TAUS))
     directions = table.directions[window]
     stretch = np.linalg.norm(directions.astype(np.float64), axis=2)
-    seen = (depth_along_m(rays, directions, pose) * stretch for pose in (estimated, true))
-    return vsd(*seen, measured_m[window] * stretch, diameter_m=diameter_m)
+    here, there = (depth_along_m(rays, directions, pose) * stretch for pose in (estimated, true))
+    return vsd(here, there, measured_m[window] * stretch, diameter_m=diameter_m)
