@@ -15,12 +15,58 @@ from typing import Any
 
 import cv2
 import numpy as np
+from labelled_scenes import BOX, CAMERA, CAN, labelled_scene
+
+from rpl_data.evaluate.truth import box_mesh
+from rpl_data.export import (
+    ExportScene,
+    export_assets,
+    export_bop,
+    export_bundlesdf,
+    export_coco,
+    export_foundationpose,
+    export_huggingface,
+    export_nerfstudio,
+    export_okt,
+    export_webdataset,
+    export_yolo,
+)
+from rpl_data.export.split import SplitRule
+from rpl_data.meshes import save_mesh
 
 NO_PLACE = -1e9
 """A number that no pixel, count, share, metre or millimetre of an export can be."""
 SAME = r"(?<![a-z])(train|val|valid|validation|test|[ab])(?![a-z])|\d+"
 """Numbers, and names of splits and of the scenes a and b: files that differ in these are alike."""
 WORDY = (".txt", ".yaml", ".yml", ".mtl")
+
+
+def write_all(root: Path) -> Path:
+    """Write two scenes of two frames, one of them for test, in every dialect; the box has a mesh.
+
+    Returns:
+        The folder with one export per dialect.
+    """
+    corners = np.array([[x, y, z] for x in (-0.1, 0.1) for y in (-0.1, 0.1) for z in (0.0, 0.05)])
+    save_mesh(root / "box.ply", box_mesh(corners))
+    scenes = []
+    for seed, name in enumerate("ab"):
+        made = labelled_scene(root / "recording", name, seed=seed, frames=2)
+        camera = CAMERA.__class__(150.0, 151.0, 79.5, 59.5, 160, 120)  # no lens, which not all can express
+        scene = made.scene.__class__(name, camera, 0.001, made.scene.frames)
+        scenes.append(ExportScene(scene, made.trajectory, made.labels))
+    coco, rule = root / "export/coco", SplitRule(("b",), 0.0)
+    export_coco(coco, scenes, [BOX, CAN], split=rule, meshes={"box": root / "box.ply"})
+    write_dialects(root / "export", coco, {"a": 0.001, "b": 0.001})
+    return root / "export"
+
+
+def write_dialects(folder: Path, coco: Path, metres_per_unit: dict[str, float]) -> None:
+    """Write what is made of a COCO folder, each dialect in a folder called like it."""
+    for write in (export_yolo, export_okt, export_huggingface, export_webdataset, export_assets):
+        write(folder / write.__name__.removeprefix("export_"), coco)
+    for write in (export_bop, export_foundationpose, export_bundlesdf, export_nerfstudio):
+        write(folder / write.__name__.removeprefix("export_"), coco, metres_per_unit)
 
 
 @dataclass(frozen=True)
@@ -110,7 +156,7 @@ def _inside(name: str, content: bytes) -> Iterator[Damage]:
 
 
 def _json_damages(value: Any) -> Iterator[tuple[tuple[str, ...], str, Any]]:
-    """(names, what was done, the whole value with that done to it) for each field of the first of each list."""
+    """Names, what was done, and the whole value with that done to it, for fields of the first of a list."""
     for field, path in _fields(value):
         whole, holder = copy.deepcopy(value), None
         holder = whole

@@ -25,18 +25,17 @@ def check_huggingface(findings: Findings) -> None:
     """Check the categories and each split."""
     data = findings.json_objects("categories.json")
     names: list[str] = []
+    keypoints: Json = {}
     if findings.fields(data, {"categories": each(text), "keypoints": _keypoints}, "categories.json", ""):
-        names = data["categories"]
-        keyed = list(data["keypoints"])
-        findings.equal(
-            "categories.json", "", "keypoints", sorted(keyed), sorted(names), "one list per category"
-        )
+        names, keypoints = data["categories"], data["keypoints"]
+        what = "one list per category"
+        findings.equal("categories.json", "", "keypoints", sorted(keypoints), sorted(names), what)
     seen: set[int] = set()
     present = [name for name in CALLED.values() if (findings.folder / name).is_dir()]
     if not present:
         findings.add("", "", "", f"none of {', '.join(CALLED.values())} is there")
     for split in present:
-        _check_split(findings, split, names, data.get("keypoints", {}), seen)
+        _check_split(findings, split, names, keypoints, seen)
 
 
 def _keypoints(values: Any) -> None:

@@ -31,8 +31,12 @@ POSE_DIFFERENCE = 1e-6
 
 
 def looks_like_nerfstudio(folder: Path) -> bool:
-    """Whether a folder has scenes in both layouts; a scene by itself is a recording like others."""
-    return any((path.parent / "sparse" / "0").is_dir() for path in folder.glob("*/transforms.json"))
+    """Whether a folder has scenes in both layouts, without the points that COLMAP would have found.
+
+    Any other folder with transforms.json is a recording like others.
+    """
+    points = [path.parent / "sparse" / "0" / "points3D.txt" for path in folder.glob("*/transforms.json")]
+    return any(path.is_file() and not path.stat().st_size for path in points)
 
 
 def check_nerfstudio(findings: Findings) -> None:
@@ -101,12 +105,12 @@ def _check_colmap(findings: Findings, scene: str, data: Json, poses: dict[str, n
         record = f"line {row + 1}"
         try:
             number, w, x, y, z, *translation, which, name = lines[row].split()
-            found = from_quaternion_xyzw(
-                np.array([float(value) for value in (x, y, z, w)]), np.array([float(t) for t in translation])
-            )
+            tx, ty, tz = (float(value) for value in translation)
+            turn = np.array([float(value) for value in (x, y, z, w)])
+            found = from_quaternion_xyzw(turn, np.array([tx, ty, tz]))
             if which != "1" or name in seen or number in ids:
                 raise ValueError(f"expected camera 1 and each image once, found {which} {name}")
-            if int(number) < 0 or abs(np.linalg.norm([float(q) for q in (w, x, y, z)]) - 1) > POSE_DIFFERENCE:
+            if int(number) < 0 or abs(np.linalg.norm(turn) - 1) > POSE_DIFFERENCE:
                 raise ValueError(f"expected a number and a unit quaternion, found {lines[row]:.60}")
         except (ValueError, TypeError) as error:
             findings.add(

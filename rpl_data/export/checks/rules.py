@@ -20,7 +20,7 @@ FARTHEST_PX = 1e5
 """No principal point and no keypoint of an object in view is farther out."""
 
 
-def between(low: float, high: float) -> Rule:
+def between(low: int | float, high: int | float) -> Rule:
     """Make the rule for a number of a closed interval."""
 
     def rule(value: Any) -> None:
