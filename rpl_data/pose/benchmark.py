@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -27,11 +27,11 @@ class BenchmarkModel:
     """An object, metres, in the frame of the poses that are compared.
 
     Attributes:
-        points: vertices of its mesh.
+        points: vertices of its simplified mesh.
         corners: those on the convex hull.
-        diameter_m: largest distance between two of them.
+        diameter_m: largest distance between two points of the whole mesh.
         symmetries: transforms that leave it looking the same, the identity first.
-        rays: the mesh, to be rendered.
+        rays: the simplified mesh, to be rendered.
     """
 
     points: Points
@@ -42,19 +42,33 @@ class BenchmarkModel:
 
 
 def benchmark_model(mesh: Mesh, symmetries: Described, *, threads: int = 1) -> BenchmarkModel:
-    """Prepare an object; `threads` render it."""
-    from scipy.spatial import ConvexHull
-    from scipy.spatial.distance import pdist
+    """Prepare an object; `threads` render it.
 
-    few = simplified(mesh, most_triangles=EVALUATED_TRIANGLES)
-    corners = few.vertices[ConvexHull(few.vertices).vertices]
+    Errors are computed on a simplified mesh and normalised by the diameter of the whole one, as the benchmark
+    does with `models_eval`. It is simplified in millimetres, like that, since the result depends on the unit.
+    """
+    in_mm = simplified(replace(mesh, vertices=1000 * mesh.vertices), most_triangles=EVALUATED_TRIANGLES)
+    few = replace(in_mm, vertices=in_mm.vertices / 1000)
     return BenchmarkModel(
         few.vertices,
-        corners,
-        float(pdist(corners).max()),
+        _corners(few.vertices),
+        _diameter(_corners(mesh.vertices)),
         symmetry_transforms(symmetries),
         RayScene([few], threads=threads),
     )
+
+
+def _corners(points: Points) -> Points:
+    """The points on the convex hull."""
+    from scipy.spatial import ConvexHull
+
+    return np.asarray(points[ConvexHull(points).vertices])
+
+
+def _diameter(corners: Points) -> float:
+    from scipy.spatial.distance import pdist
+
+    return float(pdist(corners).max())
 
 
 @dataclass(frozen=True)
