@@ -11,8 +11,18 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rpl_data.export.checks.assets import check_assets, looks_like_assets
-from rpl_data.export.checks.bop import check_bop, looks_like_bop
-from rpl_data.export.checks.coco import check_coco, looks_like_coco
+from rpl_data.export.checks.bop import (
+    check_bop,
+    check_bop_onboarding,
+    looks_like_bop,
+    looks_like_bop_onboarding,
+)
+from rpl_data.export.checks.coco import (
+    check_coco,
+    check_coco_per_object,
+    looks_like_coco,
+    looks_like_coco_per_object,
+)
 from rpl_data.export.checks.findings import Fault, Findings
 from rpl_data.export.checks.huggingface import check_huggingface, looks_like_huggingface
 from rpl_data.export.checks.nerfstudio import check_nerfstudio, looks_like_nerfstudio
@@ -47,6 +57,7 @@ CHECKS = {
     "coco": Check(looks_like_coco, check_coco),
     "yolo": Check(looks_like_yolo, check_yolo),
     "bop": Check(looks_like_bop, check_bop),
+    "bop_onboarding": Check(looks_like_bop_onboarding, check_bop_onboarding),
     "okt": Check(looks_like_okt, check_okt),
     "foundationpose": Check(looks_like_foundationpose, check_foundationpose),
     "bundlesdf": Check(looks_like_bundlesdf, check_bundlesdf),
@@ -54,6 +65,7 @@ CHECKS = {
     "huggingface": Check(looks_like_huggingface, check_huggingface),
     "webdataset": Check(looks_like_webdataset, check_webdataset),
     "assets": Check(looks_like_assets, check_assets),
+    "coco_per_object": Check(looks_like_coco_per_object, check_coco_per_object),
 }
 """By the name of the dialect in a recipe."""
 

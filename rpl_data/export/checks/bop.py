@@ -11,7 +11,7 @@ from rpl_data.export.checks.bop_scene import SceneIndex, check_scene
 from rpl_data.export.checks.findings import Findings
 from rpl_data.export.checks.rules import Rules, at_least, pixel, place, positive, rigid, sized
 from rpl_data.export.dialect import SPLITS
-from rpl_data.json_arrays import Json, each
+from rpl_data.json_arrays import Json, each, text
 from rpl_data.meshes import load_mesh
 from rpl_data.types import DataError
 
@@ -37,6 +37,24 @@ TARGETS = {"test_targets_bop19.json": ("obj_id", "inst_count"), "test_targets_bo
 def looks_like_bop(folder: Path) -> bool:
     """Whether a folder is a whole dataset; a single split or scene is a recording like others."""
     return (folder / "camera.json").is_file() and any((folder / name).is_dir() for name in SPLITS)
+
+
+def looks_like_bop_onboarding(folder: Path) -> bool:
+    """Whether a folder has static onboarding videos."""
+    return (folder / "onboarding_static").is_dir()
+
+
+def check_bop_onboarding(findings: Findings) -> None:
+    """Check each video, and that names.json says what it shows."""
+    names = findings.json_objects("names.json")
+    folders = {path.name for path in (findings.folder / "onboarding_static").glob("*") if path.is_dir()}
+    for name in sorted(folders | names.keys()):
+        if name not in folders:
+            findings.add("names.json", name, "", f"there is no folder onboarding_static/{name}")
+            continue
+        if findings.fields(names, {name: lambda entry: None}, "names.json", ""):
+            findings.fields(names[name], {"object": text, "scene": text}, "names.json", name)
+        check_scene(findings, f"onboarding_static/{name}")
 
 
 def check_bop(findings: Findings) -> None:

@@ -29,6 +29,20 @@ def looks_like_coco(folder: Path) -> bool:
     return any((folder / f"{name}.json").is_file() for name in SPLITS)
 
 
+def looks_like_coco_per_object(folder: Path) -> bool:
+    """Whether a folder has one COCO folder per object."""
+    return any(looks_like_coco(path) for path in folder.glob("*") if path.is_dir())
+
+
+def check_coco_per_object(findings: Findings) -> None:
+    """Check each object's folder as one of `coco`."""
+    for folder in sorted(path for path in findings.folder.iterdir() if path.is_dir()):
+        own = Findings(folder)
+        check_coco(own)
+        for fault in own.faults:
+            findings.add(f"{folder.name}/{fault.file}", fault.record, fault.field, fault.problem)
+
+
 def check_coco(findings: Findings) -> None:
     """Check every split, its images and the meshes."""
     present = [name for name in SPLITS if (findings.folder / f"{name}.json").exists()]
