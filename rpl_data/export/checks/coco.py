@@ -30,8 +30,10 @@ def looks_like_coco(folder: Path) -> bool:
 
 
 def looks_like_coco_per_object(folder: Path) -> bool:
-    """Whether a folder has one COCO folder per object."""
-    return any(looks_like_coco(path) for path in folder.glob("*") if path.is_dir())
+    """Whether a folder has one COCO folder per object; `export` has one per dialect."""
+    return folder.name != "export" and any(
+        looks_like_coco(path) for path in folder.glob("*") if path.is_dir()
+    )
 
 
 def check_coco_per_object(findings: Findings) -> None:
