@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from rpl_data.export.checks.findings import Findings
-from rpl_data.export.checks.rules import Rules, at_least, between, one_of, positive, sized
+from rpl_data.export.checks.rules import Rules, at_least, between, one_of, positive, rigid, sized
 from rpl_data.files import FAULTS, read_bytes
 from rpl_data.json_arrays import Json, flag, optional, text
 from rpl_data.meshes import load_mesh
@@ -31,6 +31,8 @@ RULES: Rules = {
     "name": text,
     "unit": one_of(["metre"], "metre"),
     "frame": text,
+    "frame_from_object": rigid,
+    "guessed": optional(between(0, 1)),
     "size_m": sized(3, positive),
     "keypoints_m": _keypoints,
     "triangles": at_least(1),
