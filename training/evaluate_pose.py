@@ -27,6 +27,7 @@ def evaluate_pose(
     crops: Crops = "detected",
     methods: list[Method] = ["epnp", "consensus"],  # noqa: B006
     metres_per_unit: float | None = None,
+    bop: bool = False,
     out: Path | None = None,
     threads: int | None = None,
 ) -> None:
@@ -46,6 +47,9 @@ def evaluate_pose(
         methods: of PnP. Only ransac and consensus use depth.
         metres_per_unit: of the export's depth images (0.001 for millimetres). When given, poses use the depth
             at the keypoints too.
+        bop: also score as the BOP benchmark does (VSD, MSSD, MSPD and their average recall; VSD needs
+            metres_per_unit), with the areas under the curves of ADD and ADD-S up to 0.1 m and COCO's keypoint
+            precision, and write the poses as its CSV files, <method>_rpl-<split>.csv, into --out.
         out: folder for the figures; nothing is written when left out.
         threads: processor threads of torch; None leaves the number to torch.
     """
@@ -57,6 +61,8 @@ def evaluate_pose(
 
     if out is not None and out.suffix == ".json":
         raise DataError(f"--out is a folder, {split}_poses.json is written into it; got the file {out}")
+    if bop and out is None:
+        raise DataError("--bop writes the poses as CSV files: give their folder as --out")
     use_threads(threads)
     pipeline = load_pipeline([keypoints] if isinstance(keypoints, Path) else keypoints, detector)
     coco_json = split_file(coco, split)
@@ -75,8 +81,12 @@ def evaluate_pose(
     )
     surfaces = {name: truth[name].surface for name in pipeline.networks}
     figures = figures_of(judged, surfaces, methods)
+    if bop and out is not None:
+        add_benchmark(figures, judged, coco_json, out, metres_per_unit)
     for name, found in figures.items():
         print(f"{name:24s} {line_of(found)}")
+        if bop:
+            print(f"{'':24s} {benchmark_line(found['bop'])}")
     say_left_out(unreadable)
     if out is not None:
         write_figures(out / f"{split}_poses.json", figures, judged)
@@ -97,6 +107,41 @@ def figures_of(
     }
 
 
+def add_benchmark(
+    figures: Mapping[str, dict[str, Any]],
+    judged: Sequence[Judged],
+    coco_json: Path,
+    out: Path,
+    metres_per_unit: float | None,
+) -> None:
+    """Add the scores of the benchmark to the figures, as `bop`, and write its CSV files into `out`."""
+    from rpl_data.formats.datasets.bop_results import PoseResult, write_bop_results
+
+    from .pose.benchmark import Benchmark
+
+    benchmark = Benchmark(coco_json, metres_per_unit=metres_per_unit)
+    results: dict[str, list[PoseResult]] = {}
+    for name, found in figures.items():
+        object, _, method = name.rpartition(" ")
+        mine = [each for each in judged if (each.object, each.method) == (object, method)]
+        found["bop"] = asdict(benchmark.score(mine))
+        results.setdefault(method, []).extend(benchmark.results(mine))
+    for method, poses in results.items():
+        write_bop_results(out / f"{method}_rpl-{coco_json.stem}.csv", poses)
+
+
+def benchmark_line(found: Mapping[str, Any]) -> str:
+    """The figures of `BenchmarkScore` in a line."""
+
+    def shown(name: str) -> str:
+        return "none" if found[name] is None else f"{found[name]:.3f}"
+
+    recalls = f"VSD {shown('recall_vsd')}, MSSD {shown('recall_mssd')}, MSPD {shown('recall_mspd')}"
+    areas = f"AUC of ADD {shown('auc_add')}, of ADD-S {shown('auc_adds')}"
+    without = "" if found["recall_vsd"] is not None else " (VSD needs --metres_per_unit)"
+    return f"AR {shown('average_recall')} ({recalls}){without}, {areas}, OKS AP {shown('oks_ap')}"
+
+
 def write_figures(path: Path, figures: Mapping[str, Any], judged: Sequence[Judged]) -> None:
     """The figures and one row per instance, as JSON; infinite errors as null."""
     from rpl_data.files import write_json
@@ -114,8 +159,9 @@ def line_of(found: Mapping[str, Any]) -> str:
     """The figures of `PoseScore` in a line."""
     pose = f"{found['position_mm']:.1f} mm, {found['orientation_deg']:.2f} deg"
     add = f"ADD {found['add_mm']:.1f} mm (recall {found['recall_add']:.3f})"
+    near = f"5 cm 5 deg {found['recall_5cm_5deg']:.3f}"
     instances = f"{found['instances']:4d} instances, {found['failures']} without a pose"
-    return f"{instances}: {pose}, {add}, PCK {found['pck']:.3f}"
+    return f"{instances}: {pose}, {add}, {near}, PCK {found['pck']:.3f}"
 
 
 if __name__ == "__main__":

@@ -1,15 +1,20 @@
-"""A recording, or all recordings of a recipe, for the doctor."""
+"""What `rpl check` looks at: a recording, or all recordings of a recipe, or exports."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
 
+from rpl_data.export.checks import CHECKS, check_export, dialect_of
 from rpl_data.formats.recordings.ros.wanted import Topics
 from rpl_data.pipeline.recipe_file import load_recipe
 from rpl_data.pipeline.sources import recordings_of
 from rpl_data.recordings.open import only_format, open_scenes
 from rpl_data.types import DataError, Recording
+from rpl_data.wording import counted
+
+MOST_LINES = 50
+"""Faults of an export that are printed; of the others, the number is."""
 
 
 def recordings_at(
@@ -51,3 +56,48 @@ def recordings_at(
         unpack=scratch.joinpath,
         topics=topics,
     )
+
+
+def exports_at(path: Path, dialect: str | None = None) -> list[tuple[Path, str]]:
+    """The export at a path, or those in the `export` folder of a workspace, each with its format.
+
+    Args:
+        path: any path; empty comes back where it is no export.
+        dialect: what the folder is; guessed when left out.
+
+    Raises:
+        DataError: the format is not known, or there is no such folder.
+    """
+    if dialect is not None:
+        if dialect not in CHECKS:
+            raise DataError(f"unknown export {dialect!r}; expected one of {', '.join(CHECKS)}")
+        return [(path, dialect)]
+    if (found := dialect_of(path)) is not None:
+        return [(path, found)]
+    if path.name != "export" or not path.is_dir():
+        return []
+    folders = sorted(folder for folder in path.iterdir() if folder.is_dir())
+    return [(folder, name) for folder in folders if (name := dialect_of(folder)) is not None]
+
+
+def print_faults(exports: Sequence[tuple[Path, str]]) -> None:
+    """Check exports and print what is wrong with them.
+
+    Raises:
+        DataError: something is wrong; its number is said.
+    """
+    wrong = {}
+    for folder, dialect in exports:
+        faults = check_export(folder, dialect)
+        print(f"{folder}: {dialect}: {counted(len(faults), 'fault') if faults else 'no fault was found'}")
+        for fault in faults[:MOST_LINES]:
+            print(f"    {fault}")
+        if len(faults) > MOST_LINES:
+            print(f"    and {counted(len(faults) - MOST_LINES, 'other')}")
+        if faults:
+            wrong[folder] = len(faults)
+    if wrong:
+        total = counted(sum(wrong.values()), "fault")
+        raise DataError(
+            f"{total} in {', '.join(map(str, wrong))}; undo what was changed, or export again by `rpl export`"
+        )

@@ -127,18 +127,25 @@ def check(
     metres_per_unit: float | None = None,
     camera: tuple[float, ...] | None = None,
     topics: Topics | None = None,
+    export: str | None = None,
 ) -> None:
-    """Say what is wrong with a recording, how sure that is, and what mends it; changes nothing.
+    """Say what is wrong with a recording or an export, and what mends it; changes nothing.
 
-    Looks at about 90 frames of each scene: gaps between frames, repeated images, blur, missing depth, lag and
-    shift between colour and depth and, where there are poses, how they are stored, the unit of depth and the
-    intrinsics.
+    Of a recording, it looks at about 90 frames of each scene: gaps between frames, repeated images, blur,
+    missing depth, lag and shift between colour and depth and, where there are poses, how they are stored, the
+    unit of depth and the intrinsics. It says how sure it is.
 
-    Example: rpl check my-recording
+    Of an export, it looks at all files: which are missing or damaged, and which fields are missing, of
+    another kind, out of range, or contradict one another. It names file, record and field, and ends with exit
+    status 1 where something is wrong.
+
+    Example: rpl check my-recording; rpl check my-workspace/export/coco
 
     Args:
         path: a folder of scenes, the folder of one scene, a recording kept in one file (`.bag`, `.db3`,
-            `.mcap`, `.klg`), or a recipe (`.yaml`): then its recordings, as the recipe reads and mends them.
+            `.mcap`, `.klg`), or a recipe (`.yaml`): then its recordings, as the recipe reads and mends them;
+            or the folder of an export, or of several.
+        export: check the folder as an export of this format (coco, yolo, bop ...); guessed when left out.
         format: how the recording is stored; guessed when left out.
         names: only these scenes, as '["00", "01"]'.
         metres_per_unit: metres per unit of the depth images; what the format says when left out.
@@ -148,9 +155,13 @@ def check(
     """
     from tempfile import TemporaryDirectory
 
-    from rpl_data.cli.check import recordings_at
+    from rpl_data.cli.check import exports_at, print_faults, recordings_at
     from rpl_data.cli.screen import print_diagnoses
 
+    exports = exports_at(path, export) if format is None else []
+    if exports:
+        print_faults(exports)
+        return
     with TemporaryDirectory() as scratch:
         print_diagnoses(
             recordings_at(

@@ -1,7 +1,6 @@
-"""Write the labels of scenes to a COCO folder: train, val and test files, with the images linked beside them.
+"""Write the labels of scenes to a COCO folder: train, val and test files, with the images beside them.
 
-The folder is built under a temporary name and renamed only when it is complete. Labels are read in one pass;
-memory does not grow with the masks.
+The folder is renamed when it is complete. Labels are read in one pass; memory does not grow with the masks.
 """
 
 from __future__ import annotations
@@ -15,10 +14,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import IO
 
-from rpl_data.export.folder import link, replacing
+from rpl_data.export.folder import Filling, Images, replacing
 from rpl_data.export.split import FrameKey, SplitName, SplitRule, assigned_splits, choose_splits
 from rpl_data.export.view_distances import ViewDirection, ViewDistance, view_direction, view_distances
-from rpl_data.files import read_bytes, write_bytes
+from rpl_data.files import read_bytes
 from rpl_data.formats.datasets.coco import CocoObject, image_to_coco, instance_to_coco, writing_coco
 from rpl_data.formats.recordings.saved_images import encoded
 from rpl_data.geometry import Transform
@@ -60,7 +59,7 @@ class ExportSummary:
         instances: number of instances per split and object.
         scenes: names of the scenes in each split.
         invisible: number of instances left out because none of their pixels is visible.
-        links: number of files that were hard-linked, symlinked, copied.
+        links: number of files that were cloned, copied, hard-linked, symlinked.
         views: distance of the views of val and test from those of training, per split.
         messages: lines for the user.
         low_quality: number of labels per object that were left out for their quality.
@@ -87,6 +86,7 @@ def export_coco(
     symmetries: Mapping[str, Symmetries] | None = None,
     frames: Mapping[str, Transform] | None = None,
     as_in: Path | None = None,
+    images: Images = "copy",
 ) -> ExportSummary:
     """Write `folder`: {train,val,test}.json, images/<scene>/, depth/<scene>/, meshes/ and nothing else.
 
@@ -95,12 +95,13 @@ def export_coco(
         scenes: the scenes with their labels.
         models: the objects; category ids are 1, 2, ... in this order.
         split: rule for which frames train, validate and test.
-        meshes: files of dense models by object name; linked too, as meshes/<object><suffix>.
+        meshes: files of dense models by object name; put there as meshes/<object><suffix>.
         grasps: `object_from_grasp` by object name.
         symmetries: what leaves the objects looking the same, by object name.
         frames: `frame_from_object` by object name, where models and poses are not in the workspace's frame.
         as_in: an exported folder whose split and image ids are kept (for labels made from truth); frames that
-            it does not have are left out.
+            it does not have are left out, and the images are links to its own.
+        images: `link` takes no space, but a program that writes into an image then changes the recording.
 
     Raises:
         DataError: an image is missing, a label names an unknown object or frame, nothing is labelled, or the
@@ -108,8 +109,8 @@ def export_coco(
     """
     fixed = None if as_in is None else assigned_splits(as_in)
     with replacing(folder) as building, tempfile.TemporaryFile("w+", dir=building) as spool:
-        links: Counter[str] = Counter()
-        objects = _objects(building, models, meshes or {}, links)
+        files = Filling(images)
+        objects = _objects(building, models, meshes or {}, files)
         objects = [
             replace(
                 item,
@@ -119,12 +120,12 @@ def export_coco(
             )
             for item in objects
         ]
-        collected = _collect(building, spool, scenes, objects, links, fixed)
+        collected = _collect(building, spool, scenes, objects, files, fixed, as_in)
         if fixed is None:
             splits, messages = choose_splits(collected.frames, split)
         else:
             splits, messages = {key: name for key, (name, _) in fixed.items()}, ()
-        summary = _write_splits(building, spool, objects, splits, collected, links, messages)
+        summary = _write_splits(building, spool, objects, splits, collected, files, messages)
     return summary
 
 
@@ -146,13 +147,13 @@ def _collect(
     spool: IO[str],
     scenes: Sequence[ExportScene],
     objects: Sequence[CocoObject],
-    links: Counter[str],
+    files: Filling,
     fixed: Mapping[FrameKey, tuple[SplitName, int]] | None,
+    as_in: Path | None,
 ) -> _Collected:
-    """Link the images, and write one line per frame, image and annotations, to the temporary file `spool`.
+    """Put the images there, and write one line per frame, image and annotations, to the file `spool`.
 
-    The split depends on all frames and their objects, so no line can go to its file before the last label
-    was read.
+    The split depends on all frames, so no line can go to its file before the last label was read.
     """
     frames: dict[FrameKey, frozenset[str]] = {}
     views: list[ViewDirection] = []
@@ -179,7 +180,7 @@ def _collect(
                     views.append(view_direction(key, frame.timestamp_s, instance))
             shown = sum(not entry["iscrowd"] for entry in annotations)
             frames[key] = frozenset(view.object for view in views[len(views) - shown :])
-            image = _image(building, item, frame, image_id, links)
+            image = _image(building, item, frame, image_id, files, as_in)
             spool.write(json.dumps([image, annotations], allow_nan=False) + "\n")
     if not frames:
         raise DataError("there is no labelled frame to export; run the label stage first")
@@ -203,16 +204,23 @@ def _check_object(name: str, categories: Mapping[str, int], key: FrameKey) -> No
         )
 
 
-def _image(building: Path, item: ExportScene, frame: Frame, image_id: int, links: Counter[str]) -> Json:
-    """Make the entry of an image, and link its files into the folder."""
+def _image(
+    building: Path, item: ExportScene, frame: Frame, image_id: int, files: Filling, as_in: Path | None
+) -> Json:
+    """Make the entry of an image, and put its files into the folder."""
     scene = item.scene
     name = f"images/{scene.name}/{frame.index:06d}{frame.color.suffix}"
-    links[_link_color(frame, building / name)] += 1
     depth_name = None
     if frame.depth is not None:
         suffix = frame.depth.suffix if _is_as_stored(scene) else ".png"
         depth_name = f"depth/{scene.name}/{frame.index:06d}{suffix}"
-        links[_link_depth(scene, frame, building / depth_name)] += 1
+    if as_in is not None:
+        for shared in filter(None, (name, depth_name)):
+            files.share(as_in / shared, building / shared)
+    else:
+        _put_color(frame, building / name, files)
+        if depth_name is not None:
+            _put_depth(scene, frame, building / depth_name, files)
     return image_to_coco(
         image_id,
         frame,
@@ -224,21 +232,19 @@ def _image(building: Path, item: ExportScene, frame: Frame, image_id: int, links
     )
 
 
-def _link_color(frame: Frame, target: Path) -> str:
-    """Link the colour image, or write it without a tag that would turn it in other readers; returns which."""
+def _put_color(frame: Frame, target: Path, files: Filling) -> None:
+    """Put the colour image there, without a tag that would turn it in other readers."""
     if orientation_of(frame.color) == 1:
-        return link(frame.color, target)
-    write_bytes(target, without_orientation(read_bytes(frame.color)))
-    return "copy"
+        return files.put(frame.color, target)
+    files.write(target, without_orientation(read_bytes(frame.color)))
 
 
-def _link_depth(scene: Scene, frame: Frame, target: Path) -> str:
-    """Link the depth image, or write it if it is changed while it is read; returns which."""
+def _put_depth(scene: Scene, frame: Frame, target: Path, files: Filling) -> None:
+    """Put the depth image there, changed as it is changed while it is read."""
     assert frame.depth is not None
     if _is_as_stored(scene) and not marks_no_depth(scene, frame):
-        return link(frame.depth, target)
-    write_bytes(target, encoded(registered_units(scene, frame), "png"))
-    return "copy"
+        return files.put(frame.depth, target)
+    files.write(target, encoded(registered_units(scene, frame), "png"))
 
 
 def _is_as_stored(scene: Scene) -> bool:
@@ -251,14 +257,14 @@ def _objects(
     building: Path,
     models: Sequence[KeypointModel],
     meshes: Mapping[str, Path],
-    links: Counter[str],
+    files: Filling,
 ) -> list[CocoObject]:
     objects = []
     for model in models:
         mesh = None
         if model.name in meshes:
             mesh = f"meshes/{model.name}{meshes[model.name].suffix}"
-            links[link(meshes[model.name], building / mesh)] += 1
+            files.put(meshes[model.name], building / mesh)
         objects.append(CocoObject(model, mesh))
     return objects
 
@@ -269,7 +275,7 @@ def _write_splits(
     objects: Sequence[CocoObject],
     splits: Mapping[FrameKey, SplitName],
     collected: _Collected,
-    links: Counter[str],
+    files: Filling,
     messages: Sequence[str],
 ) -> ExportSummary:
     """Distribute the lines of the spool to the files of the splits."""
@@ -287,7 +293,7 @@ def _write_splits(
         instances={n: {o.model.name: count[n, o.model.name] for o in objects} for n in names},
         scenes={n: tuple(dict.fromkeys(key[0] for key in frames if frames[key] == n)) for n in names},
         invisible=collected.invisible,
-        links=dict(links),
+        links=dict(files.counts),
         views=view_distances(collected.views, frames),
-        messages=tuple(messages),
+        messages=(*messages, *files.messages()),
     )

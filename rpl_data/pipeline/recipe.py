@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Literal
 
 from rpl_data.drift.drift import MAX_DRIFT_MM
+from rpl_data.export.folder import Images
 from rpl_data.export.split import SplitRule
 from rpl_data.formats.masks.given import MaskFormat
 from rpl_data.formats.recordings.ros.wanted import Topics
@@ -228,11 +229,15 @@ class ExportRecipe:
             origin at their centroid; `box`: its axes, with the origin at the centre of the box around the
             mesh; `up`: z up from the table, x along the longest side, origin at the centre of that box; or
             three keypoints: the origin, where x points to, and a third in the plane of x and y.
+        images: `copy` puts copies of the images into `coco`, and links to these into the other formats, so
+            that no program that writes into an export can change the recording; they take no space where the
+            file system can clone files. `link` never takes space, but such a program changes the recording.
     """
 
     formats: tuple[str, ...] = ("coco",)
     min_quality: float = 0.25
     frame: FrameChoice = "keypoints"
+    images: Images = "copy"
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,8 @@ class PoseErrors:
         orientation_rad: geodesic angle, ``||log(R1^T R2)||_F / sqrt(2)`` (section IV-C of the paper).
         add_m: mean distance of the model's points from their true positions (Hinterstoisser et al., ACCV
             2012).
-        adds_m: mean distance of the model's points from the nearest point of the true model (same source);
-            for objects that look the same from several sides.
+        adds_m: mean distance of the true model's points from the nearest point of the estimated one (same
+            source); for objects that look the same from several sides.
     """
 
     position_m: float
@@ -51,5 +51,5 @@ def pose_errors(
         position_m=float(np.linalg.norm(off)),
         orientation_rad=rotation_angle_rad(estimated[:3, :3].T @ true[:3, :3]),
         add_m=float(np.linalg.norm(here - there, axis=1).mean()),
-        adds_m=float(cKDTree(there).query(here)[0].mean()),
+        adds_m=float(cKDTree(here).query(there)[0].mean()),
     )

@@ -14,6 +14,7 @@ import pytest
 import torch
 from labelled_scenes import BOX, CAMERA, exported
 
+from rpl_data.formats.datasets.bop_results import read_bop_results
 from rpl_data.formats.datasets.coco import read_coco, write_coco
 from rpl_data.geometry import project
 from rpl_data.meshes import save_mesh
@@ -249,9 +250,14 @@ def test_evaluation_counts_what_is_missing(coco, run, detector, tmp_path):
     data["rpl"]["objects"][0]["mesh"] = "mesh.ply"
     write_coco(tmp_path / "train.json", data)
     (tmp_path / "images").symlink_to(coco / "images")
+    (tmp_path / "depth").symlink_to(coco / "depth")
     for crops in ("given", "detected"):
         out = tmp_path / crops
-        evaluate_pose(tmp_path, [run / "last.ckpt"], detector, split="train", crops=crops, out=out)
+        unit = 0.001 if crops == "given" else None
+        evaluate_pose(
+            tmp_path, [run / "last.ckpt"], detector, split="train", crops=crops, out=out, bop=True,
+            metres_per_unit=unit,
+        )  # fmt: skip
         found = json.loads((out / "train_poses.json").read_text())
         figures = found["figures"]["wedge consensus"]
         assert figures["instances"] == len(data["annotations"]) and len(found["instances"]) == 2 * len(
@@ -260,6 +266,9 @@ def test_evaluation_counts_what_is_missing(coco, run, detector, tmp_path):
         failed = [e for e in found["instances"] if e["found"] != "ok"]
         assert all(e["position_m"] is None for e in failed)
         assert figures["failures"] == sum(e["method"] == "consensus" for e in failed)
+        assert (figures["bop"]["average_recall"] is None) == (crops == "detected")
+        poses = read_bop_results(out / "consensus_rpl-train.csv")
+        assert len(poses) == figures["instances"] - figures["failures"]
 
 
 def test_evaluation_refuses_another_objects_dataset(run, tmp_path):

@@ -86,6 +86,7 @@ def _export_step(context: Context, name: str) -> Step:
         "objects": context.object_names,
         "min_quality": context.recipe.export.min_quality,
         **({} if context.recipe.export.frame == "keypoints" else {"frame": context.recipe.export.frame}),
+        "images": context.recipe.export.images,
     }
     return step(
         "export",
@@ -185,6 +186,7 @@ def _export_coco(
         grasps=grasps,
         symmetries=_symmetries(context, models),
         frames=frames,
+        images=context.recipe.export.images,
         **options,
     )
 

@@ -1,0 +1,124 @@
+"""Checks of exports: sound ones give no alarm, and each fault is named by file and field."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from export_damage import Damage, damaged, damages, names, write_all, write_dialects
+
+from rpl_data.cli.main import main
+from rpl_data.export.checks import CHECKS, check_export, dialect_of
+from rpl_data.pipeline.stages.export import EXPORTS
+from rpl_data.workspace.workspace import Workspace
+
+NO_READER_NEEDS = {
+    "coco": (r"info", r"licenses"),
+    "bop": (r"dataset_info\.md", r"scene_gt_coco\.json: (info|licenses|categories\.supercategory)"),
+    "assets": (r"mtl: : (word|line)",),  # shading only; that the texture is there is checked
+}
+"""Fields that are for people, or that no program reads."""
+
+NOTHING_CONTRADICTS = {
+    "coco": (
+        r"categories\.skeleton: shorter",
+        r"objects\.mesh: null",  # an object without a dense model
+        r"timestamp_s: no number",
+        r"annotations: shorter",  # an instance that is not labelled
+        r"sigma_px: null",  # an error that is not known
+    ),
+    "okt": (r"keypoints\.txt: : word", r"scales_#\.txt: : cut"),  # another name; a number of fewer digits
+    "huggingface": (r"timestamp_s: no number",),
+    "webdataset": (r"tar: : missing", r"timestamp_s: no number", r"sigma_px: null"),
+    "assets": (r"keypoints_m\..*: (null|dropped)", r"albedo\.png: : half"),
+}
+"""Damage that leaves another sound export: nothing else in it says what was there before."""
+
+
+@pytest.fixture(scope="module")
+def exports(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Every dialect of two scenes of two frames."""
+    return write_all(tmp_path_factory.mktemp("checks"))
+
+
+def test_every_dialect_that_is_written_can_be_checked() -> None:
+    unchecked = EXPORTS.keys() - CHECKS.keys() - {"ycb_video", "linemod"}
+    assert not unchecked, "write a check beside the new dialect: `rpl_data/export/checks`"
+
+
+WRITTEN = [name for name in CHECKS if name not in ("coco_per_object", "bop_onboarding")]
+
+
+@pytest.mark.parametrize("dialect", WRITTEN)
+def test_each_fault_is_named_and_soundness_is_not(dialect: str, exports: Path) -> None:
+    folder = exports / dialect
+    assert dialect_of(folder) == dialect and check_export(folder) == []
+    assert [name for name, check in CHECKS.items() if check.looks_like(folder)] == [dialect]
+    missed = []
+    for damage in _sampled(damages(folder)):
+        with damaged(folder, damage):
+            said = [str(fault) for fault in check_export(folder, dialect)]
+        if not any(names(damage, fault) for fault in said):
+            missed.append(f"{damage.pattern} {said[:1]}")
+    excused = NO_READER_NEEDS.get(dialect, ()) + NOTHING_CONTRADICTS.get(dialect, ())
+    assert not [one for one in missed if not any(re.search(pattern, one) for pattern in excused)]
+
+
+def _sampled(found: Iterator[Damage]) -> Iterator[Damage]:
+    """All damage to whole files, and every fifth to fields and words; `make bench` tries all."""
+    for number, damage in enumerate(found):
+        if damage.how in ("missing", "cut", "empty", "half as large", "other bits") or number % 5 == 0:
+            yield damage
+
+
+def test_a_built_workspace_gives_no_alarm_and_a_damaged_one_is_named(
+    tiny_workspace: Workspace, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    coco = tiny_workspace.export("coco")
+    assert main(["check", str(coco.parent)]) == 0
+    assert f"{coco}: coco: no fault was found" in capsys.readouterr().out
+    write_dialects(tmp_path / "export", coco, {name: 0.001 for name in tiny_workspace.labelled_scene_names()})
+    assert main(["check", str(tmp_path / "export")]) == 0
+    mask = next((tmp_path / "export/bop").rglob("mask_visib/*.png"))
+    cv2.imwrite(str(mask), np.zeros_like(cv2.imread(str(mask), -1)))
+    capsys.readouterr()
+    assert main(["check", str(tmp_path / "export/bop")]) == 1
+    said = capsys.readouterr()
+    assert "scene_gt_info.json: image " in said.out and "px_count_visib: expected 0" in said.out
+    assert re.search(r"\d faults in .*bop; undo what was changed", said.err)
+
+
+def test_folders_of_what_others_check_already(exports: Path, tmp_path: Path) -> None:
+    """One COCO folder per object, and BOP's scenes as onboarding videos."""
+    shutil.copytree(exports / "coco", tmp_path / "each/box")
+    shutil.copytree(exports / "bop/train/000001", tmp_path / "videos/onboarding_static/obj_000001_up")
+    described = {"obj_000001_up": {"object": "box", "scene": "a"}}
+    (tmp_path / "videos/names.json").write_text(json.dumps(described))
+    known = {"each": "coco_per_object", "videos": "bop_onboarding"}
+    for name, dialect in known.items():
+        assert dialect_of(tmp_path / name) == dialect and check_export(tmp_path / name) == []
+    (tmp_path / "each/box/images/a/000001.png").unlink()
+    next((tmp_path / "videos/onboarding_static/obj_000001_up/mask").iterdir()).unlink()
+    (tmp_path / "videos/names.json").write_text("{}")
+    said = [str(fault) for name in known for fault in check_export(tmp_path / name)]
+    assert [fault.split(": ")[0] for fault in said] == [
+        "box/train.json",
+        "names.json",
+        "onboarding_static/obj_000001_up/mask/000001_000000.png",
+    ]
+
+
+def test_what_is_no_export_is_refused_or_left_to_the_doctor(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert dialect_of(tmp_path) is None
+    assert main(["check", str(tmp_path), "--export", "kitti"]) == 1
+    assert "unknown export 'kitti'; expected one of coco, yolo" in capsys.readouterr().err
+    assert main(["check", str(tmp_path)]) == 1
+    assert "looks like no format that is known" in capsys.readouterr().err
