@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from rpl_data.cli.building import HERE, run_stage
+from rpl_data.cli.building import HERE, run_stage, say_written
 from rpl_data.types import DataError
 
 
@@ -128,6 +128,10 @@ def export(
     workspace: Path = HERE,
     labels: Literal["own", "truth"] = "own",
     format: str | None = None,
+    object: str | None = None,
+    min_quality: float | None = None,
+    split: Literal["train", "val", "test"] | None = None,
+    images: Literal["recorded", "png", "jpg"] | None = None,
     again: bool = False,
 ) -> None:
     """Write the labels in the formats of the recipe, to export/ of the workspace.
@@ -141,35 +145,46 @@ def export(
     huggingface, an image folder for `datasets`; webdataset, tar shards; assets, the objects'
     textured meshes.
 
-    Example: rpl export --workspace workspaces/demo --format foundationpose
+    A format with fewer labels (`--object`, `--min-quality`, `--split`) goes to a folder of its own, such as
+    export/only_object-mug_split-test/, with the splits of the recipe's export.
+
+    Example: rpl export --workspace workspaces/demo --format yolo --object carton --split test
 
     Args:
         workspace: a folder made by `rpl build` or `rpl import`.
         labels: `own`, or `truth`: export/coco_truth with the same images, labelled by the truth where it is
             known.
         format: one more format, this time only; the recipe says which are written by every build.
+        object: of this format, only this object, in the scenes that have it.
+        min_quality: of this format, only frames whose labels have this quality, instead of the recipe's.
+        split: of this format, only this split.
+        images: of this format, colour images as they were recorded, or all as PNG or JPEG (bop).
         again: run the stage even if nothing it depends on has changed.
     """
-    from rpl_data.pipeline.stages.export import check_format
+    from rpl_data.pipeline.choice import ExportChoice
 
+    choice = ExportChoice(object, min_quality, split, images)
+    if choice.folder and format is None:
+        raise DataError(
+            "object, min_quality, split and images choose from one format: add `--format`, such as coco"
+        )
     if format is not None:
+        from rpl_data.pipeline.stages.export import check_format
+
         check_format(format)
     run_stage(workspace, "export", again, results=format is None)
     if labels == "truth" or format is not None:
         from rpl_data.pipeline.build import alone_in, context_of
-        from rpl_data.pipeline.stages.export import EXPORTS, Export, export_truth
+        from rpl_data.pipeline.stages.export import export_chosen, export_truth
         from rpl_data.workspace.workspace import Workspace
 
         place = Workspace(workspace)
-        wanted: list[tuple[str, Export]] = [("coco_truth", export_truth)] if labels == "truth" else []
-        wanted += [] if format is None else [(format, EXPORTS[format])]
-        for name, write in wanted:
-            with alone_in(place):
-                summary = write(context_of(place))
-            images = f": {sum(summary.images.values())} images" if summary.images else ""
-            print(f"{place.export(name)}{images}")
-            for line in summary.messages:
-                print(f"    {line}")
+        with alone_in(place):
+            context = context_of(place)
+            if labels == "truth":
+                say_written(place.export("coco_truth"), export_truth(context))
+            if format is not None:
+                say_written(*export_chosen(context, format, choice))
 
 
 def quality(workspace: Path = HERE, again: bool = False) -> None:

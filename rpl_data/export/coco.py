@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import tempfile
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -72,7 +72,7 @@ def export_coco(
     scenes: Sequence[ExportScene],
     models: Sequence[KeypointModel],
     *,
-    split: SplitRule,
+    split: SplitRule | Callable[[FrameKey], SplitName],
     meshes: Mapping[str, Path] | None = None,
     grasps: Mapping[str, Transform] | None = None,
     as_in: Path | None = None,
@@ -83,7 +83,7 @@ def export_coco(
         folder: folder to write; its old content is replaced.
         scenes: the scenes with their labels.
         models: the objects; category ids are 1, 2, ... in this order.
-        split: rule for which frames train, validate and test.
+        split: rule for which frames train, validate and test; or a function that says it.
         meshes: files of dense models by object name; linked too, as meshes/<object><suffix>.
         grasps: `object_from_grasp` by object name.
         as_in: an exported folder whose split and image ids are kept (for labels made from truth); frames that
@@ -93,15 +93,18 @@ def export_coco(
         DataError: an image is missing, a label names an unknown object or frame, nothing is labelled, or the
             folder cannot be written; the folder that was there is then unchanged.
     """
-    fixed = None if as_in is None else _assignment(as_in)
+    fixed = None if as_in is None else exported_frames(as_in)
     with replacing(folder) as building, tempfile.TemporaryFile("w+", dir=building) as spool:
         links: Counter[str] = Counter()
         objects = _objects(building, models, meshes or {}, grasps or {}, links)
         collected = _collect(building, spool, scenes, objects, links, fixed)
-        if fixed is None:
+        messages: tuple[str, ...] = ()
+        if fixed is not None:
+            splits = {key: name for key, (name, _) in fixed.items()}
+        elif isinstance(split, SplitRule):
             splits, messages = choose_splits(collected.frames, split)
         else:
-            splits, messages = {key: name for key, (name, _) in fixed.items()}, ()
+            splits = {key: split(key) for key in collected.frames}
         summary = _write_splits(building, spool, objects, splits, collected, links, messages)
     return summary
 
@@ -272,7 +275,7 @@ def _write_splits(
     )
 
 
-def _assignment(folder: Path) -> dict[FrameKey, tuple[SplitName, int]]:
+def exported_frames(folder: Path) -> dict[FrameKey, tuple[SplitName, int]]:
     """Read the split and image id of every frame of an exported folder."""
     names: tuple[SplitName, ...] = ("train", "val", "test")
     found = {

@@ -169,6 +169,9 @@ class LabelRecipe:
         return self.method == "splat"
 
 
+ImageFormat = Literal["recorded", "png", "jpg"]
+
+
 @dataclass(frozen=True)
 class ExportRecipe:
     """What is exported. A plain list, `export: [coco, yolo]`, gives the formats alone.
@@ -178,10 +181,14 @@ class ExportRecipe:
         min_quality: a frame is left out when one of its labels has a lower quality; how many is said. A
             label's quality is 1 / (1 + e / 5 px), where e is its expected error: 0.25 stands for 15 px, 0.5
             for 5 px. 0 keeps all.
+        images: format of the colour images of `bop`, `bop_onboarding`, `ycb_video` and `linemod`: `png` or
+            `jpg` converts those that are not, `recorded` links all as they are. PNG suits readers that find
+            the depth image by replacing `rgb` in a path.
     """
 
     formats: tuple[str, ...] = ("coco",)
     min_quality: float = 0.25
+    images: ImageFormat = "recorded"
 
 
 @dataclass(frozen=True)

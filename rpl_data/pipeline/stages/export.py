@@ -21,9 +21,12 @@ from rpl_data.export import (
     export_webdataset,
     export_yolo,
 )
+from rpl_data.export.coco import exported_frames
 from rpl_data.export.corrections import Corrector
 from rpl_data.export.dialect import DialectSummary
+from rpl_data.export.split import FrameKey, SplitName
 from rpl_data.json_arrays import Json, finite_or_none
+from rpl_data.pipeline.choice import ExportChoice, splits_like
 from rpl_data.pipeline.context import Context, step, truth_workspace
 from rpl_data.pipeline.good_enough import Keep, QualityTally
 from rpl_data.pipeline.grasp import save_grasps
@@ -71,7 +74,9 @@ def _export_step(context: Context, name: str) -> Step:
         "left_out": {scene: frames for scene, frames in left_out.items() if frames},
         "corrections": context.workspace.corrections_digest(),
         "grasps": {item.object: asdict(item.grasp) for item in annotations if item.grasp is not None},
+        "images": context.recipe.export.images if name in CONVERTING else "recorded",
     }
+    chosen = {key: value for key, value in chosen.items() if value and value != "recorded"}
     options = {
         "split": asdict(context.recipe.split),
         "objects": context.object_names,
@@ -82,7 +87,7 @@ def _export_step(context: Context, name: str) -> Step:
         name,
         run,
         version=VERSION,
-        options=options | {key: value for key, value in chosen.items() if value},
+        options=options | chosen,
         after=[f"label/{v}" for v in context.placed_videos()] if name == "coco" else ["export/coco"],
         outputs=[context.workspace.export(name)],
     )
@@ -101,6 +106,25 @@ def refuse_unseen(context: Context) -> None:
             f"object {', '.join(unseen)} is in none of the {frames} labelled frames; expected it in at least "
             "one. Check its clicks and the poses of its scenes, or raise `label.rate`"
         )
+
+
+def export_chosen(
+    context: Context, name: str, choice: ExportChoice
+) -> tuple[Path, ExportSummary | DialectSummary]:
+    """Write one format, limited to the choice; returns its folder, too.
+
+    Without a choice this is the recipe's own export. Else `coco`, which is chosen from the labels, and the
+    format, which is made of it, go to a folder of the choice; both keep the splits of the recipe's export.
+
+    Raises:
+        DataError: the format or the object is not known, or nothing is left to export.
+    """
+    check_format(name)
+    recipe = replace(context.recipe, export=choice.recipe(context.recipe.export))
+    context = replace(context, recipe=recipe, choice=choice)
+    if choice.folder and name != "coco":
+        export_labels(context)
+    return context.export_folder(name), EXPORTS[name](context)
 
 
 def export_labels(context: Context) -> ExportSummary:
@@ -147,29 +171,40 @@ def _export_coco(
     keep: Keep = lambda label: True,
     correct: Callable[[FrameLabel], FrameLabel] = lambda label: label,
 ) -> ExportSummary:
-    workspace = context.workspace
+    workspace, objects = context.workspace, context.choice.objects(context.object_names)
+    known = _splits_of(workspace) if context.choice.folder else {}
     scenes = []
     for scene_name in labels.labelled_scene_names():
         if not workspace.scene_file(scene_name).exists():
             continue
+        if objects != context.object_names and scene_name not in _videos_with(workspace, objects):
+            continue
         scene = workspace.load_scene(scene_name)
         kept = _without(labels.load_labels(scene_name), workspace.load_left_out(scene_name))
-        lines = filter(keep, map(correct, kept))
+        lines = filter(keep, context.choice.chosen(map(correct, kept), splits_like(known)))
         scenes.append(ExportScene(scene, workspace.load_trajectory(scene), lines))
-    models = [labels.load_placed(item).model for item in context.object_names]
-    meshes = {
-        item: labels.mesh_file(item) for item in context.object_names if labels.mesh_file(item).exists()
-    }
-    grasps = save_grasps(workspace, context.object_names) if labels == workspace else {}
     return export_coco(
-        workspace.export(name),
+        context.export_folder(name),
         scenes,
-        models,
-        split=context.recipe.split,
-        meshes=meshes,
-        grasps=grasps,
+        [labels.load_placed(item).model for item in objects],
+        split=splits_like(known) if context.choice.folder else context.recipe.split,
+        meshes={item: labels.mesh_file(item) for item in objects if labels.mesh_file(item).exists()},
+        grasps=save_grasps(workspace, objects) if labels == workspace else {},
         **options,
     )
+
+
+def _videos_with(workspace: Workspace, objects: Sequence[str]) -> set[str]:
+    """The recordings in which one of the objects has a pose."""
+    parts = workspace.parts()
+    return {
+        parts.video_of(scene) for name in objects for scene in workspace.load_placed(name).scene_from_object
+    }
+
+
+def _splits_of(workspace: Workspace) -> dict[FrameKey, SplitName]:
+    """The split of each frame of the recipe's own export."""
+    return {key: split for key, (split, _) in exported_frames(workspace.export("coco")).items()}
 
 
 def _without(labels: Iterator[FrameLabel], left_out: frozenset[int]) -> Iterator[FrameLabel]:
@@ -179,14 +214,12 @@ def _without(labels: Iterator[FrameLabel], left_out: frozenset[int]) -> Iterator
 
 def _dialect(name: str, write: Callable[[Path, Path], DialectSummary]) -> Export:
     """A format made from `coco` alone."""
-    return lambda context: write(context.workspace.export(name), context.workspace.export("coco"))
+    return lambda context: write(context.export_folder(name), context.export_folder("coco"))
 
 
 def _with_units(name: str, write: Callable[[Path, Path, dict[str, float]], DialectSummary]) -> Export:
     """A format that must say what the depth images of each scene count in."""
-    return lambda context: write(
-        context.workspace.export(name), context.workspace.export("coco"), _units(context)
-    )
+    return lambda context: write(context.export_folder(name), context.export_folder("coco"), _units(context))
 
 
 def _units(context: Context) -> dict[str, float]:
@@ -194,6 +227,9 @@ def _units(context: Context) -> dict[str, float]:
     workspace = context.workspace
     return {name: workspace.load_scene(name).metres_per_unit for name in workspace.labelled_scene_names()}
 
+
+CONVERTING = ("bop",)
+"""The formats for which `export.images` says how colour images are stored."""
 
 EXPORTS: dict[str, Export] = {
     "coco": export_labels,
