@@ -131,7 +131,7 @@ def export(
     object: str | None = None,
     min_quality: float | None = None,
     split: Literal["train", "val", "test"] | None = None,
-    images: Literal["recorded", "png", "jpg"] | None = None,
+    color: Literal["recorded", "png", "jpg"] | None = None,
     again: bool = False,
 ) -> None:
     """Write the labels in the formats of the recipe, to export/ of the workspace.
@@ -140,10 +140,11 @@ def export(
     `export: {min_quality: 0.25}`. Quality is 1 / (1 + e / 5 px), where e is the label's expected error: 0.25
     stands for 15 px, 0.5 for 5 px. `min_quality: 0` keeps all.
 
-    Formats: coco; yolo for Ultralytics; bop; okt for ObjectKeypointTrainer; foundationpose, reference views
-    for its model-free mode; bundlesdf, a video of each object and scene; nerfstudio (with COLMAP's text);
-    huggingface, an image folder for `datasets`; webdataset, tar shards; assets, the objects'
-    textured meshes.
+    Formats: coco, and coco_per_object, one file per object and split; yolo for Ultralytics; bop, and
+    bop_onboarding, its static videos of each object; ycb_video and linemod, in the layouts of these datasets;
+    okt for ObjectKeypointTrainer; foundationpose, reference views for its model-free mode; bundlesdf, a video
+    of each object and scene; nerfstudio (with COLMAP's text); huggingface, an image folder for `datasets`;
+    webdataset, tar shards; assets, the objects' textured meshes.
 
     A format with fewer labels (`--object`, `--min-quality`, `--split`) goes to a folder of its own, such as
     export/only_object-mug_split-test/, with the splits of the recipe's export.
@@ -158,15 +159,16 @@ def export(
         object: of this format, only this object, in the scenes that have it.
         min_quality: of this format, only frames whose labels have this quality, instead of the recipe's.
         split: of this format, only this split.
-        images: of this format, colour images as they were recorded, or all as PNG or JPEG (bop).
+        color: of this format, colour images as they were recorded, or all as PNG or JPEG
+            (bop, bop_onboarding, ycb_video, linemod).
         again: run the stage even if nothing it depends on has changed.
     """
     from rpl_data.pipeline.choice import ExportChoice
 
-    choice = ExportChoice(object, min_quality, split, images)
+    choice = ExportChoice(object, min_quality, split, color)
     if choice.folder and format is None:
         raise DataError(
-            "object, min_quality, split and images choose from one format: add `--format`, such as coco"
+            "object, min_quality, split and color choose from one format: add `--format`, such as coco"
         )
     if format is not None:
         from rpl_data.pipeline.stages.export import check_format

@@ -5,6 +5,7 @@
 
 from rpl_data.export.assets import export_assets
 from rpl_data.export.bop import export_bop
+from rpl_data.export.bop_onboarding import export_bop_onboarding
 from rpl_data.export.bundlesdf import export_bundlesdf
 from rpl_data.export.coco import ExportScene, ExportSummary, export_coco
 from rpl_data.export.foundationpose import export_foundationpose
@@ -19,6 +20,7 @@ __all__ = [
     "ExportSummary",
     "export_assets",
     "export_bop",
+    "export_bop_onboarding",
     "export_bundlesdf",
     "export_coco",
     "export_foundationpose",

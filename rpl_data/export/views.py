@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float64, UInt16
 
+from rpl_data.export.color_images import write_color
 from rpl_data.export.dialect import Split
 from rpl_data.export.folder import link
 from rpl_data.files import write_bytes
@@ -97,16 +98,12 @@ def write_view(
     """
     from pycocotools import mask as masks
 
-    source = coco / view.image["file_name"]
-    if source.suffix == ".png":
-        link(source, color)
-    else:
-        write_bytes(color, encoded(_read(source, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION), "png"))
+    write_color(coco / view.image["file_name"], color.with_suffix(""), "png")
     raw, unit = coco / view.image["depth_file_name"], metres_per_unit[view.image["scene"]]
     if np.isclose(unit, MILLIMETRE) and raw.suffix == ".png":
         link(raw, depth)
     else:
-        write_bytes(depth, encoded(_in_mm(_read(raw, cv2.IMREAD_UNCHANGED), unit), "png"))
+        write_bytes(depth, encoded(_in_mm(_read(raw), unit), "png"))
     seen = masks.decode(view.annotation["segmentation"])
     write_bytes(mask, encoded(255 * seen, "png"))
 
@@ -117,9 +114,9 @@ def _in_mm(raw: UInt16[np.ndarray, "h w"], metres_per_unit: float) -> UInt16[np.
     return np.where((mm > MOST_MM) | (raw == SATURATED), 0, mm).astype(np.uint16)
 
 
-def _read(path: Path, flags: int) -> np.ndarray:
-    """An image as OpenCV reads it: colour as BGR."""
-    image = cv2.imread(str(path), flags)
+def _read(path: Path) -> UInt16[np.ndarray, "h w"]:
+    """A depth image as it is stored."""
+    image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     if image is None:
         raise DataError(f"{path} cannot be read; export `coco` again")
     return image

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 
+from rpl_data.export.color_images import ColorFormat
 from rpl_data.export.split import FrameKey, SplitName
-from rpl_data.pipeline.recipe import ExportRecipe, ImageFormat
+from rpl_data.pipeline.recipe import ExportRecipe
 from rpl_data.types import DataError, FrameLabel
 
 SPLITS: tuple[SplitName, ...] = ("train", "val", "test")
@@ -20,13 +21,13 @@ class ExportChoice:
         object: the only object that is labelled; scenes without it are left out.
         min_quality: least quality of a label, see `ExportRecipe`.
         split: the only split.
-        images: format of the images, see `ExportRecipe`.
+        color: format of the colour images, see `ExportRecipe`.
     """
 
     object: str | None = None
     min_quality: float | None = None
     split: SplitName | None = None
-    images: ImageFormat | None = None
+    color: ColorFormat | None = None
 
     @property
     def folder(self) -> str:
@@ -49,7 +50,7 @@ class ExportChoice:
         if self.min_quality is not None and not 0 <= self.min_quality < 1:
             raise DataError(f"the least quality must be in [0, 1), got {self.min_quality:g}")
         quality = given.min_quality if self.min_quality is None else self.min_quality
-        return replace(given, min_quality=quality, images=self.images or given.images)
+        return replace(given, min_quality=quality, color=self.color or given.color)
 
     def objects(self, known: Sequence[str]) -> list[str]:
         """The objects to export.

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Literal
 
 from rpl_data.drift.drift import MAX_DRIFT_MM
+from rpl_data.export.color_images import ColorFormat
 from rpl_data.export.split import SplitRule
 from rpl_data.formats.recordings.ros.wanted import Topics
 from rpl_data.recordings.mend import Mend
@@ -169,9 +170,6 @@ class LabelRecipe:
         return self.method == "splat"
 
 
-ImageFormat = Literal["recorded", "png", "jpg"]
-
-
 @dataclass(frozen=True)
 class ExportRecipe:
     """What is exported. A plain list, `export: [coco, yolo]`, gives the formats alone.
@@ -181,14 +179,14 @@ class ExportRecipe:
         min_quality: a frame is left out when one of its labels has a lower quality; how many is said. A
             label's quality is 1 / (1 + e / 5 px), where e is its expected error: 0.25 stands for 15 px, 0.5
             for 5 px. 0 keeps all.
-        images: format of the colour images of `bop`, `bop_onboarding`, `ycb_video` and `linemod`: `png` or
+        color: format of the colour images of `bop`, `bop_onboarding`, `ycb_video` and `linemod`: `png` or
             `jpg` converts those that are not, `recorded` links all as they are. PNG suits readers that find
             the depth image by replacing `rgb` in a path.
     """
 
     formats: tuple[str, ...] = ("coco",)
     min_quality: float = 0.25
-    images: ImageFormat = "recorded"
+    color: ColorFormat = "recorded"
 
 
 @dataclass(frozen=True)

@@ -3,18 +3,27 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 import yaml
-from labelled_scenes import BOX, CAMERA, CAN, LAST_FRAME, labelled_scene
+from labelled_scenes import BOX, CAMERA, CAN, LAST_FRAME, labelled_scene, rle
 from pycocotools import mask as masks
 
 from rpl_data.evaluate.truth import box_mesh
-from rpl_data.export import ExportScene, export_bop, export_coco, export_okt, export_yolo
+from rpl_data.export import (
+    ExportScene,
+    export_bop,
+    export_bop_onboarding,
+    export_coco,
+    export_okt,
+    export_yolo,
+)
 from rpl_data.export.bop_instances import Silhouettes, write_instance
+from rpl_data.export.bop_onboarding import Video, opposite_sides
 from rpl_data.export.split import SplitRule
 from rpl_data.formats.datasets.coco import CocoObject, read_coco
 from rpl_data.formats.datasets.yolo import LINES, detect_line, pose_line, segment_line
@@ -269,3 +278,72 @@ def test_dialects_are_made_of_coco() -> None:
         refuse_unknown_exports(["yolo"])
     with pytest.raises(DataError, match="unknown export 'voc'"):
         refuse_unknown_exports(["coco", "voc"])
+
+
+def test_colour_in_one_format_where_readers_replace_rgb_in_a_path(coco: Path, tmp_path: Path) -> None:
+    for color, suffix in (("jpg", ".jpg"), ("png", ".png")):
+        export_bop(tmp_path / color, coco, {name: 0.001 for name in "abcd"}, color)
+        found = sorted((tmp_path / color).glob("*/*/rgb/*"))
+        assert {path.suffix for path in found} == {suffix} and len(found) == 24
+        (scene,) = (tmp_path / color / "test").iterdir()
+        listed = json.loads((scene / "scene_gt_coco.json").read_text())["images"]
+        assert all((scene / image["file_name"]).is_file() for image in listed)
+    assert all(Path(str(path).replace("rgb", "depth")).is_file() for path in found)
+    for path in found:
+        jpeg = tmp_path / "jpg" / path.relative_to(tmp_path / "png").with_suffix(".jpg")
+        assert np.abs(cv2.imread(str(jpeg)).astype(int) - cv2.imread(str(path))).mean() < 3
+
+
+def test_masks_of_bop_are_the_pixels_whose_centres_cam_k_puts_on_the_object(tmp_path: Path) -> None:
+    """A box is convex, so its silhouette is the hull of its corners; pixel centres are whole numbers."""
+    made = labelled_scene(tmp_path / "recording", "desk", frames=2, objects=(BOX,))
+    corners = np.array([[x, y, z] for x in (-0.1, 0.1) for y in (-0.1, 0.1) for z in (0.0, 0.05)])
+    save_mesh(tmp_path / "box.ply", box_mesh(corners))
+    (label,) = made.labels[1].instances
+    rays = RayScene([load_mesh(tmp_path / "box.ply")])
+    area = {"left_px": 0, "top_px": 0, "width": 160, "height": 120}
+    mask = rle(render_depth_m(rays, PLAIN, label.camera_from_object, **area) > 0)
+    frame = replace(made.labels[1], instances=(replace(label, mask=mask, mask_full=mask),))
+    scene = ExportScene(replace(made.scene, intrinsics=PLAIN), made.trajectory, [frame])
+    meshes = {"box": tmp_path / "box.ply"}
+    export_coco(tmp_path / "coco", [scene], [BOX], split=SplitRule(0, 0.0), meshes=meshes)
+    export_bop(tmp_path / "bop", tmp_path / "coco", {"desk": 0.001})
+    place = tmp_path / "bop/train/000001"
+    camera = np.reshape(json.loads((place / "scene_camera.json").read_text())["1"]["cam_K"], (3, 3))
+    (said,) = json.loads((place / "scene_gt.json").read_text())["1"]
+    rotation = cv2.Rodrigues(np.reshape(said["cam_R_m2c"], (3, 3)))[0]
+    model = load_mesh(tmp_path / "bop/models/obj_000001.ply").vertices
+    outline = cv2.convexHull(
+        cv2.projectPoints(model, rotation, np.array(said["cam_t_m2c"]), camera, None)[0].astype(np.float32)
+    )
+    for folder in ("mask", "mask_visib"):
+        drawn = cv2.imread(str(place / folder / "000001_000000.png"), -1)
+        inside = [
+            [cv2.pointPolygonTest(outline, (float(u), float(v)), False) >= 0 for u in range(160)]
+            for v in range(120)
+        ]
+        np.testing.assert_array_equal(drawn > 0, inside)
+
+
+def test_onboarding_shows_an_object_from_both_sides(coco: Path, tmp_path: Path) -> None:
+    units = {name: 0.001 for name in "abcd"}
+    summary = export_bop_onboarding(tmp_path / "onboarding", coco, units, "png")
+    assert summary.messages == ()
+    root = tmp_path / "onboarding/onboarding_static"
+    sides = [f"obj_{number:06d}_{side}" for number in (1, 2) for side in ("down", "up")]
+    assert sorted(path.name for path in root.iterdir()) == sides
+    said = json.loads((tmp_path / "onboarding/names.json").read_text())
+    data = read_coco(coco / "train.json")
+    for recording in read_bop(root):
+        scene = said[recording.scene.name]["scene"]
+        frames = {i["frame"] for i in data["images"] if i["scene"] == scene and i["frame"] > 0}
+        assert {frame.index for frame in recording.scene.frames} == frames
+        assert list(recording.true_poses) == [recording.scene.name[: len("obj_000001")]]
+
+
+def test_the_other_side_is_the_one_most_upside_down() -> None:
+    ups = {"a": [0, 0, 1], "b": [0.8, 0, 0.6], "c": [0.6, 0, -0.8], "d": [1, 0, 0]}
+    videos = [Video(name, ({},) * (name == "a"), np.array(up, float)) for name, up in ups.items()]
+    sides = opposite_sides(videos)
+    assert {side: video.scene for side, video in sides.items()} == {"up": "a", "down": "c"}
+    assert list(opposite_sides(videos[:2])) == ["up"] and opposite_sides([]) == {}

@@ -12,6 +12,7 @@ from rpl_data.export import (
     ExportSummary,
     export_assets,
     export_bop,
+    export_bop_onboarding,
     export_bundlesdf,
     export_coco,
     export_foundationpose,
@@ -22,6 +23,7 @@ from rpl_data.export import (
     export_yolo,
 )
 from rpl_data.export.coco import exported_frames
+from rpl_data.export.color_images import ColorFormat
 from rpl_data.export.corrections import Corrector
 from rpl_data.export.dialect import DialectSummary
 from rpl_data.export.split import FrameKey, SplitName
@@ -74,7 +76,7 @@ def _export_step(context: Context, name: str) -> Step:
         "left_out": {scene: frames for scene, frames in left_out.items() if frames},
         "corrections": context.workspace.corrections_digest(),
         "grasps": {item.object: asdict(item.grasp) for item in annotations if item.grasp is not None},
-        "images": context.recipe.export.images if name in CONVERTING else "recorded",
+        "color": context.recipe.export.color if name in CONVERTING else "recorded",
     }
     chosen = {key: value for key, value in chosen.items() if value and value != "recorded"}
     options = {
@@ -222,19 +224,32 @@ def _with_units(name: str, write: Callable[[Path, Path, dict[str, float]], Diale
     return lambda context: write(context.export_folder(name), context.export_folder("coco"), _units(context))
 
 
+def _with_color(
+    name: str, write: Callable[[Path, Path, dict[str, float], ColorFormat], DialectSummary]
+) -> Export:
+    """A format that also stores colour images as the recipe says."""
+    return lambda context: write(
+        context.export_folder(name),
+        context.export_folder("coco"),
+        _units(context),
+        context.recipe.export.color,
+    )
+
+
 def _units(context: Context) -> dict[str, float]:
     """Metres per unit of the depth images, by scene."""
     workspace = context.workspace
     return {name: workspace.load_scene(name).metres_per_unit for name in workspace.labelled_scene_names()}
 
 
-CONVERTING = ("bop",)
-"""The formats for which `export.images` says how colour images are stored."""
+CONVERTING = ("bop", "bop_onboarding")
+"""The formats for which `export.color` says how colour images are stored."""
 
 EXPORTS: dict[str, Export] = {
     "coco": export_labels,
     "yolo": _dialect("yolo", export_yolo),
-    "bop": _with_units("bop", export_bop),
+    "bop": _with_color("bop", export_bop),
+    "bop_onboarding": _with_color("bop_onboarding", export_bop_onboarding),
     "okt": _dialect("okt", export_okt),
     "foundationpose": _with_units("foundationpose", export_foundationpose),
     "bundlesdf": _with_units("bundlesdf", export_bundlesdf),
