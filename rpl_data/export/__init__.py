@@ -8,6 +8,7 @@ from rpl_data.export.bop import export_bop
 from rpl_data.export.bop_onboarding import export_bop_onboarding
 from rpl_data.export.bundlesdf import export_bundlesdf
 from rpl_data.export.coco import ExportScene, ExportSummary, export_coco
+from rpl_data.export.coco_per_object import export_coco_per_object
 from rpl_data.export.foundationpose import export_foundationpose
 from rpl_data.export.huggingface import export_huggingface
 from rpl_data.export.nerfstudio import export_nerfstudio
@@ -23,6 +24,7 @@ __all__ = [
     "export_bop_onboarding",
     "export_bundlesdf",
     "export_coco",
+    "export_coco_per_object",
     "export_foundationpose",
     "export_huggingface",
     "export_nerfstudio",

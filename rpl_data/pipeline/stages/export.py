@@ -15,6 +15,7 @@ from rpl_data.export import (
     export_bop_onboarding,
     export_bundlesdf,
     export_coco,
+    export_coco_per_object,
     export_foundationpose,
     export_huggingface,
     export_nerfstudio,
@@ -247,6 +248,7 @@ CONVERTING = ("bop", "bop_onboarding")
 
 EXPORTS: dict[str, Export] = {
     "coco": export_labels,
+    "coco_per_object": _dialect("coco_per_object", export_coco_per_object),
     "yolo": _dialect("yolo", export_yolo),
     "bop": _with_color("bop", export_bop),
     "bop_onboarding": _with_color("bop_onboarding", export_bop_onboarding),
