@@ -160,7 +160,7 @@ def export(
         min_quality: of this format, only frames whose labels have this quality, instead of the recipe's.
         split: of this format, only this split.
         color: of this format, colour images as they were recorded, or all as PNG or JPEG
-            (bop, bop_onboarding, ycb_video, linemod).
+            (bop, bop_onboarding).
         again: run the stage even if nothing it depends on has changed.
     """
     from rpl_data.pipeline.choice import ExportChoice

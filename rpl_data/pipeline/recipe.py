@@ -179,9 +179,9 @@ class ExportRecipe:
         min_quality: a frame is left out when one of its labels has a lower quality; how many is said. A
             label's quality is 1 / (1 + e / 5 px), where e is its expected error: 0.25 stands for 15 px, 0.5
             for 5 px. 0 keeps all.
-        color: format of the colour images of `bop`, `bop_onboarding`, `ycb_video` and `linemod`: `png` or
-            `jpg` converts those that are not, `recorded` links all as they are. PNG suits readers that find
-            the depth image by replacing `rgb` in a path.
+        color: format of the colour images of `bop` and `bop_onboarding`: `recorded` takes all as they are,
+            `png` and `jpg` convert others. PNG suits readers that find the depth image by replacing `rgb` in
+            a path.
     """
 
     formats: tuple[str, ...] = ("coco",)

@@ -18,9 +18,11 @@ from rpl_data.export import (
     export_coco_per_object,
     export_foundationpose,
     export_huggingface,
+    export_linemod,
     export_nerfstudio,
     export_okt,
     export_webdataset,
+    export_ycb_video,
     export_yolo,
 )
 from rpl_data.export.coco import exported_frames
@@ -252,6 +254,8 @@ EXPORTS: dict[str, Export] = {
     "yolo": _dialect("yolo", export_yolo),
     "bop": _with_color("bop", export_bop),
     "bop_onboarding": _with_color("bop_onboarding", export_bop_onboarding),
+    "ycb_video": _with_units("ycb_video", export_ycb_video),
+    "linemod": _with_units("linemod", export_linemod),
     "okt": _dialect("okt", export_okt),
     "foundationpose": _with_units("foundationpose", export_foundationpose),
     "bundlesdf": _with_units("bundlesdf", export_bundlesdf),
