@@ -58,6 +58,7 @@ def export_linemod(folder: Path, coco: Path, metres_per_unit: Mapping[str, float
     images: dict[str, int] = {}
     written: dict[int, list[View]] = {}
     objects: Sequence[CocoObject] = ()
+    converted: dict[int, Path] = {}
     labels = 0
     with replacing(folder) as building:
         for split in splits_of(coco):
@@ -69,7 +70,7 @@ def export_linemod(folder: Path, coco: Path, metres_per_unit: Mapping[str, float
                 names = [f"{len(before) + row:04d}" for row in range(len(views))]
                 place = building / "data" / f"{number:02d}"
                 for name, view in zip(names, views, strict=True):
-                    _write_images(place, name, view, coco, metres_per_unit)
+                    _write_images(place, name, view, coco, metres_per_unit, converted)
                 write_text(place / f"{split.name}.txt", "".join(f"{name}\n" for name in names))
                 before += views
                 images[split.name] += len(views)
@@ -84,12 +85,19 @@ def export_linemod(folder: Path, coco: Path, metres_per_unit: Mapping[str, float
 
 
 def _write_images(
-    folder: Path, name: str, view: View, coco: Path, metres_per_unit: Mapping[str, float]
+    folder: Path,
+    name: str,
+    view: View,
+    coco: Path,
+    metres_per_unit: Mapping[str, float],
+    converted: dict[int, Path],
 ) -> None:
+    """Write the images of a view; `converted` has the colour images so far, by image id."""
     from pycocotools import mask as masks
 
     unit_m = metres_per_unit[view.image["scene"]]
-    write_color(coco / view.image["file_name"], folder / "rgb" / name, "png")
+    color = converted.get(view.image["id"], coco / view.image["file_name"])
+    converted[view.image["id"]] = write_color(color, folder / "rgb" / name, "png")
     write_depth(coco / view.image["depth_file_name"], folder / "depth" / f"{name}.png", unit_m, MILLIMETRE)
     seen = masks.decode(view.annotation["segmentation"])
     write_bytes(folder / "mask" / f"{name}.png", encoded(np.repeat(255 * seen[..., None], 3, axis=2), "png"))
