@@ -80,7 +80,7 @@ def export_bop_onboarding(
                 names[place] = {"object": category["name"], "scene": video.scene}
                 count += len(video.images)
         write_json(building / "names.json", names)
-    return DialectSummary({"train": count}, count, tuple(lines))
+    return DialectSummary({train.name: count}, count, tuple(lines))
 
 
 def opposite_sides(videos: Sequence[Video]) -> dict[str, Video]:
