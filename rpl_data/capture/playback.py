@@ -154,10 +154,8 @@ def _repair(file: Path, repaired: Path) -> str:
         kept = repair_db3(file, repaired)
         return f"{file.name} was cut off: the first {kept.seconds:.1f} s are complete, the rest is lost"
     bag = repair_bag(file, repaired)
-    return (
-        f"{file.name} was never closed or cut off: the first {bag.seconds:.1f} s are complete, "
-        f"{bag.lost_bytes} bytes after them are lost"
-    )
+    cut = f"{file.name} was never closed or cut off"
+    return f"{cut}: what is complete is read, its first {bag.seconds:.1f} s"
 
 
 def _choices(device: Any, file: Path) -> tuple[tuple[Any, Any], tuple[Any, Any]]:

@@ -33,6 +33,7 @@ from rpl_data.cli.stages import (  # noqa: E402
     track,
 )
 from rpl_data.cli.status import status  # noqa: E402
+from rpl_data.cli.symmetry import symmetry  # noqa: E402
 from rpl_data.types import DataError, UnsureError  # noqa: E402
 
 
@@ -191,6 +192,7 @@ COMMANDS: dict[str, Any] = {
     "refine": refine,
     "segment": segment,
     "label": label,
+    "symmetry": symmetry,
     "export": export,
     "quality": quality,
     "truth": truth,

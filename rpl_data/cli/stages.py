@@ -149,6 +149,10 @@ def export(
     A format with fewer labels (`--object`, `--min-quality`, `--split`) goes to a folder of its own, such as
     export/only_object-mug_split-test/, with the splits of the recipe's export.
 
+    `export: {frame: up}` in the recipe gives all of them a canonical object frame: z up from the table, the
+    origin at the centre of the box around the mesh; `box` keeps the axes; three keypoints give origin, x axis
+    and plane. Nothing moves in the images.
+
     Example: rpl export --workspace workspaces/demo --format yolo --object carton --split test
 
     Args:

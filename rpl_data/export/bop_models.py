@@ -13,6 +13,7 @@ from rpl_data.files import write_bytes, write_json
 from rpl_data.formats.datasets.coco import CocoObject
 from rpl_data.json_arrays import Json
 from rpl_data.meshes import load_mesh, mesh_to_ply, simplified
+from rpl_data.symmetries import symmetries_to_json
 from rpl_data.types import Mesh
 
 EVALUATED_TRIANGLES = 5_000
@@ -39,7 +40,7 @@ def write_models(folder: Path, coco: Path, objects: Sequence[CocoObject]) -> lis
         name = f"obj_{number:06d}.ply"
         write_bytes(folder / "models" / name, mesh_to_ply(mesh, normals=True))
         write_bytes(folder / "models_eval" / name, mesh_to_ply(few, normals=True))
-        info[str(number)] = model_info(mesh) | _symmetries(item.symmetries)
+        info[str(number)] = model_info(mesh) | symmetries_to_json(item.symmetries, unit_m=0.001)
     for kind in ("models", "models_eval"):
         write_json(folder / kind / "models_info.json", info)
     return missing
@@ -59,17 +60,3 @@ def _diameter(points: Float64[np.ndarray, "n 3"]) -> float:
     from scipy.spatial.distance import pdist
 
     return float(pdist(points[ConvexHull(points).vertices]).max())
-
-
-def _symmetries(symmetries: Sequence[Sequence[float]]) -> Json:
-    """Rigid transforms that leave the object looking the same, translations in millimetres."""
-    if not symmetries:
-        return {}
-    matrices = [np.array(values, dtype=np.float64).reshape(4, 4) for values in symmetries]
-    return {"symmetries_discrete": [_in_mm(matrix).ravel().tolist() for matrix in matrices]}
-
-
-def _in_mm(a_from_b: Float64[np.ndarray, "4 4"]) -> Float64[np.ndarray, "4 4"]:
-    moved = a_from_b.copy()
-    moved[:3, 3] *= 1000
-    return moved

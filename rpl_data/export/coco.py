@@ -11,21 +11,30 @@ import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import IO
 
 from rpl_data.export.folder import link, replacing
-from rpl_data.export.split import FrameKey, SplitName, SplitRule, choose_splits
+from rpl_data.export.split import FrameKey, SplitName, SplitRule, assigned_splits, choose_splits
 from rpl_data.export.view_distances import ViewDirection, ViewDistance, view_direction, view_distances
-from rpl_data.files import read_bytes, read_json, write_bytes
+from rpl_data.files import read_bytes, write_bytes
 from rpl_data.formats.datasets.coco import CocoObject, image_to_coco, instance_to_coco, writing_coco
 from rpl_data.formats.recordings.saved_images import encoded
 from rpl_data.geometry import Transform
 from rpl_data.images import marks_no_depth, registered_units
 from rpl_data.json_arrays import Json
 from rpl_data.orientation import orientation_of, without_orientation
-from rpl_data.types import DataError, DepthCoding, Frame, FrameLabel, KeypointModel, Scene, Trajectory
+from rpl_data.types import (
+    DataError,
+    DepthCoding,
+    Frame,
+    FrameLabel,
+    KeypointModel,
+    Scene,
+    Symmetries,
+    Trajectory,
+)
 from rpl_data.wording import counted
 
 
@@ -75,6 +84,8 @@ def export_coco(
     split: SplitRule | Callable[[FrameKey], SplitName],
     meshes: Mapping[str, Path] | None = None,
     grasps: Mapping[str, Transform] | None = None,
+    symmetries: Mapping[str, Symmetries] | None = None,
+    frames: Mapping[str, Transform] | None = None,
     as_in: Path | None = None,
 ) -> ExportSummary:
     """Write `folder`: {train,val,test}.json, images/<scene>/, depth/<scene>/, meshes/ and nothing else.
@@ -86,6 +97,8 @@ def export_coco(
         split: rule for which frames train, validate and test; or a function that says it.
         meshes: files of dense models by object name; linked too, as meshes/<object><suffix>.
         grasps: `object_from_grasp` by object name.
+        symmetries: what leaves the objects looking the same, by object name.
+        frames: `frame_from_object` by object name, where models and poses are not in the workspace's frame.
         as_in: an exported folder whose split and image ids are kept (for labels made from truth); frames that
             it does not have are left out.
 
@@ -93,10 +106,19 @@ def export_coco(
         DataError: an image is missing, a label names an unknown object or frame, nothing is labelled, or the
             folder cannot be written; the folder that was there is then unchanged.
     """
-    fixed = None if as_in is None else exported_frames(as_in)
+    fixed = None if as_in is None else assigned_splits(as_in)
     with replacing(folder) as building, tempfile.TemporaryFile("w+", dir=building) as spool:
         links: Counter[str] = Counter()
-        objects = _objects(building, models, meshes or {}, grasps or {}, links)
+        objects = _objects(building, models, meshes or {}, links)
+        objects = [
+            replace(
+                item,
+                grasp=(grasps or {}).get(item.model.name),
+                symmetries=(symmetries or {}).get(item.model.name, Symmetries()),
+                frame=(frames or {}).get(item.model.name),
+            )
+            for item in objects
+        ]
         collected = _collect(building, spool, scenes, objects, links, fixed)
         messages: tuple[str, ...] = ()
         if fixed is not None:
@@ -232,7 +254,6 @@ def _objects(
     building: Path,
     models: Sequence[KeypointModel],
     meshes: Mapping[str, Path],
-    grasps: Mapping[str, Transform],
     links: Counter[str],
 ) -> list[CocoObject]:
     objects = []
@@ -241,7 +262,7 @@ def _objects(
         if model.name in meshes:
             mesh = f"meshes/{model.name}{meshes[model.name].suffix}"
             links[link(meshes[model.name], building / mesh)] += 1
-        objects.append(CocoObject(model, mesh, grasp=grasps.get(model.name)))
+        objects.append(CocoObject(model, mesh))
     return objects
 
 
@@ -273,17 +294,3 @@ def _write_splits(
         views=view_distances(collected.views, frames),
         messages=tuple(messages),
     )
-
-
-def exported_frames(folder: Path) -> dict[FrameKey, tuple[SplitName, int]]:
-    """Read the split and image id of every frame of an exported folder."""
-    names: tuple[SplitName, ...] = ("train", "val", "test")
-    found = {
-        (image["scene"], image["frame"]): (name, image["id"])
-        for name in names
-        if (folder / f"{name}.json").exists()
-        for image in read_json(folder / f"{name}.json")["images"]
-    }
-    if not found:
-        raise DataError(f"{folder} holds no exported COCO files; export the labels first")
-    return found

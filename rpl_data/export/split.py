@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
+from rpl_data.files import read_json
 from rpl_data.types import DataError
 
 SplitName = Literal["train", "val", "test"]
@@ -118,3 +120,17 @@ def _spares(objects_of: Mapping[str, set[str]], test: set[str]) -> bool:
     """Whether every object keeps a training scene, and there is one at all."""
     left = set(objects_of) - test
     return bool(left) and _objects(objects_of, left) == _objects(objects_of, set(objects_of))
+
+
+def assigned_splits(folder: Path) -> dict[FrameKey, tuple[SplitName, int]]:
+    """Read the split and image id of every frame of an exported folder."""
+    names: tuple[SplitName, ...] = ("train", "val", "test")
+    found = {
+        (image["scene"], image["frame"]): (name, image["id"])
+        for name in names
+        if (folder / f"{name}.json").exists()
+        for image in read_json(folder / f"{name}.json")["images"]
+    }
+    if not found:
+        raise DataError(f"{folder} holds no exported COCO files; export the labels first")
+    return found

@@ -6,9 +6,10 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 
 from rpl_data.export.color_images import ColorFormat
-from rpl_data.export.split import FrameKey, SplitName
+from rpl_data.export.split import FrameKey, SplitName, assigned_splits
 from rpl_data.pipeline.recipe import ExportRecipe
 from rpl_data.types import DataError, FrameLabel
+from rpl_data.workspace.workspace import Workspace
 
 SPLITS: tuple[SplitName, ...] = ("train", "val", "test")
 
@@ -89,3 +90,16 @@ def splits_like(known: Mapping[FrameKey, SplitName]) -> Callable[[FrameKey], Spl
         return known.get(frame, "test" if frame[0] in test else "train")
 
     return split_of
+
+
+def videos_with(workspace: Workspace, objects: Sequence[str]) -> set[str]:
+    """The recordings in which one of the objects has a pose."""
+    parts = workspace.parts()
+    return {
+        parts.video_of(scene) for name in objects for scene in workspace.load_placed(name).scene_from_object
+    }
+
+
+def recipe_splits(workspace: Workspace) -> dict[FrameKey, SplitName]:
+    """The split of each frame of the recipe's own export."""
+    return {key: split for key, (split, _) in assigned_splits(workspace.export("coco")).items()}

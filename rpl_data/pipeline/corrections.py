@@ -15,6 +15,7 @@ from rpl_data.files import read_json
 from rpl_data.formats.datasets.coco import instance_to_coco
 from rpl_data.json_arrays import Json
 from rpl_data.pipeline.context import Context
+from rpl_data.pipeline.frames import frames_for, moved_label
 from rpl_data.types import DataError, FrameLabel
 from rpl_data.wording import counted
 
@@ -53,8 +54,9 @@ def _our_images(context: Context) -> dict[FrameKey, OurImage]:
     """The exported images with their labels as computed, so that earlier corrections count as changes."""
     workspace = context.workspace
     exported = dict(_exported(workspace.export("coco")))
+    frames = frames_for(context, workspace)
     labels = {
-        (label.scene, label.frame): label
+        (label.scene, label.frame): moved_label(label, frames)
         for scene in dict.fromkeys(scene for scene, _ in exported)
         for label in workspace.load_labels(scene)
     }

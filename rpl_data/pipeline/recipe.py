@@ -61,6 +61,21 @@ class CropBox:
 
 
 @dataclass(frozen=True)
+class AxisRecipe:
+    """An axis about which an object looks the same after some turns; `rpl symmetry` shows such numbers.
+
+    Attributes:
+        axis: its direction, in the object frame of the workspace.
+        turns: 2 = after half a turn, 4 = after each quarter, `any` = after any.
+        point_m: a point on it, metres; the origin when left out.
+    """
+
+    axis: tuple[float, float, float]
+    turns: int | Literal["any"]
+    point_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
 class ObjectRecipe:
     """One object.
 
@@ -71,6 +86,8 @@ class ObjectRecipe:
             are already in the workspace (`rpl clicks import`, the annotation page).
         skeleton: pairs of keypoint numbers (from 0) to draw a line between.
         crop: cut the dense model to this box; rarely needed.
+        symmetry: `none`, or the axes about which it looks the same; what was confirmed by `rpl symmetry` when
+            left out.
     """
 
     name: str
@@ -78,6 +95,7 @@ class ObjectRecipe:
     clicks: Path | None = None
     skeleton: tuple[tuple[int, int], ...] = ()
     crop: CropBox | None = None
+    symmetry: Literal["none"] | tuple[AxisRecipe, ...] | None = None
 
     @property
     def keypoint_names(self) -> tuple[str, ...]:
@@ -170,6 +188,10 @@ class LabelRecipe:
         return self.method == "splat"
 
 
+FrameChoice = Literal["keypoints", "box", "up"] | tuple[str, str, str]
+"""The object frame of exports."""
+
+
 @dataclass(frozen=True)
 class ExportRecipe:
     """What is exported. A plain list, `export: [coco, yolo]`, gives the formats alone.
@@ -182,11 +204,16 @@ class ExportRecipe:
         color: format of the colour images of `bop` and `bop_onboarding`: `recorded` takes all as they are,
             `png` and `jpg` convert others. PNG suits readers that find the depth image by replacing `rgb` in
             a path.
+        frame: the object frame of poses, keypoints and meshes. `keypoints`: the workspace's own, with its
+            origin at their centroid; `box`: its axes, with the origin at the centre of the box around the
+            mesh; `up`: z up from the table, x along the longest side, origin at the centre of that box; or
+            three keypoints: the origin, where x points to, and a third in the plane of x and y.
     """
 
     formats: tuple[str, ...] = ("coco",)
     min_quality: float = 0.25
     color: ColorFormat = "recorded"
+    frame: FrameChoice = "keypoints"
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from rpl_data.formats.recordings.frames import has_frames, read_frames
 from rpl_data.formats.recordings.kinect import is_mkv, read_kinect
 from rpl_data.formats.recordings.labelfusion import is_log, read_labelfusion
 from rpl_data.formats.recordings.nerfstudio import is_nerfstudio, read_nerfstudio
+from rpl_data.formats.recordings.oak import is_holistic, refuse_oak
 from rpl_data.formats.recordings.polycam import is_polycam, read_polycam
 from rpl_data.formats.recordings.record3d import is_record3d, read_record3d
 from rpl_data.formats.recordings.ros.read import has_bags, read_ros
@@ -144,6 +145,8 @@ def only_format(path: Path) -> str:
     if not path.exists():
         raise DataError(f"there is no recording {path}; check the path")
     likely = likely_formats(path)
+    if not likely or is_holistic(path):
+        refuse_oak(path)
     if len(likely) == 1:
         return likely[0]
     known = f"`format` (--format), one of {', '.join(sorted(READERS | UNPACKERS))}"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypedDict
 
@@ -13,11 +13,12 @@ from jaxtyping import Float64, Int64
 from torch import Tensor
 from torch.utils.data import Dataset, get_worker_info
 
-from rpl_data.formats.datasets.coco import objects_from_coco, read_coco
+from rpl_data.formats.datasets.coco import CocoObject, objects_from_coco, read_coco
 from rpl_data.torch.heatmaps import draw_heatmaps
 from rpl_data.torch.image_files import read_image, to_unit_range
 from rpl_data.torch.pixel_cache import PixelCache, Rectangle, rectangle_around
 from rpl_data.torch.splits import split_file
+from rpl_data.torch.symmetric import canonical_label
 from rpl_data.torch.transforms import (
     Affine,
     Augmentation,
@@ -31,7 +32,7 @@ from rpl_data.torch.transforms import (
     reach,
     warped,
 )
-from rpl_data.types import DataError, KeypointModel
+from rpl_data.types import DataError, Intrinsics
 from rpl_data.wording import counted
 
 DISTORTION_LENGTH = 14
@@ -126,6 +127,7 @@ class KeypointDataset(Dataset[KeypointSample]):
         sigma_px: float = 1.0,
         augment: Augmentation | None = None,
         cache: bool | Path = False,
+        canonical: bool = False,
     ) -> None:
         """Read the annotations; images stay on disk unless cached.
 
@@ -140,6 +142,9 @@ class KeypointDataset(Dataset[KeypointSample]):
                 random state, so `torch.manual_seed` and DataLoader workers behave as usual.
             cache: keep the decoded pixels around each box: True for memory; a folder shares them between
                 processes and runs. Samples stay the same up to rounding to a grey level.
+            canonical: of the poses that look the same, by the object's symmetries in the export, label every
+                instance with the one whose axes are nearest to the camera's, and move keypoints and square
+                box with it; without symmetries nothing changes.
 
         Raises:
             DataError: there is no such split (the message says why), the file is not an export of rpl-data,
@@ -152,13 +157,16 @@ class KeypointDataset(Dataset[KeypointSample]):
         coco_json = split_file(path, split)
         data = read_coco(coco_json)
         self._coco_json = coco_json
-        self.model, category_id = _choose(data, object, coco_json)
+        chosen, category_id = _choose(data, object, coco_json)
+        self.model = chosen.model
         self.input_px, self.heatmap_px = input_px, heatmap_px
         self._sigma_px, self._augment = sigma_px, augment
         self._heatmap_from_crop = heatmap_from_crop(input_px=input_px, heatmap_px=heatmap_px)
         self._rows = _instances(data, category_id, coco_json.parent)
         if len(self._rows.files) == 0:
             raise NoInstance(f"{coco_json} has no instance of {self.model.name}; train on another split")
+        if canonical:
+            self._rows = _canonical(self._rows, chosen)
         self._points_object = torch.from_numpy(self.model.points_object.copy())
         self._cache = PixelCache(self._rows.files.tolist(), self._rectangles(), cache) if cache else None
 
@@ -241,16 +249,28 @@ class KeypointDataset(Dataset[KeypointSample]):
         ]
 
 
-def _choose(data: dict[str, Any], name: str | None, source: Path) -> tuple[KeypointModel, int]:
-    """Return the model and category id of the object asked for."""
-    models = [item.model for item in objects_from_coco(data)]
-    names = [model.name for model in models]
-    if name is None and len(models) == 1:
-        return models[0], 1
+def _choose(data: dict[str, Any], name: str | None, source: Path) -> tuple[CocoObject, int]:
+    """Return the object asked for and its category id."""
+    objects = objects_from_coco(data)
+    names = [item.model.name for item in objects]
+    if name is None and len(objects) == 1:
+        return objects[0], 1
     if name not in names:
         asked = "no object was named" if name is None else f"there is no object {name!r}"
         raise DataError(f"{source}: {asked}; choose one of {', '.join(names)}")
-    return models[names.index(name)], names.index(name) + 1
+    return objects[names.index(name)], names.index(name) + 1
+
+
+def _canonical(rows: _Instances, item: CocoObject) -> _Instances:
+    """Label every instance with the canonical one of the poses that look the same."""
+    points, found = item.model.points_object, []
+    for row, label in enumerate(zip(rows.camera_from_object, rows.keypoints, rows.square_boxes, strict=True)):
+        matrix, (width, height) = rows.camera_matrices[row], rows.sizes[row].tolist()
+        focal_and_centre = matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]
+        camera = Intrinsics(*focal_and_centre, width, height, tuple(rows.distortions[row].tolist()))
+        found.append(canonical_label(*label, item.symmetries, points, camera))
+    poses, keypoints, boxes = (np.array(values) for values in zip(*found, strict=True))
+    return replace(rows, camera_from_object=poses, keypoints=keypoints, square_boxes=boxes)
 
 
 def _instances(data: dict[str, Any], category_id: int, folder: Path) -> _Instances:

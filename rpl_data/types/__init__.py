@@ -37,6 +37,7 @@ from rpl_data.types.solution import (
     expected_mm,
 )
 from rpl_data.types.surfaces import Mesh, PointCloud
+from rpl_data.types.symmetry import FoundAxis, Symmetries, SymmetryAxis, SymmetryRecord, Turns
 
 __all__ = [
     "HINTS",
@@ -52,6 +53,7 @@ __all__ = [
     "DepthCamera",
     "DepthCoding",
     "DepthWarp",
+    "FoundAxis",
     "Frame",
     "FrameLabel",
     "GreyImage",
@@ -74,6 +76,10 @@ __all__ = [
     "SquareBox",
     "Statement",
     "StatementKind",
+    "Symmetries",
+    "SymmetryAxis",
+    "SymmetryRecord",
+    "Turns",
     "Trajectory",
     "UnsureError",
     "expected_mm",

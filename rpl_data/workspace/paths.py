@@ -23,7 +23,8 @@ class Paths:
                                       surface.ply  cache/  images/
                                       parts.json, when it was cut into scenes/<scene>.1/, <scene>.2/, ...
         objects/<object>/             clicks.jsonl  solution.json  refined.json  placed.json  mesh.ply
-                                      cloud.ply  given.ply  grasp.json
+                                      cloud.ply  given.ply  grasp.json  symmetry.json
+                                      exported.ply
         labels/<scene>.jsonl          one line per frame
         labels/<scene>.left_out.json  frames that the user excluded from exports
         export/<format>/              coco, coco_truth, ...
@@ -138,6 +139,10 @@ class Paths:
         """The dense model as triangles, in the object frame, metres."""
         return self._object(object_name) / "mesh.ply"
 
+    def exported_mesh_file(self, object_name: str) -> Path:
+        """The dense model in the frame of the exports, where the recipe asks for another than its own."""
+        return self._object(object_name) / "exported.ply"
+
     def cloud_file(self, object_name: str) -> Path:
         """The dense model as points, in the object frame, metres."""
         return self._object(object_name) / "cloud.ply"
@@ -145,6 +150,10 @@ class Paths:
     def given_mesh_file(self, object_name: str) -> Path:
         """The mesh that the user supplied for the object, in the frame of its known keypoints, metres."""
         return self._object(object_name) / "given.ply"
+
+    def symmetry_file(self, object_name: str) -> Path:
+        """What was found of the object's symmetry, and what a person confirmed."""
+        return self._object(object_name) / "symmetry.json"
 
     def grasp_file(self, object_name: str) -> Path:
         """The grasp frame in the object frame."""

@@ -31,6 +31,7 @@ from rpl_data.types import (
     Mesh,
     Placement,
     Solution,
+    SymmetryRecord,
 )
 from rpl_data.workspace import click_files, records
 from rpl_data.workspace.correction_records import corrections_from_json, corrections_to_json
@@ -38,6 +39,7 @@ from rpl_data.workspace.label_arrays import LabelArrays, label_arrays
 from rpl_data.workspace.placement_records import placements_from_json, placements_to_json
 from rpl_data.workspace.scene_files import SceneFiles
 from rpl_data.workspace.summary import summary
+from rpl_data.workspace.symmetry_records import symmetry_from_json, symmetry_to_json
 
 
 @dataclass(frozen=True, init=False, repr=False)
@@ -132,6 +134,18 @@ class Workspace(SceneFiles):
         else:
             content = {"object_from_grasp": numbers(object_from_grasp)}
             write_json(self.grasp_file(object_name), content)
+
+    def save_symmetry(self, object_name: str, record: SymmetryRecord) -> None:
+        """Write `symmetry.json`."""
+        write_json(self.symmetry_file(object_name), symmetry_to_json(record))
+
+    def load_symmetry(self, object_name: str) -> SymmetryRecord | None:
+        """What is known of an object's symmetry, in the frame it had then; None where nobody asked."""
+        path = self.symmetry_file(object_name)
+        if not path.exists():
+            return None
+        with decoding(path, "delete it, and run `rpl symmetry` again"):
+            return symmetry_from_json(read_json(path))
 
     # Labels ---------------------------------------------------------------------------------------
 

@@ -25,7 +25,7 @@ from rpl_data.formats.datasets.coco import (
     writing_coco,
 )
 from rpl_data.geometry import from_rotvec
-from rpl_data.types import DataError, Frame, FrameLabel, InstanceLabel
+from rpl_data.types import DataError, Frame, FrameLabel, InstanceLabel, Symmetries, SymmetryAxis
 
 OBJECTS = (CocoObject(BOX, "meshes/box.ply"), CocoObject(CAN))
 LABELS = (
@@ -310,3 +310,17 @@ def test_scores_one_against_itself(data, tmp_path, kind, capsys):
         evaluation.accumulate()
         evaluation.summarize()
         assert evaluation.stats[0] == pytest.approx(1.0, abs=1e-9)
+
+
+def test_symmetries_come_back_and_an_axis_without_direction_is_named(data):
+    half_turn = tuple(np.diag([-1.0, 1.0, -1.0, 1.0]).ravel().tolist())
+    item = CocoObject(
+        BOX, symmetries=Symmetries((half_turn,), (SymmetryAxis((0.0, 0.0, 1.0), (0.0, 0.0, 0.1)),))
+    )
+    written = header([item, OBJECTS[1]])
+    data["rpl"] = written["rpl"]
+    assert [found.symmetries for found in objects_from_coco(data)] == [item.symmetries, Symmetries()]
+    validate_coco(data, source="x")
+    data["rpl"]["objects"][0]["symmetries_continuous"][0]["axis"] = [0, 0, 0]
+    with pytest.raises(DataError, match=r"object box: symmetries_continuous: .*0, 0, 0"):
+        validate_coco(data, source="x")

@@ -111,6 +111,41 @@ def test_poses_on_the_logs_own_clock(log: Path) -> None:
     assert recording.trajectory is not None and recording.trajectory.frames.tolist() == [0, 1, 2, 3, 4]
 
 
+@pytest.mark.parametrize(
+    ("per_s", "rate_hz", "start_s"),
+    [
+        (1000, 30, 0),
+        (1000, 3, 1_700_000_000),
+        (10**9, 30, 1_700_000_000),
+        (10**9, 1, 0),
+        (10**5, 30, 0),  # five decimals without their point
+        (10**7, 30, 1_700_000_000),
+        (10**6, 2, 0),
+        (1, 1, 1_700_000_000),
+    ],
+)
+@pytest.mark.parametrize("written", ["seconds", "as if microseconds", "unchanged"])
+def test_times_in_other_units(
+    per_s: int, rate_hz: float, start_s: float, written: str, tmp_path: Path
+) -> None:
+    """The step in seconds is found, and poses are matched whatever the program took the log's times for."""
+    times = [round((start_s + i / rate_hz) * per_s) for i in range(6)]
+    log = make_log(tmp_path / "a.klg", times=times)
+    unit = {"seconds": 1 / per_s, "as if microseconds": 1e-6, "unchanged": 1.0}[written]
+    write_pose_lines(tmp_path / "a.klg.freiburg", [t * unit for t in times], poses(6))
+    recording = read(log)
+    steps_s = np.diff([frame.timestamp_s for frame in recording.scene.frames])
+    np.testing.assert_allclose(steps_s, 1 / rate_hz, rtol=0.03)
+    assert any("times are not microseconds" in note for note in recording.notes) == (per_s != 10**6)
+    assert recording.trajectory is not None and recording.trajectory.frames.tolist() == list(range(6))
+
+
+def test_counted_frames_of_a_log(tmp_path: Path) -> None:
+    recording = read(make_log(tmp_path / "a.klg", times=list(range(6))))
+    np.testing.assert_allclose([frame.timestamp_s for frame in recording.scene.frames], np.arange(6) / 30)
+    assert any("units of 0.03333 s assumed" in note for note in recording.notes)
+
+
 def test_an_empty_trajectory_of_a_killed_run(log: Path) -> None:
     Path(f"{log}.freiburg").write_text("")
     with pytest.raises(DataError, match="is empty .as ElasticFusion leaves it when it is killed"):

@@ -316,3 +316,44 @@ def test_a_camera_for_images_of_twice_the_size_is_halved(tmp_path: Path) -> None
     path.write_text(json.dumps(json.loads(path.read_text()) | bigger))
     camera = read(tmp_path / "a", "nerfstudio").scene.intrinsics
     assert (camera.fx, camera.cx, camera.width) == (50, 31.5, 64)
+
+
+# One truth per fact -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["polycam", "scanner_app", "nerfstudio"])
+def test_a_camera_file_beside_a_recording_says_the_unit(name: str, tmp_path: Path) -> None:
+    """It is believed, also above the scene; where the recipe says something else, that is an error."""
+    WRITERS[name](tmp_path / "scenes/a", film())
+    (tmp_path / "scenes/camera.txt").write_text("50 51 31.5 23.5\nmetres_per_unit 0.002\n")
+    (found,) = open_recordings(tmp_path / "scenes/a", unpack=tmp_path / "images")
+    assert found.scene.metres_per_unit == 0.002
+    with pytest.raises(DataError, match=r"camera.txt says 0.002 m per unit of depth, but metres_per_unit of"):
+        open_recordings(tmp_path / "scenes/a", unpack=tmp_path / "images", metres_per_unit=0.001)
+    (tmp_path / "scenes/camera.txt").write_text("60 51 31.5 23.5\n")
+    with pytest.raises(DataError, match=r"says fx fy cx cy = 50 51 31.5 23.5, but .*camera.txt says 60 51"):
+        open_recordings(tmp_path / "scenes/a", unpack=tmp_path / "images")
+    (found,) = open_recordings(tmp_path / "scenes/a", unpack=tmp_path / "images", camera=LENS)
+    assert found.scene.intrinsics.fx == 50
+
+
+def test_a_camera_file_beside_a_scan_or_a_capture(tmp_path: Path) -> None:
+    write_stray(tmp_path / "a", film())
+    (tmp_path / "camera.txt").write_text("50 51 31.5 23.5\nmetres_per_unit 0.002\n")
+    assert read_scan("a", tmp_path / "a", tmp_path / "out", None, None).scene.metres_per_unit == 0.002
+    write_r3d(tmp_path / "a.r3d", film())  # whose depth is in metres
+    with pytest.raises(DataError, match=r"says 1 m per unit of depth, but .*camera.txt says 0.002"):
+        read_capture("a", tmp_path / "a.r3d", tmp_path / "out", None, None)
+    (tmp_path / "camera.txt").write_text("50.1 51 31.5 23.5\nmetres_per_unit 1\n")
+    read_capture("a", tmp_path / "a.r3d", tmp_path / "out", None, None)
+    with pytest.raises(DataError, match=r"camera.txt says 1 m per unit of depth, but metres_per_unit of"):
+        read_capture("a", tmp_path / "a.r3d", tmp_path / "out", 0.001, None)
+
+
+def test_a_unit_in_transforms_json_and_another_in_the_camera_file(tmp_path: Path) -> None:
+    write_nerfstudio(tmp_path / "a", film())
+    path = tmp_path / "a/transforms.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"depth_unit_scale_factor": 0.002}))
+    (tmp_path / "a/camera.txt").write_text("50 51 31.5 23.5\nmetres_per_unit 0.001\n")
+    with pytest.raises(DataError, match=r"says 0.002 m per unit of depth, but .*camera.txt says 0.001"):
+        open_recordings(tmp_path / "a", unpack=tmp_path / "images")

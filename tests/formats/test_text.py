@@ -55,7 +55,16 @@ def test_commas_alone_are_refused(path: Path, old: str, new: str) -> None:
         read_pose_rows(path)
 
 
-@pytest.mark.parametrize("lost", ["nan nan nan nan nan nan nan", "-inf 0 0 0 0 0 1", "0 0 0 0 0 0 0"])
+LOST = (
+    "nan nan nan nan nan nan nan",
+    "-inf 0 0 0 0 0 1",
+    "0 0 0 0 0 0 0",
+    "-nan(ind) 0 0 0 0 0 1",
+    "0 -1.#IND 0 0 0 0 1",
+)
+
+
+@pytest.mark.parametrize("lost", LOST)
 def test_rows_of_a_lost_tracker_are_left_out_and_counted(path: Path, lost: str) -> None:
     path.write_text(path.read_text() + f"0.4 {lost}\n")
     rows = read_pose_rows(path)

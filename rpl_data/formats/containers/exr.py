@@ -28,6 +28,9 @@ _TYPES: dict[int, np.dtype] = {0: np.dtype("<u4"), 1: np.dtype("<f2"), 2: np.dty
 _LINES = {0: 1, 1: 1, 2: 1, 3: 16}
 """Scan lines per block by compression: none, RLE, zip of a line, zip of 16 lines."""
 
+_REFUSED = ("PIZ", "PXR24", "B44", "B44A", "DWAA", "DWAB")
+"""Names of the compressions from number 4 on."""
+
 _MOST_BLOCK_BYTES = 2**26
 """Of 16 scan lines: of 8192 pixels in 128 channels of 4 bytes. A few bytes never unpack to gigabytes."""
 
@@ -107,7 +110,8 @@ def _header(data: bytes) -> _Header:
     if min(width, height) <= 0 or width * height > MOST_PIXELS:
         raise ValueError(f"{width} x {height} pixels")
     if compression not in _LINES:
-        raise ValueError(f"compression {compression}")
+        name = _REFUSED[compression - 4] if 0 <= compression - 4 < len(_REFUSED) else f"number {compression}"
+        raise ValueError(f"its compression is {name}")
     return _Header(_channels(attributes["channels"]), compression, width, height, at + 1)
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import UInt8
@@ -39,10 +41,42 @@ def video_frames(path: Path) -> Iterator[tuple[float | None, UInt8[np.ndarray, "
         width, height = getattr(stream, "width", 0), getattr(stream, "height", 0)  # none without a decoder
         if not 0 < width * height <= MOST_PIXELS:
             raise DataError(f"{path} has frames of {width} x {height} px; expected a video")
-        try:
-            for frame in container.decode(stream):
-                if frame.width * frame.height > MOST_PIXELS:
-                    return
-                yield frame.time, frame.to_ndarray(format="rgb24")
-        except av.error.FFmpegError:
-            return  # the rest was cut off; who counts frames misses them
+        for frame in _frames(container, stream):
+            if frame.width * frame.height > MOST_PIXELS:
+                return
+            time_s = None if frame.pts is None else float(frame.pts * stream.time_base)
+            yield time_s, frame.to_ndarray(format="rgb24")
+
+
+def _frames(container: Any, stream: Any) -> Iterator[Any]:
+    """Decode the whole frames of a stream in the order in which they are shown, without a gap.
+
+    Decoders hold some frames back, since a video may store a frame before others that are shown earlier.
+    Where the file ends, those others may be lost: what is held back is given as far as it follows on.
+    """
+    from av.error import FFmpegError
+
+    shown: list[int] = []
+    stored = 0
+    with suppress(FFmpegError):
+        for packet in container.demux(stream):
+            if not packet.size or packet.is_corrupt:
+                break
+            stored += 1
+            for frame in packet.decode():
+                shown.append(frame.pts or 0)
+                yield frame
+    is_whole = stored == stream.frames
+    with suppress(FFmpegError):
+        for frame in stream.codec_context.decode(None):
+            if not is_whole and not _follows_on(shown, frame.pts or 0):
+                return
+            shown.append(frame.pts or 0)
+            yield frame
+
+
+def _follows_on(shown: Sequence[int], time: int) -> bool:
+    """Whether no frame is missing between the times shown and another, going by their usual distance."""
+    if len(shown) < 2:
+        return not shown and time == 0
+    return time - shown[-1] < 1.5 * float(np.median(np.diff(shown)))

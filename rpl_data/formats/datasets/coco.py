@@ -25,27 +25,12 @@ from jaxtyping import Float64
 from rpl_data.files import read_json, writing
 from rpl_data.formats.datasets.coco_check import validate_coco
 from rpl_data.formats.datasets.coco_edited import as_exported
-from rpl_data.geometry import Transform
-from rpl_data.json_arrays import Json, asdict_values, matrix_from_json, numbers, rows_from_json, rows_to_json
-from rpl_data.types import Box, Frame, FrameLabel, InstanceLabel, Intrinsics, KeypointModel, Rle, SquareBox
+from rpl_data.formats.datasets.coco_objects import CocoObject as CocoObject
+from rpl_data.formats.datasets.coco_objects import category_to_coco, object_to_coco
+from rpl_data.formats.datasets.coco_objects import objects_from_coco as objects_from_coco
+from rpl_data.json_arrays import Json, asdict_values, matrix_from_json, numbers
+from rpl_data.types import Box, Frame, FrameLabel, InstanceLabel, Intrinsics, Rle, SquareBox
 from rpl_data.version import installed_version
-
-
-@dataclass(frozen=True)
-class CocoObject:
-    """An object as described in the file.
-
-    Attributes:
-        mesh: path of its mesh, relative to the JSON file's folder; None when there is none.
-        symmetries: rigid transforms (16 numbers, row-major) that leave the object looking the same.
-        grasp: `object_from_grasp` where the user marked one: z out of the surface, x along it.
-    """
-
-    model: KeypointModel
-    mesh: str | None = None
-    symmetries: tuple[tuple[float, ...], ...] = ()
-    grasp: Transform | None = None
-
 
 # To COCO ------------------------------------------------------------------------------------------
 
@@ -55,32 +40,11 @@ def header(objects: Sequence[CocoObject]) -> Json:
     return {
         "info": {"description": "made by rpl-data", "version": "1.0"},
         "licenses": [],
-        "categories": [_category(number, item.model) for number, item in enumerate(objects, start=1)],
+        "categories": [category_to_coco(number, item.model) for number, item in enumerate(objects, start=1)],
         "rpl": {
             "version": installed_version(),
-            "objects": [_object(number, item) for number, item in enumerate(objects, start=1)],
+            "objects": [object_to_coco(number, item) for number, item in enumerate(objects, start=1)],
         },
-    }
-
-
-def _category(number: int, model: KeypointModel) -> Json:
-    return {
-        "id": number,
-        "name": model.name,
-        "supercategory": "object",
-        "keypoints": list(model.keypoints),
-        "skeleton": [[a + 1, b + 1] for a, b in model.skeleton],  # COCO counts from 1 here
-    }
-
-
-def _object(number: int, item: CocoObject) -> Json:
-    return {
-        "name": item.model.name,
-        "category_id": number,
-        "points_object": rows_to_json(item.model.points_object),
-        "mesh": item.mesh,
-        "symmetries": [list(symmetry) for symmetry in item.symmetries],
-        **({} if item.grasp is None else {"object_from_grasp": numbers(item.grasp)}),
     }
 
 
@@ -160,30 +124,6 @@ def _box_of(mask: Rle) -> list[float]:
 
 
 # From COCO ----------------------------------------------------------------------------------------
-
-
-def objects_from_coco(data: Mapping[str, Any]) -> list[CocoObject]:
-    """Read the objects of a file, in the order of their category ids."""
-    described = {item["category_id"]: item for item in data["rpl"]["objects"]}
-    return [
-        CocoObject(
-            KeypointModel(
-                name=category["name"],
-                keypoints=tuple(category["keypoints"]),
-                points_object=rows_from_json(described[category["id"]]["points_object"], 3),
-                skeleton=tuple((a - 1, b - 1) for a, b in category["skeleton"]),
-            ),
-            mesh=described[category["id"]]["mesh"],
-            symmetries=tuple(tuple(s) for s in described[category["id"]]["symmetries"]),
-            grasp=_grasp(described[category["id"]]),
-        )
-        for category in sorted(data["categories"], key=lambda c: int(c["id"]))
-    ]
-
-
-def _grasp(described: Mapping[str, Any]) -> Transform | None:
-    given = described.get("object_from_grasp")
-    return None if given is None else matrix_from_json(given)
 
 
 def intrinsics_from_coco(image: Mapping[str, Any]) -> Intrinsics:

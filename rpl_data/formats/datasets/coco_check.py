@@ -10,6 +10,7 @@ import numpy as np
 from rpl_data.files import FAULTS, decoding
 from rpl_data.formats.datasets.coco_edited import REMEDY, check_packed
 from rpl_data.json_arrays import Json, each, flag, matrix_from_json, number, optional, text, whole
+from rpl_data.symmetries import symmetries_from_json
 from rpl_data.types import DataError
 
 TOP_KEYS = ("images", "annotations", "categories", "rpl")
@@ -156,8 +157,13 @@ def _check_categories(categories: Mapping[int, Json], objects: Any, source: str)
         for pair in category["skeleton"]:
             if len(pair) != 2 or not all(1 <= end <= count for end in pair):
                 raise _wrong(where, f"skeleton ends from 1 to {count}", category["skeleton"])
-        for transform in (*item["symmetries"], *filter(None, [item.get("object_from_grasp")])):
-            _check_rigid(transform, f"{where}: symmetries, object_from_grasp")
+        try:
+            symmetries_from_json(item)
+        except FAULTS as error:
+            raise DataError(f"{where}: symmetries_continuous: {error}; {REMEDY}") from error
+        others = filter(None, (item.get("object_from_grasp"), item.get("frame_from_object")))
+        for transform in (*item["symmetries"], *others):
+            _check_rigid(transform, f"{where}: symmetries, object_from_grasp, frame_from_object")
 
 
 def _check_instance(annotation: Json, image: Json, category: Json, where: str) -> None:

@@ -9,8 +9,8 @@
 
 The two tools read the first line only; the other lines are ours. `rpl capture` writes them, so that a
 recording holds everything that its camera reported. Many tools write the matrix K instead, in three lines of
-three numbers or four of four; it is read too. What the file says holds for every format that brings no
-calibration of its own from the camera or its app.
+three numbers or four of four; it is read too. What the file says holds for every format but those of
+one file that hold the camera's own calibration; where a phone's app names its camera too, the two must agree.
 """
 
 from __future__ import annotations

@@ -44,9 +44,18 @@ from rpl_data.formats.recordings.frame_files import (
 from rpl_data.formats.recordings.pose_lines import PoseRows, nearest, read_pose_rows
 from rpl_data.formats.recordings.saved_images import write_images
 from rpl_data.formats.recordings.scene_folders import chosen
-from rpl_data.formats.recordings.times import USUAL_STEPS_S, refuse_jumping
+from rpl_data.formats.recordings.times import (
+    FRAME_RATE_HZ,
+    USUAL_STEPS_S,
+    clock_of,
+    refuse_jumping,
+)
 from rpl_data.geometry import Transform
-from rpl_data.types import DataError, Frame, Recording
+from rpl_data.types import DataError, Recording
+
+_MICROSECOND = 1e-6
+_DATES_S = (1e9, 2.2e9)
+"""Seconds since 1970 in the years 2001 to 2039."""
 
 
 def read_klg(
@@ -85,9 +94,10 @@ def _read_log(
     name: str, log: Path, folder: Path, unit_m: float | None, camera: Camera | None, bgr: bool
 ) -> Recording:
     index = index_klg(log)
-    times_s, notes = _times_s(log, index)
+    stored = np.array([entry.time for entry in index.entries], dtype=float)
+    unit_s, notes = _unit_s(log, stored)
     told = _told_of(log, camera, unit_m)
-    pairs, broken = _unpack(log, index, times_s, folder, bgr)
+    pairs, broken = _unpack(log, index, stored * unit_s, folder, bgr)
     listing = Listing(
         name,
         log,
@@ -105,7 +115,7 @@ def _read_log(
         return without_poses(recording, poses.name)
     rows = read_pose_rows(poses)
     recording = replace(recording, skipped=(*recording.skipped, *rows.lost))
-    matched = _match(poses, rows, index, recording.scene.frames)
+    matched = _match(poses, rows, stored, unit_s, [frame.index for frame in recording.scene.frames])
     return with_poses(recording, matched, without=f"without a pose in {poses.name} at their time")
 
 
@@ -119,22 +129,29 @@ def _loss(index: KlgIndex) -> list[str]:
     return []
 
 
-def _times_s(log: Path, index: KlgIndex) -> tuple[Float64[np.ndarray, " n"], tuple[str, ...]]:
-    """Time of every frame in seconds.
+def _unit_s(log: Path, stored: Float64[np.ndarray, " n"]) -> tuple[float, tuple[str, ...]]:
+    """Seconds per unit of the stored times, which are microseconds by the format, and a note where not.
 
     png_to_klg stores the digits of the time it read, without the point: seconds that do not have six decimals
-    are then not microseconds, and are scaled by the power of ten that comes nearest to 30 frames per second.
+    are then not microseconds. Times since 1970 tell their unit by their size, others by their usual step as
+    in all formats, or else by the power of ten that comes nearest to 30 frames per second.
     """
-    stored = np.array([entry.time for entry in index.entries], dtype=float)
     refuse_jumping(stored.tolist(), log)
     step = float(np.median(np.abs(np.diff(stored)))) if len(stored) > 1 else 0.0
-    if step == 0 or USUAL_STEPS_S[0] <= step * 1e-6 <= USUAL_STEPS_S[1]:
-        return stored * 1e-6, ()
-    unit_s = 10.0 ** -round(float(np.log10(step * 30)))
-    note = (
-        f"times are not microseconds (frames would be {step * 1e-6:g} s apart): units of {unit_s:g} s assumed"
-    )
-    return stored * unit_s, (note,)
+    if step == 0:
+        return _MICROSECOND, ()
+    dated = [10.0**-digits for digits in range(10) if _DATES_S[0] < stored[0] * 10.0**-digits < _DATES_S[1]]
+    clock = clock_of(stored.tolist(), log)
+    if dated and USUAL_STEPS_S[0] <= step * dated[0] <= USUAL_STEPS_S[1]:
+        unit_s = dated[0]
+    elif clock.note:
+        unit_s = clock.unit_s
+    else:
+        unit_s = 10.0 ** -round(float(np.log10(step * FRAME_RATE_HZ)))
+    if unit_s == _MICROSECOND:
+        return unit_s, ()
+    odd = f"times are not microseconds (frames would be {step * 1e-6:g} s apart)"
+    return unit_s, (f"{odd}: units of {unit_s:.4g} s assumed",)
 
 
 def _told_of(log: Path, camera: Camera | None, unit_m: float | None) -> Told:
@@ -177,10 +194,16 @@ def _unpack_frame(
     return write_images(folder, number, color, depth, lossless=True)
 
 
-def _match(poses: Path, rows: PoseRows, index: KlgIndex, frames: Sequence[Frame]) -> dict[int, Transform]:
-    """Match a pose to each frame by time, on the clock that fits: microseconds, or the log's own numbers."""
-    numbers = [frame.index for frame in frames]
-    stored = np.array([index.entries[number].time for number in numbers], dtype=float)
-    apart = [float(np.median(nearest(rows.times * unit, stored)[1])) for unit in (1e6, 1.0)]
-    unit = (1e6, 1.0)[int(np.argmin(apart))]
-    return match_poses(rows.times * unit * 1e-6, rows.poses, numbers, stored * 1e-6, source=str(poses))
+def _match(
+    poses: Path, rows: PoseRows, stored: Float64[np.ndarray, " n"], unit_s: float, numbers: Sequence[int]
+) -> dict[int, Transform]:
+    """Match a pose to each frame by time, on the clock that fits.
+
+    ElasticFusion takes the log's times for microseconds, or with -icl writes them unchanged; other programs
+    write true seconds.
+    """
+    times = stored[list(numbers)]
+    clocks = (1 / _MICROSECOND, 1.0, 1 / unit_s)
+    apart = [float(np.median(nearest(rows.times * clock, times)[1])) for clock in clocks]
+    pose_times_s = rows.times * (clocks[int(np.argmin(apart))] * unit_s)
+    return match_poses(pose_times_s, rows.poses, numbers, times * unit_s, source=str(poses))

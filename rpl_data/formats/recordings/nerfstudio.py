@@ -55,7 +55,7 @@ def read_nerfstudio(
         path: a folder with transforms.json, or with such folders.
         unpack: returns the folder for depth that is no 16-bit PNG, given the scene's name.
         names: which scenes to read, by folder name.
-        metres_per_unit: unit of the depth images; that of the file, or 0.001.
+        metres_per_unit: unit of the depth images; that of the file or of a camera.txt, else 0.001, when None.
         camera: used instead of the file's.
 
     Raises:
@@ -80,7 +80,7 @@ def _scene(name: str, folder: Path) -> Phone:
         listed.sort(key=lambda frame: _key(str(frame["file_path"])))
         scale = float(said.get("applied_scale", 1.0))
         frames = [_frame(folder, index, said, frame, scale) for index, frame in enumerate(listed)]
-        unit_m = float(said.get("depth_unit_scale_factor", 0.001))
+        unit_m = float(said["depth_unit_scale_factor"]) if "depth_unit_scale_factor" in said else None
         size = (int(said["w"]), int(said["h"])) if "w" in said and "h" in said else None
     notes = [f"no times: {FRAME_RATE_HZ:g} frames per second assumed"]
     notes += [f"the world was scaled by {scale:g}, which is undone"] if scale != 1 else []

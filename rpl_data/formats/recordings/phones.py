@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from rpl_data.files import read_json, write_bytes
+from rpl_data.formats.recordings.camera_file import CameraFile, told_of
 from rpl_data.formats.recordings.color_lens import COLOR_LENS, camera_numbers, stretched
 from rpl_data.formats.recordings.depth_files import (
     STORED_UNIT_M,
@@ -73,7 +74,8 @@ class Phone:
         frames: its frames.
         camera: of all frames; empty where every frame has its own.
         camera_px: width and height of the images that the cameras are for; None = the images themselves.
-        metres_per_unit: of whole-numbered depth.
+        metres_per_unit: of the app's depth, where the app says it.
+        rewritten_m: unit of the depth images where the reader has written them itself.
         notes, skipped: what was assumed and left out so far.
     """
 
@@ -83,7 +85,8 @@ class Phone:
     frames: Sequence[PhoneFrame]
     camera: Camera = ()
     camera_px: tuple[int, int] | None = None
-    metres_per_unit: float = 0.001
+    metres_per_unit: float | None = None
+    rewritten_m: float | None = None
     notes: tuple[str, ...] = ()
     skipped: tuple[str, ...] = ()
 
@@ -129,25 +132,32 @@ def phone_recording(
     Args:
         phone: the scene.
         unpack: returns the folder for depth images that are rewritten.
-        metres_per_unit: unit of the depth images; that of the format when None.
+        metres_per_unit: unit of the depth images; that of the app or of a camera.txt, else 0.001, when None.
         camera: used instead of the app's.
 
     Raises:
-        DataError: no frame is complete, or the camera or the depth unit does not fit the images.
+        DataError: no frame is complete, there is no camera, a camera.txt says something else than the app,
+            or the camera or the depth unit does not fit the images.
     """
     if not phone.frames:
         raise DataError(f"{phone.folder} holds no frame with a colour and a depth image; export it again")
-    own, notes = _camera_of(phone)
-    unit_m = phone.metres_per_unit if metres_per_unit is None else metres_per_unit
-    pairs, stored_m, doubted = _trusted(phone, unit_m, metres_per_unit, unpack)
+    own, notes = ((), ()) if camera else _camera_of(phone)
+    said = CameraFile(_for_images(phone, own), phone.metres_per_unit) if own else None
+    told = told_of(
+        phone.folder, camera=camera, metres_per_unit=metres_per_unit, own=said, own_source=phone.folder
+    )
+    if told.camera is None:
+        raise DataError(f"{phone.folder} names no camera; give `camera: [fx, fy, cx, cy]`")
+    unit_m = phone.rewritten_m or told.metres_per_unit or 0.001
+    pairs, stored_m, doubted = _trusted(phone, unit_m, told.metres_per_unit, unpack)
     recording = examine(
         Listing(
             phone.name,
             phone.folder,
             phone.format,
             pairs,
-            camera or _for_images(phone, own),
-            phone.folder,
+            told.camera,
+            told.source,
             stored_m,
             depth_camera=COLOR_LENS,
             notes=(*phone.notes, *notes, *doubted),
@@ -161,12 +171,12 @@ def phone_recording(
 
 
 def _camera_of(phone: Phone) -> tuple[Camera, tuple[str, ...]]:
-    """The camera of all frames, and a note where they differ."""
+    """The camera of all frames, empty where there is none, and a note where they differ."""
     if phone.camera:
         return phone.camera, ()
     own = np.array([frame.camera[:4] for frame in phone.frames if len(frame.camera) >= 4], dtype=float)
     if not len(own) or not np.isfinite(own).all():
-        raise DataError(f"{phone.folder} names no camera; give `camera: [fx, fy, cx, cy]`")
+        return (), ()
     lens, notes = median_camera(own)
     return (*lens, *phone.frames[0].camera[4:]), notes
 

@@ -65,9 +65,13 @@ def finite_numbers(tokens: Sequence[str], path: Path, number: int) -> list[float
 def numbers(tokens: Sequence[str], path: Path, number: int) -> list[float]:
     """Convert the words of a line to numbers, NaN and infinity too; DataError naming the line for others."""
     try:
-        return [float(token) for token in tokens]
+        return [math.nan if _WINDOWS_NAN.fullmatch(token) else float(token) for token in tokens]
     except ValueError as error:
         raise DataError(f"{path} line {number}: {error}; repair or delete the line") from error
+
+
+_WINDOWS_NAN = re.compile(r"-?nan\((?:ind|snan)\)|-?1\.#(?:IND|QNAN|INF)\d*", re.IGNORECASE)
+"""What C programs on Windows write for numbers that are none."""
 
 
 def split_words(line: str) -> list[str]:

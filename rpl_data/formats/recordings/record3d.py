@@ -134,9 +134,9 @@ def read_capture(
                        _pose(said, number))
         )  # fmt: skip
     skipped = (*members.lost, *grouped(broken, "with a damaged colour, depth or confidence image"))
-    phone = Phone(name, path, "record3d", frames, (), said.color_px, STORED_UNIT_M,
+    phone = Phone(name, path, "record3d", frames, (), said.color_px, 1.0, STORED_UNIT_M,
                   (DOUBTED,) if marked else (), skipped)  # fmt: skip
-    return phone_recording(phone, lambda: out, metres_per_unit=None, camera=camera)
+    return phone_recording(phone, lambda: out, metres_per_unit=metres_per_unit, camera=camera)
 
 
 def _metadata(path: Path, members: Members) -> _Said:

@@ -7,6 +7,8 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
+import numpy as np
+
 from rpl_data.export import (
     ExportScene,
     ExportSummary,
@@ -25,18 +27,19 @@ from rpl_data.export import (
     export_ycb_video,
     export_yolo,
 )
-from rpl_data.export.coco import exported_frames
 from rpl_data.export.color_images import ColorFormat
 from rpl_data.export.corrections import Corrector
 from rpl_data.export.dialect import DialectSummary
-from rpl_data.export.split import FrameKey, SplitName
 from rpl_data.json_arrays import Json, finite_or_none
-from rpl_data.pipeline.choice import ExportChoice, splits_like
+from rpl_data.pipeline.choice import ExportChoice, recipe_splits, splits_like, videos_with
 from rpl_data.pipeline.context import Context, step, truth_workspace
+from rpl_data.pipeline.frames import exported_mesh, frames_for, moved_label, moved_model
 from rpl_data.pipeline.good_enough import Keep, QualityTally
 from rpl_data.pipeline.grasp import save_grasps
 from rpl_data.pipeline.ledger import Advance, Ledger, Outcome, Step
-from rpl_data.types import DataError, FrameLabel
+from rpl_data.pipeline.symmetry import frame_change, symmetry_turns
+from rpl_data.symmetries import moved_symmetries, symmetries_of
+from rpl_data.types import DataError, FrameLabel, KeypointModel, Symmetries
 from rpl_data.wording import counted
 from rpl_data.workspace.workspace import Workspace
 
@@ -75,9 +78,13 @@ def _export_step(context: Context, name: str) -> Step:
 
     left_out = {scene: sorted(context.workspace.load_left_out(scene)) for scene in context.placed_videos()}
     annotations = [context.workspace.load_annotation(item) for item in context.object_names]
+    symmetries = {
+        item.name: [asdict(one) for one in symmetry_turns(context, item)] for item in context.objects
+    }
     chosen = {
         "left_out": {scene: frames for scene, frames in left_out.items() if frames},
         "corrections": context.workspace.corrections_digest(),
+        "symmetries": {name: turns for name, turns in symmetries.items() if turns},
         "grasps": {item.object: asdict(item.grasp) for item in annotations if item.grasp is not None},
         "color": context.recipe.export.color if name in CONVERTING else "recorded",
     }
@@ -86,6 +93,7 @@ def _export_step(context: Context, name: str) -> Step:
         "split": asdict(context.recipe.split),
         "objects": context.object_names,
         "min_quality": context.recipe.export.min_quality,
+        **({} if context.recipe.export.frame == "keypoints" else {"frame": context.recipe.export.frame}),
     }
     return step(
         "export",
@@ -177,39 +185,51 @@ def _export_coco(
     correct: Callable[[FrameLabel], FrameLabel] = lambda label: label,
 ) -> ExportSummary:
     workspace, objects = context.workspace, context.choice.objects(context.object_names)
-    known = _splits_of(workspace) if context.choice.folder else {}
+    known = recipe_splits(workspace) if context.choice.folder else {}
+    frames = frames_for(context, labels)
     scenes = []
     for scene_name in labels.labelled_scene_names():
         if not workspace.scene_file(scene_name).exists():
             continue
-        if objects != context.object_names and scene_name not in _videos_with(workspace, objects):
+        if objects != context.object_names and scene_name not in videos_with(workspace, objects):
             continue
         scene = workspace.load_scene(scene_name)
         kept = _without(labels.load_labels(scene_name), workspace.load_left_out(scene_name))
         lines = filter(keep, context.choice.chosen(map(correct, kept), splits_like(known)))
-        scenes.append(ExportScene(scene, workspace.load_trajectory(scene), lines))
+        moved = (moved_label(line, frames) for line in lines)
+        scenes.append(ExportScene(scene, workspace.load_trajectory(scene), moved))
+    models = [moved_model(labels.load_placed(item).model, frames.get(item)) for item in objects]
+    meshes = {
+        item: exported_mesh(labels, item, frames.get(item))
+        for item in objects
+        if labels.mesh_file(item).exists()
+    }
+    grasps = save_grasps(workspace, objects) if labels == workspace else {}
+    grasps = {item: frames.get(item, np.eye(4)) @ grasp for item, grasp in grasps.items()}
     return export_coco(
         context.export_folder(name),
         scenes,
-        [labels.load_placed(item).model for item in objects],
+        models,
         split=splits_like(known) if context.choice.folder else context.recipe.split,
-        meshes={item: labels.mesh_file(item) for item in objects if labels.mesh_file(item).exists()},
-        grasps=save_grasps(workspace, objects) if labels == workspace else {},
+        meshes=meshes,
+        grasps=grasps,
+        symmetries=_symmetries(context, models),
+        frames=frames,
         **options,
     )
 
 
-def _videos_with(workspace: Workspace, objects: Sequence[str]) -> set[str]:
-    """The recordings in which one of the objects has a pose."""
-    parts = workspace.parts()
-    return {
-        parts.video_of(scene) for name in objects for scene in workspace.load_placed(name).scene_from_object
-    }
-
-
-def _splits_of(workspace: Workspace) -> dict[FrameKey, SplitName]:
-    """The split of each frame of the recipe's own export."""
-    return {key: split for key, (split, _) in exported_frames(workspace.export("coco")).items()}
+def _symmetries(context: Context, models: Sequence[KeypointModel]) -> dict[str, Symmetries]:
+    """What leaves the objects looking the same, in the frames of these models."""
+    found = {}
+    items = {item.name: item for item in context.objects}
+    for model in models:
+        item = items[model.name]
+        turns = symmetry_turns(context, item)
+        if turns:
+            own = context.workspace.load_placed(item.name).model
+            found[item.name] = moved_symmetries(symmetries_of(turns), frame_change(model, own))
+    return found
 
 
 def _without(labels: Iterator[FrameLabel], left_out: frozenset[int]) -> Iterator[FrameLabel]:
@@ -245,6 +265,17 @@ def _units(context: Context) -> dict[str, float]:
     return {name: workspace.load_scene(name).metres_per_unit for name in workspace.labelled_scene_names()}
 
 
+def _guessed(context: Context) -> dict[str, float]:
+    """Share of each object's triangles that close unseen sides, as the segment stage counted them."""
+    entries = Ledger(context.workspace.stages_file).of_stage("segment")
+    details = {name: entry.outcome.details for name, entry in entries.items()}
+    return {
+        name: found["unseen_triangles"] / found["triangles"]
+        for name, found in details.items()
+        if found.get("triangles") and "unseen_triangles" in found
+    }
+
+
 CONVERTING = ("bop", "bop_onboarding")
 """The formats for which `export.color` says how colour images are stored."""
 
@@ -261,7 +292,9 @@ EXPORTS: dict[str, Export] = {
     "bundlesdf": _with_units("bundlesdf", export_bundlesdf),
     "nerfstudio": _with_units("nerfstudio", export_nerfstudio),
     "huggingface": _dialect("huggingface", export_huggingface),
-    "assets": _dialect("assets", export_assets),
+    "assets": lambda context: export_assets(
+        context.workspace.export("assets"), context.workspace.export("coco"), _guessed(context)
+    ),
     "webdataset": _dialect("webdataset", export_webdataset),
 }
 """The writer of each format, by its name in the recipe."""

@@ -268,4 +268,4 @@ def _repair(file: Path, copy: Path) -> str:
     if file.suffix == ".db3":
         return f"{cut}: the first {repair_db3(file, copy).seconds:.1f} s are complete, the rest is lost"
     bag = repair_bag(file, copy)
-    return f"{cut}: the first {bag.seconds:.1f} s are complete, {bag.lost_bytes} bytes after them are lost"
+    return f"{cut}: what is complete is read, its first {bag.seconds:.1f} s"

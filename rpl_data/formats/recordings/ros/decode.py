@@ -1,4 +1,4 @@
-"""Decode the messages that a recording is made of: images, raw and compressed, with their stamps.
+"""Decode the messages that a recording is made of: images, raw, compressed and of videos, with their stamps.
 
 Sources: sensor_msgs/Image and image_encodings.hpp (ros2/common_interfaces), cv_bridge for the byte orders,
 compressed_image_transport and compressed_depth_image_transport (ros-perception/image_transport_plugins).
@@ -12,16 +12,26 @@ from typing import Any
 
 import cv2
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import UInt8, UInt16
 
 from rpl_data.files import FAULTS
+from rpl_data.formats.containers.rvl import unpack_rvl
 from rpl_data.formats.recordings.ros.bags import Message
+from rpl_data.formats.recordings.ros.video import (
+    VIDEO_TYPES,
+    VideoPacket,
+    is_video_format,
+    size_of_video,
+    video_packet,
+)
 from rpl_data.types import DepthImage
 
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 _LARGEST_SIDE_PX = 16384
+_MOST_RVL_PIXELS = 2**26
+"""8192 x 8192: a few bytes of RVL may stand for any number of empty pixels."""
 _DEPTH_HEADER_BYTES = 12
-"""compressedDepth puts before its PNG: a number for the format, then A and B of its float depth."""
+"""compressedDepth puts before its PNG or RVL: a number for the format, then A and B of its float depth."""
 
 _COLORS = {
     "rgb8": (3, None),
@@ -50,7 +60,7 @@ _DEPTHS = {"16uc1": "u2", "mono16": "u2", "32fc1": "f4"}
 def is_color_encoding(encoding: str) -> bool:
     """Whether images of this encoding (or compressed images of this format) are seen, not measured."""
     name = base_encoding(encoding)
-    return name in _COLORS or name in ("jpeg", "jpg", "png")
+    return name in _COLORS or name in ("jpeg", "jpg", "png") or is_video_format(name)
 
 
 def is_depth_encoding(encoding: str) -> bool:
@@ -74,6 +84,7 @@ def _store(is_ros1: bool) -> Any:
         "realsense2_camera_msgs/msg/Extrinsics": extrinsics,
         "realsense2_camera/msg/Extrinsics": f"std_msgs/Header header\n{extrinsics}",
     }
+    added |= {} if is_ros1 else VIDEO_TYPES
     if is_ros1:
         transforms = "geometry_msgs/TransformStamped[] transforms"
         added |= {"tf2_msgs/msg/TFMessage": transforms, "tf/msg/tfMessage": transforms}
@@ -83,7 +94,7 @@ def _store(is_ros1: bool) -> Any:
 
 
 def decoded(message: Message) -> Any:
-    """The fields of a message, None when it is damaged.
+    """The fields of a message, a packet where it is one of a video, None when it is damaged.
 
     Those of ROS 1's CameraInfo are called D, K, R, P, those of ROS 2's d, k, r, p.
     """
@@ -92,7 +103,8 @@ def decoded(message: Message) -> Any:
     store = _store(message.is_ros1)
     unpack = store.deserialize_ros1 if message.is_ros1 else store.deserialize_cdr
     try:
-        return unpack(message.raw, message.type)
+        fields = unpack(message.raw, message.type)
+        return video_packet(fields) if message.type in VIDEO_TYPES else fields
     except (*FAULTS, struct.error, AssertionError, SerdeError):
         return None
 
@@ -113,7 +125,12 @@ def size_of(image: Any) -> tuple[int, int] | None:
     """Width and height of an image message, raw or compressed; None when it cannot be decoded."""
     if hasattr(image, "encoding"):
         return int(image.width), int(image.height)
-    packed = _image_file(image.data.tobytes())
+    if isinstance(image, VideoPacket):
+        return size_of_video(image)
+    content = image.data.tobytes()
+    if _is_rvl(str(image.format)):
+        return _rvl_size(content)
+    packed = _image_file(content)
     pixels = cv2.imdecode(np.frombuffer(packed, np.uint8), cv2.IMREAD_UNCHANGED) if packed else None
     return None if pixels is None else (pixels.shape[1], pixels.shape[0])
 
@@ -160,16 +177,13 @@ def depth_of(image: Any) -> tuple[np.ndarray, bool] | None:
 
 
 def _compressed_depth(format: str, content: bytes) -> tuple[np.ndarray, bool] | None:
-    """Depth as PNG. Floats are stored as inverse depth q, from which z = A / (q - B), q = 0 for none."""
-    packed = _image_file(content)
-    if packed is None or not packed.startswith(b"\x89PNG"):
-        return None
-    units = cv2.imdecode(np.frombuffer(packed, np.uint8), cv2.IMREAD_UNCHANGED)
-    if units is None or units.dtype != np.uint16 or units.ndim != 2:
+    """Depth as PNG or RVL. Floats are stored as inverse depth q: z = A / (q - B), q = 0 for none."""
+    units = _rvl_image(content) if _is_rvl(format) else _png_image(content)
+    if units is None:
         return None
     if base_encoding(format) != "32fc1":
         return units, True
-    if len(content) - len(packed) != _DEPTH_HEADER_BYTES:
+    if content[:_DEPTH_HEADER_BYTES].startswith(b"\x89PNG"):
         return None
     a, b = struct.unpack_from("<ff", content, 4)
     depth_m: DepthImage = np.full(units.shape, np.nan, np.float32)
@@ -177,6 +191,36 @@ def _compressed_depth(format: str, content: bytes) -> tuple[np.ndarray, bool] | 
     with np.errstate(divide="ignore", invalid="ignore"):
         depth_m[some] = np.float32(a) / (units[some].astype(np.float32) - np.float32(b))
     return depth_m, False
+
+
+def _png_image(content: bytes) -> UInt16[np.ndarray, "height width"] | None:
+    """The whole numbers of a 16-bit PNG; None for anything else."""
+    packed = _image_file(content)
+    if packed is None or not packed.startswith(b"\x89PNG"):
+        return None
+    units = cv2.imdecode(np.frombuffer(packed, np.uint8), cv2.IMREAD_UNCHANGED)
+    return units if units is not None and units.dtype == np.uint16 and units.ndim == 2 else None
+
+
+def _is_rvl(format: str) -> bool:
+    return "compresseddepth rvl" in format.lower()
+
+
+def _rvl_size(content: bytes) -> tuple[int, int] | None:
+    """Width and height, which stand between the header of compressedDepth and its RVL; None for odd ones."""
+    if len(content) < _DEPTH_HEADER_BYTES + 8:
+        return None
+    width, height = struct.unpack_from("<II", content, _DEPTH_HEADER_BYTES)
+    bearable = 0 < width <= _LARGEST_SIDE_PX and 0 < height <= _LARGEST_SIDE_PX
+    return (width, height) if bearable and width * height <= _MOST_RVL_PIXELS else None
+
+
+def _rvl_image(content: bytes) -> UInt16[np.ndarray, "height width"] | None:
+    size = _rvl_size(content)
+    if size is None:
+        return None
+    units = unpack_rvl(content[_DEPTH_HEADER_BYTES + 8 :], size[0] * size[1])
+    return None if units is None else units.reshape(size[1], size[0])
 
 
 def _image_file(content: bytes) -> bytes | None:

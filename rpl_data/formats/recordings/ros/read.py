@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from itertools import count
 from pathlib import Path
@@ -28,6 +28,7 @@ from rpl_data.formats.recordings.ros.poses import POSE_TYPES, TF_TYPES, poses_fr
 from rpl_data.formats.recordings.ros.streams import Streams, streams_of
 from rpl_data.formats.recordings.ros.survey import Survey, survey_of, times_ns
 from rpl_data.formats.recordings.ros.topics import ImageTopic
+from rpl_data.formats.recordings.ros.video import VideoDecoder, VideoPacket
 from rpl_data.formats.recordings.ros.wanted import Topics
 from rpl_data.formats.recordings.saved_images import write_color, write_depth
 from rpl_data.formats.recordings.scene_folders import chosen
@@ -187,18 +188,41 @@ def _saved(
         streams.color.name: (count(), color_index, save_color, dict[int, Path]()),
         streams.depth.name: (count(), depth_index, save_depth, dict[int, Path]()),
     }
+    first = streams.color.first
+    video = VideoDecoder(first.format) if isinstance(first, VideoPacket) else None
     for message in bag.messages(list(jobs)):
         place, index_of, save, files = jobs[message.topic]
-        index = index_of.get(next(place))
+        number = next(place)
+        if video is not None and message.topic == streams.color.name:
+            packet = decoded(message)
+            if packet is not None:
+                _save_pictures(video.push(number, packet.packet), index_of, save, files)
+            continue
+        index = index_of.get(number)
         image = None if index is None else decoded(message)
         path = None if image is None or index is None else save(index, image)
         if path is not None and index is not None:
             files[index] = path
+    if video is not None:
+        _save_pictures(video.flush(), color_index, save_color, jobs[streams.color.name][3])
     return jobs[streams.color.name][3], jobs[streams.depth.name][3]
 
 
+def _save_pictures(
+    pictures: Iterable[tuple[int, np.ndarray]],
+    index_of: Mapping[int, int],
+    save: Callable[[int, Any], Path | None],
+    files: dict[int, Path],
+) -> None:
+    """Save the pictures of a video whose place in their topic has an index."""
+    for number, pixels in pictures:
+        path = save(index_of[number], pixels) if number in index_of else None
+        if path is not None:
+            files[index_of[number]] = path
+
+
 def _save_color(folder: Path, index: int, image: Any) -> Path | None:
-    pixels = color_of(image)
+    pixels = image if isinstance(image, np.ndarray) else color_of(image)
     return None if pixels is None else write_color(folder, index, pixels)
 
 

@@ -10,10 +10,11 @@ from jaxtyping import Int64
 
 from rpl_data.formats.recordings.ros.bags import Bag, Message
 from rpl_data.formats.recordings.ros.cameras import from_extrinsics
-from rpl_data.formats.recordings.ros.decode import COMPRESSED, IMAGE, decoded, stamp_ns
+from rpl_data.formats.recordings.ros.decode import COMPRESSED, IMAGE, decoded, size_of, stamp_ns
 from rpl_data.formats.recordings.ros.poses import POSE_TYPES, TF_TYPES
 from rpl_data.formats.recordings.ros.topics import ImageTopic
 from rpl_data.formats.recordings.ros.transforms import FrameTree, frame_name
+from rpl_data.formats.recordings.ros.video import VIDEO_TYPES, VideoPacket, is_video_format
 from rpl_data.geometry import Transform
 from rpl_data.types import DataError
 
@@ -55,7 +56,7 @@ def survey_of(bag: Bag, poses: str | None) -> Survey:
     """
     survey = Survey(bag.types())
     pose_topic = _pose_topic(survey.types, poses)
-    kinds = (IMAGE, COMPRESSED, CAMERA_INFO, *TF_TYPES)
+    kinds = (IMAGE, COMPRESSED, *VIDEO_TYPES, CAMERA_INFO, *TF_TYPES)
     wanted = {name for name, kind in survey.types.items() if kind in kinds or name == pose_topic}
     wanted |= {name for name, kind in survey.types.items() if _is_extrinsics(name, kind)}
     for message in bag.messages(wanted):
@@ -84,7 +85,7 @@ def _is_extrinsics(name: str, kind: str) -> bool:
 
 def _note(survey: Survey, message: Message, pose_topic: str | None) -> None:
     """Note a message; one that cannot be decoded is passed over."""
-    if message.type in (IMAGE, COMPRESSED):
+    if message.type in (IMAGE, COMPRESSED, *VIDEO_TYPES):
         _note_image(survey, message)
         return
     if message.type == CAMERA_INFO and message.topic in survey.infos:
@@ -107,6 +108,8 @@ def _note_image(survey: Survey, message: Message) -> None:
     if topic is None:
         first = decoded(message)
         early = survey.early.setdefault(message.topic, ([], []))
+        if isinstance(first, VideoPacket) and is_video_format(first.format) and size_of(first) is None:
+            first = None  # what changed since a picture that was not recorded
         if first is None:  # it counts all the same
             early[0].append(0)
             early[1].append(message.bag_ns)

@@ -45,7 +45,7 @@ class ImageTopic:
     @property
     def base(self) -> str:
         """The name of the topic before a transport's suffix."""
-        return re.sub(r"/(compressed|compressedDepth)$", "", self.name)
+        return re.sub(r"/(compressed|compressedDepth|ffmpeg|foxglove)$", "", self.name)
 
     @property
     def folder(self) -> str:
