@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from rpl_data.export.coco import ExportSummary
+    from rpl_data.export.dialect import DialectSummary
     from rpl_data.pipeline.ledger import Ledger
     from rpl_data.pipeline.recipe import Recipe
 
@@ -59,3 +61,11 @@ def run_build(
     if results:
         print_results(place, ledger, screen, until, fresh_steps(recipe, place))
     return ledger
+
+
+def say_written(folder: Path, summary: ExportSummary | DialectSummary) -> None:
+    """Print where an export is, how many images it has, and what it left out."""
+    images = f": {sum(summary.images.values())} images" if summary.images else ""
+    print(f"{folder}{images}")
+    for line in summary.messages:
+        print(f"    {line}")

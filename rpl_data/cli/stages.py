@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from rpl_data.cli.building import HERE, run_stage
+from rpl_data.cli.building import HERE, run_stage, say_written
 from rpl_data.types import DataError
 
 
@@ -128,6 +128,10 @@ def export(
     workspace: Path = HERE,
     labels: Literal["own", "truth"] = "own",
     format: str | None = None,
+    object: str | None = None,
+    min_quality: float | None = None,
+    split: Literal["train", "val", "test"] | None = None,
+    color: Literal["recorded", "png", "jpg"] | None = None,
     again: bool = False,
 ) -> None:
     """Write the labels in the formats of the recipe, to export/ of the workspace.
@@ -136,44 +140,58 @@ def export(
     `export: {min_quality: 0.25}`. Quality is 1 / (1 + e / 5 px), where e is the label's expected error: 0.25
     stands for 15 px, 0.5 for 5 px. `min_quality: 0` keeps all.
 
-    Formats: coco; yolo for Ultralytics; bop; okt for ObjectKeypointTrainer; foundationpose, reference views
-    for its model-free mode; bundlesdf, a video of each object and scene; nerfstudio (with COLMAP's text);
-    huggingface, an image folder for `datasets`; webdataset, tar shards; assets, the objects'
-    textured meshes.
+    Formats: coco, and coco_per_object, one file per object and split; yolo for Ultralytics; bop, and
+    bop_onboarding, its static videos of each object; ycb_video and linemod, in the layouts of these datasets;
+    okt for ObjectKeypointTrainer; foundationpose, reference views for its model-free mode; bundlesdf, a video
+    of each object and scene; nerfstudio (with COLMAP's text); huggingface, an image folder for `datasets`;
+    webdataset, tar shards; assets, the objects' textured meshes.
+
+    A format with fewer labels (`--object`, `--min-quality`, `--split`) goes to a folder of its own, such as
+    export/only_object-mug_split-test/, with the splits of the recipe's export.
 
     `export: {frame: up}` in the recipe gives all of them a canonical object frame: z up from the table, the
     origin at the centre of the box around the mesh; `box` keeps the axes; three keypoints give origin, x axis
     and plane. Nothing moves in the images.
 
-    Example: rpl export --workspace workspaces/demo --format foundationpose
+    Example: rpl export --workspace workspaces/demo --format yolo --object carton --split test
 
     Args:
         workspace: a folder made by `rpl build` or `rpl import`.
         labels: `own`, or `truth`: export/coco_truth with the same images, labelled by the truth where it is
             known.
         format: one more format, this time only; the recipe says which are written by every build.
+        object: of this format, only this object, in the scenes that have it.
+        min_quality: of this format, only frames whose labels have this quality, instead of the recipe's.
+        split: of this format, only this split.
+        color: of this format, colour images as they were recorded, or all as PNG or JPEG
+            (bop, bop_onboarding).
         again: run the stage even if nothing it depends on has changed.
     """
-    from rpl_data.pipeline.stages.export import check_format
+    from rpl_data.pipeline.choice import ExportChoice
 
+    choice = ExportChoice(object, min_quality, split, color)
+    if choice.folder and format is None:
+        raise DataError(
+            "object, min_quality, split and color choose from one format: add `--format`, such as coco"
+        )
     if format is not None:
+        from rpl_data.pipeline.stages.export import check_format
+
         check_format(format)
     run_stage(workspace, "export", again, results=format is None)
     if labels == "truth" or format is not None:
         from rpl_data.pipeline.build import alone_in, context_of
-        from rpl_data.pipeline.stages.export import EXPORTS, Export, export_truth
+        from rpl_data.pipeline.exported_labels import export_truth
+        from rpl_data.pipeline.stages.export import export_chosen
         from rpl_data.workspace.workspace import Workspace
 
         place = Workspace(workspace)
-        wanted: list[tuple[str, Export]] = [("coco_truth", export_truth)] if labels == "truth" else []
-        wanted += [] if format is None else [(format, EXPORTS[format])]
-        for name, write in wanted:
-            with alone_in(place):
-                summary = write(context_of(place))
-            images = f": {sum(summary.images.values())} images" if summary.images else ""
-            print(f"{place.export(name)}{images}")
-            for line in summary.messages:
-                print(f"    {line}")
+        with alone_in(place):
+            context = context_of(place)
+            if labels == "truth":
+                say_written(place.export("coco_truth"), export_truth(context))
+            if format is not None:
+                say_written(*export_chosen(context, format, choice))
 
 
 def quality(workspace: Path = HERE, again: bool = False) -> None:

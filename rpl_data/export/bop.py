@@ -23,6 +23,7 @@ import cv2
 
 from rpl_data.export.bop_instances import LEAST_VISIBLE, Silhouettes, coco_entry, write_instance
 from rpl_data.export.bop_models import write_models
+from rpl_data.export.color_images import ColorFormat, write_color
 from rpl_data.export.dialect import DialectSummary, Split, splits_of
 from rpl_data.export.folder import link, replacing
 from rpl_data.files import write_json, write_text
@@ -31,13 +32,16 @@ from rpl_data.formats.recordings.bop import write_scene_camera, write_scene_gt
 from rpl_data.json_arrays import Json, matrix_from_json
 
 
-def export_bop(folder: Path, coco: Path, metres_per_unit: Mapping[str, float]) -> DialectSummary:
+def export_bop(
+    folder: Path, coco: Path, metres_per_unit: Mapping[str, float], color: ColorFormat = "recorded"
+) -> DialectSummary:
     """Write `folder` from an exported COCO folder; images are linked, masks are written.
 
     Args:
         folder: folder to write; its old content is replaced.
         coco: the exported COCO folder.
         metres_per_unit: unit of the depth images, by scene name.
+        color: format of the colour images. In PNG, `rgb` in the path of an image can be replaced by `depth`.
 
     Raises:
         DataError: the COCO folder is missing or broken, a lens has distortion, which the layout cannot hold,
@@ -54,7 +58,7 @@ def export_bop(folder: Path, coco: Path, metres_per_unit: Mapping[str, float]) -
             for scene in sorted({image["scene"] for image in split.images}):
                 mine = [image for image in split.images if image["scene"] == scene]
                 place = building / split.name / f"{numbers[scene]:06d}"
-                info = _write_scene(place, coco, mine, split, metres_per_unit[scene], whole)
+                info = write_scene(place, coco, mine, split, metres_per_unit[scene], whole, color)
                 instances += sum(map(len, info.values()))
                 if split.name == "test":
                     targets += _pose_targets(numbers[scene], mine, split, info)
@@ -81,28 +85,30 @@ def _info(numbers: Mapping[str, int]) -> str:
     scenes = "".join(f"- {number:06d}: {name}\n" for name, number in numbers.items())
     return (
         "# Labels made by rpl-data\n\nPoses and models are in the frame of each object's keypoint model, "
-        f"whose origin is the centroid of the keypoints.\n\nScenes:\n\n{scenes}"
+        "whose origin is the centroid of the keypoints. Pixel (0, 0) has its centre at (0, 0), as in OpenCV: "
+        f"project with cam_K as it is, and rasterise at whole numbers.\n\nScenes:\n\n{scenes}"
     )
 
 
 # Scenes -------------------------------------------------------------------------------------------
 
 
-def _write_scene(
+def write_scene(
     folder: Path,
     coco: Path,
     images: Sequence[Json],
     split: Split,
     metres_per_unit: float,
     whole: Silhouettes,
+    color: ColorFormat,
 ) -> dict[int, list[Json]]:
     """Write a scene's images of one split; returns the entries of scene_gt_info.json by frame number."""
     labels = {image["frame"]: split.annotations.get(image["id"], []) for image in images}
+    colors: dict[int, Path] = {}
     info: dict[int, list[Json]] = {}
     for image in images:
         frame = image["frame"]
-        source = coco / image["file_name"]
-        link(source, folder / "rgb" / f"{frame:06d}{source.suffix}")
+        colors[frame] = write_color(coco / image["file_name"], folder / "rgb" / f"{frame:06d}", color)
         measured = None
         if image["depth_file_name"] is not None:
             depth = coco / image["depth_file_name"]
@@ -126,12 +132,12 @@ def _write_scene(
         },
     )
     write_json(folder / "scene_gt_info.json", {str(frame): entries for frame, entries in info.items()})
-    write_json(folder / "scene_gt_coco.json", _scene_coco(coco, images, labels, info, split))
+    write_json(folder / "scene_gt_coco.json", _scene_coco(colors, images, labels, info, split))
     return info
 
 
 def _scene_coco(
-    coco: Path,
+    colors: Mapping[int, Path],
     images: Sequence[Json],
     labels: Mapping[int, list[Json]],
     info: Mapping[int, list[Json]],
@@ -152,7 +158,7 @@ def _scene_coco(
         "images": [
             {
                 "id": image["frame"],
-                "file_name": f"rgb/{image['frame']:06d}{(coco / image['file_name']).suffix}",
+                "file_name": f"rgb/{colors[image['frame']].name}",
                 "width": image["width"],
                 "height": image["height"],
             }

@@ -40,13 +40,14 @@ def write_models(folder: Path, coco: Path, objects: Sequence[CocoObject]) -> lis
         name = f"obj_{number:06d}.ply"
         write_bytes(folder / "models" / name, mesh_to_ply(mesh, normals=True))
         write_bytes(folder / "models_eval" / name, mesh_to_ply(few, normals=True))
-        info[str(number)] = _model_info(mesh) | symmetries_to_json(item.symmetries, unit_m=0.001)
+        info[str(number)] = model_info(mesh) | symmetries_to_json(item.symmetries, unit_m=0.001)
     for kind in ("models", "models_eval"):
         write_json(folder / kind / "models_info.json", info)
     return missing
 
 
-def _model_info(mesh: Mesh) -> Json:
+def model_info(mesh: Mesh) -> Json:
+    """Lowest corner, size and diameter in the unit of the mesh, by the names of models_info.json."""
     low, size = mesh.vertices.min(axis=0), np.ptp(mesh.vertices, axis=0)
     edges = {f"min_{axis}": float(value) for axis, value in zip("xyz", low, strict=True)}
     sizes = {f"size_{axis}": float(value) for axis, value in zip("xyz", size, strict=True)}

@@ -8,25 +8,21 @@ from __future__ import annotations
 import json
 import tempfile
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import IO
 
+from rpl_data.export.coco_images import is_as_stored, put_color, put_depth
 from rpl_data.export.folder import Filling, Images, replacing
 from rpl_data.export.split import FrameKey, SplitName, SplitRule, assigned_splits, choose_splits
 from rpl_data.export.view_distances import ViewDirection, ViewDistance, view_direction, view_distances
-from rpl_data.files import read_bytes
 from rpl_data.formats.datasets.coco import CocoObject, image_to_coco, instance_to_coco, writing_coco
-from rpl_data.formats.recordings.saved_images import encoded
 from rpl_data.geometry import Transform
-from rpl_data.images import marks_no_depth, registered_units
 from rpl_data.json_arrays import Json
-from rpl_data.orientation import orientation_of, without_orientation
 from rpl_data.types import (
     DataError,
-    DepthCoding,
     Frame,
     FrameLabel,
     KeypointModel,
@@ -80,7 +76,7 @@ def export_coco(
     scenes: Sequence[ExportScene],
     models: Sequence[KeypointModel],
     *,
-    split: SplitRule,
+    split: SplitRule | Callable[[FrameKey], SplitName],
     meshes: Mapping[str, Path] | None = None,
     grasps: Mapping[str, Transform] | None = None,
     symmetries: Mapping[str, Symmetries] | None = None,
@@ -94,7 +90,7 @@ def export_coco(
         folder: folder to write; its old content is replaced.
         scenes: the scenes with their labels.
         models: the objects; category ids are 1, 2, ... in this order.
-        split: rule for which frames train, validate and test.
+        split: rule for which frames train, validate and test; or a function that says it.
         meshes: files of dense models by object name; put there as meshes/<object><suffix>.
         grasps: `object_from_grasp` by object name.
         symmetries: what leaves the objects looking the same, by object name.
@@ -121,10 +117,13 @@ def export_coco(
             for item in objects
         ]
         collected = _collect(building, spool, scenes, objects, files, fixed, as_in)
-        if fixed is None:
+        messages: tuple[str, ...] = ()
+        if fixed is not None:
+            splits = {key: name for key, (name, _) in fixed.items()}
+        elif isinstance(split, SplitRule):
             splits, messages = choose_splits(collected.frames, split)
         else:
-            splits, messages = {key: name for key, (name, _) in fixed.items()}, ()
+            splits = {key: split(key) for key in collected.frames}
         summary = _write_splits(building, spool, objects, splits, collected, files, messages)
     return summary
 
@@ -212,15 +211,15 @@ def _image(
     name = f"images/{scene.name}/{frame.index:06d}{frame.color.suffix}"
     depth_name = None
     if frame.depth is not None:
-        suffix = frame.depth.suffix if _is_as_stored(scene) else ".png"
+        suffix = frame.depth.suffix if is_as_stored(scene) else ".png"
         depth_name = f"depth/{scene.name}/{frame.index:06d}{suffix}"
     if as_in is not None:
         for shared in filter(None, (name, depth_name)):
             files.share(as_in / shared, building / shared)
     else:
-        _put_color(frame, building / name, files)
+        put_color(frame, building / name, files)
         if depth_name is not None:
-            _put_depth(scene, frame, building / depth_name, files)
+            put_depth(scene, frame, building / depth_name, files)
     return image_to_coco(
         image_id,
         frame,
@@ -230,27 +229,6 @@ def _image(
         file_name=name,
         depth_file_name=depth_name,
     )
-
-
-def _put_color(frame: Frame, target: Path, files: Filling) -> None:
-    """Put the colour image there, without a tag that would turn it in other readers."""
-    if orientation_of(frame.color) == 1:
-        return files.put(frame.color, target)
-    files.write(target, without_orientation(read_bytes(frame.color)))
-
-
-def _put_depth(scene: Scene, frame: Frame, target: Path, files: Filling) -> None:
-    """Put the depth image there, changed as it is changed while it is read."""
-    assert frame.depth is not None
-    if _is_as_stored(scene) and not marks_no_depth(scene, frame):
-        return files.put(frame.depth, target)
-    files.write(target, encoded(registered_units(scene, frame), "png"))
-
-
-def _is_as_stored(scene: Scene) -> bool:
-    """Whether the numbers in the depth files are depth at the colour image's pixels, in the scene's unit."""
-    moved = scene.depth_warp is not None or scene.depth_camera is not None
-    return not moved and scene.depth_coding == DepthCoding()
 
 
 def _objects(

@@ -77,7 +77,7 @@ def export_foundationpose(folder: Path, coco: Path, metres_per_unit: Mapping[str
                 few = f"{category['name']}: {counted(len(views), 'view')} only"
                 lines.append(f"{few}, {REFERENCE_VIEWS} are usual: label more frames (`label.rate`)")
         write_json(building / "names.json", names)
-    return DialectSummary({"train": count}, count, tuple(lines))
+    return DialectSummary({train.name: count}, count, tuple(lines))
 
 
 def reference_views(views: Sequence[View], *, most: int = REFERENCE_VIEWS) -> list[View]:

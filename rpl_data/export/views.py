@@ -8,8 +8,9 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from jaxtyping import Float64, UInt16
+from jaxtyping import Float64, UInt8, UInt16
 
+from rpl_data.export.color_images import write_color
 from rpl_data.export.dialect import Split
 from rpl_data.export.folder import link
 from rpl_data.files import write_bytes
@@ -21,7 +22,8 @@ from rpl_data.json_arrays import Json, matrix_from_json
 from rpl_data.types import DataError, Intrinsics
 
 MILLIMETRE = 0.001
-MOST_MM = np.iinfo(np.uint16).max
+MOST_UNITS = np.iinfo(np.uint16).max
+MOST_NUMBERS = np.iinfo(np.uint8).max
 
 
 @dataclass(frozen=True)
@@ -63,11 +65,16 @@ def views_of(split: Split, category: int) -> list[View]:
 def refuse_distortion(views: Sequence[View], layout: str) -> None:
     """Raise a DataError where a lens bends lines, which a layout with a 3 x 3 matrix alone cannot say."""
     for view in views:
-        if any(view.camera.distortion):
-            raise DataError(
-                f"scene {view.image['scene']} was taken by a lens with distortion, and {layout} holds a "
-                "3 x 3 matrix only; undistort the recording first, or leave this format out of `export`"
-            )
+        refuse_lens(view.image, layout)
+
+
+def refuse_lens(image: Json, layout: str) -> None:
+    """Raise a DataError where the lens of an image bends lines."""
+    if any(image["distortion"]):
+        raise DataError(
+            f"scene {image['scene']} was taken by a lens with distortion, and {layout} holds a "
+            "3 x 3 matrix only; undistort the recording first, or leave this format out of `export`"
+        )
 
 
 def refuse_rgb_in(folder: Path) -> None:
@@ -97,29 +104,54 @@ def write_view(
     """
     from pycocotools import mask as masks
 
-    source = coco / view.image["file_name"]
-    if source.suffix == ".png":
-        link(source, color)
-    else:
-        write_bytes(color, encoded(_read(source, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION), "png"))
-    raw, unit = coco / view.image["depth_file_name"], metres_per_unit[view.image["scene"]]
-    if np.isclose(unit, MILLIMETRE) and raw.suffix == ".png":
-        link(raw, depth)
-    else:
-        write_bytes(depth, encoded(_in_mm(_read(raw, cv2.IMREAD_UNCHANGED), unit), "png"))
+    write_color(coco / view.image["file_name"], color.with_suffix(""), "png")
+    write_depth(coco / view.image["depth_file_name"], depth, metres_per_unit[view.image["scene"]], MILLIMETRE)
     seen = masks.decode(view.annotation["segmentation"])
     write_bytes(mask, encoded(255 * seen, "png"))
 
 
-def _in_mm(raw: UInt16[np.ndarray, "h w"], metres_per_unit: float) -> UInt16[np.ndarray, "h w"]:
-    """Depth in whole millimetres; none where it is farther than 16 bits hold, or saturated."""
-    mm = np.rint(raw * (metres_per_unit / MILLIMETRE))
-    return np.where((mm > MOST_MM) | (raw == SATURATED), 0, mm).astype(np.uint16)
+def write_depth(source: Path, target: Path, stored_m: float, wanted_m: float) -> None:
+    """Write a depth image as PNG in another unit; what is stored already as it is wanted is linked.
+
+    Args:
+        source, target: the image of the COCO folder, and the file to write.
+        stored_m, wanted_m: metres per unit of both.
+    """
+    if np.isclose(stored_m, wanted_m) and source.suffix == ".png":
+        link(source, target)
+    else:
+        write_bytes(target, encoded(_in_units(_read(source), stored_m / wanted_m), "png"))
 
 
-def _read(path: Path, flags: int) -> np.ndarray:
-    """An image as OpenCV reads it: colour as BGR."""
-    image = cv2.imread(str(path), flags)
+def _in_units(raw: UInt16[np.ndarray, "h w"], factor: float) -> UInt16[np.ndarray, "h w"]:
+    """Depth in whole units; none where it is farther than 16 bits hold, or saturated."""
+    units = np.rint(raw * factor)
+    return np.where((units > MOST_UNITS) | (raw == SATURATED), 0, units).astype(np.uint16)
+
+
+def numbered(image: Json, annotations: Sequence[Json], numbers: Sequence[int]) -> UInt8[np.ndarray, "h w"]:
+    """The number of the annotation that is seen in each pixel, 0 = none.
+
+    Args:
+        image, annotations: entries of the COCO file.
+        numbers: one per annotation, from 1.
+
+    Raises:
+        DataError: a number is larger than 8 bits hold.
+    """
+    from pycocotools import mask as masks
+
+    if max(numbers, default=0) > MOST_NUMBERS:
+        raise DataError(f"{image['file_name']}: a mask of 8 bits numbers {MOST_NUMBERS}, not {max(numbers)}")
+    result = np.zeros((image["height"], image["width"]), np.uint8)
+    for number, annotation in zip(numbers, annotations, strict=True):
+        result[masks.decode(annotation["segmentation"]) > 0] = number
+    return result
+
+
+def _read(path: Path) -> UInt16[np.ndarray, "h w"]:
+    """A depth image as it is stored."""
+    image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     if image is None:
         raise DataError(f"{path} cannot be read; export `coco` again")
     return image

@@ -21,13 +21,12 @@ import numpy as np
 
 from rpl_data.export.dialect import DialectSummary, Split, splits_of
 from rpl_data.export.folder import replacing
+from rpl_data.export.views import numbered
 from rpl_data.files import read_bytes
 from rpl_data.formats.recordings.saved_images import encoded
 from rpl_data.json_arrays import Json
-from rpl_data.types import DataError
 
 SHARD_IMAGES = 1000
-MOST_INSTANCES = 255
 
 
 def export_webdataset(folder: Path, coco: Path) -> DialectSummary:
@@ -61,27 +60,16 @@ def _write_shard(shard: Path, coco: Path, images: Sequence[Json], split: Split) 
             _add(tar, f"{key}{source.suffix}", read_bytes(source))
             record = json.dumps({**image, "annotations": annotations}, allow_nan=False)
             _add(tar, f"{key}.json", record.encode())
-            _add(tar, f"{key}.mask.png", encoded(_numbered(image, annotations), "png"))
+            _add(
+                tar,
+                f"{key}.mask.png",
+                encoded(numbered(image, annotations, range(1, len(annotations) + 1)), "png"),
+            )
             if image["depth_file_name"] is not None:
                 depth = coco / image["depth_file_name"]
                 _add(tar, f"{key}.depth{depth.suffix}", read_bytes(depth))
             instances += len(annotations)
     return instances
-
-
-def _numbered(image: Json, annotations: Sequence[Json]) -> np.ndarray:
-    """The number of the annotation, from 1, that is seen in each pixel."""
-    from pycocotools import mask as masks
-
-    if len(annotations) > MOST_INSTANCES:
-        raise DataError(
-            f"image {image['file_name']} has {len(annotations)} instances; a mask of 8 bits numbers "
-            f"{MOST_INSTANCES}"
-        )
-    result = np.zeros((image["height"], image["width"]), np.uint8)
-    for number, annotation in enumerate(annotations, start=1):
-        result[masks.decode(annotation["segmentation"]) > 0] = number
-    return result
 
 
 def _add(tar: tarfile.TarFile, name: str, content: bytes) -> None:

@@ -13,6 +13,7 @@ from jaxtyping import Float64
 
 from rpl_data.clicks.log import Annotation
 from rpl_data.json_arrays import Json
+from rpl_data.pipeline.choice import ExportChoice
 from rpl_data.pipeline.ledger import Advance, Outcome, Step
 from rpl_data.pipeline.pool import Pool
 from rpl_data.pipeline.recipe import ObjectRecipe, Recipe, SceneSource
@@ -25,11 +26,16 @@ Box3 = tuple[tuple[float, float, float], tuple[float, float, float]]
 
 @dataclass(frozen=True)
 class Context:
-    """The recipe, workspace and process pool that every stage receives."""
+    """The recipe, workspace and process pool that every stage receives.
+
+    Attributes:
+        choice: what an export is limited to; a build limits none.
+    """
 
     recipe: Recipe
     workspace: Workspace
     pool: Pool
+    choice: ExportChoice = ExportChoice()
 
     @property
     def scene_sources(self) -> tuple[SceneSource, ...]:
@@ -57,6 +63,10 @@ class Context:
     def object_names(self) -> list[str]:
         """Names of the objects in the recipe's order, which is that of the exported categories."""
         return [item.name for item in self.objects]
+
+    def export_folder(self, name: str) -> Path:
+        """The folder of an export: the recipe's own, or one for the choice."""
+        return self.workspace.export(self.choice.folder) / name
 
     @property
     def tracks(self) -> bool:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Literal
 
 from rpl_data.drift.drift import MAX_DRIFT_MM
+from rpl_data.export.color_images import ColorFormat
 from rpl_data.export.folder import Images
 from rpl_data.export.split import SplitRule
 from rpl_data.formats.masks.given import MaskFormat
@@ -225,6 +226,9 @@ class ExportRecipe:
         min_quality: a frame is left out when one of its labels has a lower quality; how many is said. A
             label's quality is 1 / (1 + e / 5 px), where e is its expected error: 0.25 stands for 15 px, 0.5
             for 5 px. 0 keeps all.
+        color: format of the colour images of `bop` and `bop_onboarding`: `recorded` takes all as they are,
+            `png` and `jpg` convert others. PNG suits readers that find the depth image by replacing `rgb` in
+            a path.
         frame: the object frame of poses, keypoints and meshes. `keypoints`: the workspace's own, with its
             origin at their centroid; `box`: its axes, with the origin at the centre of the box around the
             mesh; `up`: z up from the table, x along the longest side, origin at the centre of that box; or
@@ -236,6 +240,7 @@ class ExportRecipe:
 
     formats: tuple[str, ...] = ("coco",)
     min_quality: float = 0.25
+    color: ColorFormat = "recorded"
     frame: FrameChoice = "keypoints"
     images: Images = "copy"
 

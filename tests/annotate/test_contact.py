@@ -50,7 +50,8 @@ def test_a_picture_is_the_frame_with_its_labels(client: TestClient, root: Path) 
 
 def test_frames_left_out_stay_out_of_the_export(client: TestClient, root: Path) -> None:
     from rpl_data.pipeline.build import context_of
-    from rpl_data.pipeline.stages.export import export_labels, export_steps
+    from rpl_data.pipeline.exported_labels import export_labels
+    from rpl_data.pipeline.stages.export import export_steps
 
     workspace = Workspace(root)
     before = export_steps(context_of(workspace))[0].options

@@ -21,7 +21,7 @@ from rpl_data.formats.models.sparse_model import (
 from rpl_data.geometry import from_rotvec, rotation_angle_rad, transform
 from rpl_data.meshes import load_mesh, save_mesh
 from rpl_data.pipeline.build import context_of
-from rpl_data.pipeline.stages.export import export_labels
+from rpl_data.pipeline.exported_labels import export_labels
 from rpl_data.types import Mesh, Solution
 from rpl_data.workspace.workspace import Workspace
 

@@ -13,11 +13,13 @@ import numpy as np
 import pytest
 from labelled_scenes import BOX, CAN, labelled_scene
 from pycocotools import mask as masks
+from pycocotools.coco import COCO
 from scipy.spatial.transform import Rotation
 
 from rpl_data.export import (
     ExportScene,
     export_coco,
+    export_coco_per_object,
     export_huggingface,
     export_nerfstudio,
     export_webdataset,
@@ -62,6 +64,21 @@ def test_shards_hold_each_image_with_its_labels(coco: Path, tmp_path: Path) -> N
     export_webdataset(tmp_path / "again", coco)
     one, other = (tmp_path / f"{name}/train-000000.tar" for name in ("shards", "again"))
     assert one.read_bytes() == other.read_bytes()
+
+
+def test_a_file_per_object_has_one_skeleton(coco: Path, tmp_path: Path) -> None:
+    summary = export_coco_per_object(tmp_path / "each", coco)
+    everything = read_coco(coco / "train.json")
+    count = 0
+    for number, name in enumerate(("box", "can"), start=1):
+        data = read_coco(tmp_path / f"each/{name}/train.json")
+        assert [(c["id"], c["name"]) for c in data["categories"]] == [(1, name)]
+        mine = [a | {"category_id": 1} for a in everything["annotations"] if a["category_id"] == number]
+        assert data["annotations"] == mine and data["images"] == everything["images"]
+        assert all((tmp_path / "each" / name / image["file_name"]).is_file() for image in data["images"])
+        assert COCO(str(tmp_path / f"each/{name}/train.json")).getCatIds() == [1]
+        count += len(mine)
+    assert summary.instances == count and summary.images == {"train": 12}
 
 
 def test_an_image_folder_with_metadata(coco: Path, tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ EXPORTS: dict[Source, str] = {"OURS": "coco", "MANUAL": "coco_truth"}
 def exports_of(workspace: Path) -> dict[Source, Path]:
     """Find the folders of the two label sources; the true labels are exported when they are not there yet."""
     from rpl_data.pipeline.build import context_of
-    from rpl_data.pipeline.stages.export import export_truth
+    from rpl_data.pipeline.exported_labels import export_truth
     from rpl_data.workspace.workspace import Workspace
 
     place = Workspace(workspace)

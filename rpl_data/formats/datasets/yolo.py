@@ -3,8 +3,8 @@
 ::
 
     detect    class xc yc w h
-    segment   class x1 y1 x2 y2 ...            one polygon; if the object is hidden in between, its parts
-                                               are joined by lines of zero width
+    segment   class x1 y1 x2 y2 ...            one polygon; the parts of an object that is hidden in between,
+                                               and its holes, are joined to it by lines of zero width
     pose      class xc yc w h (x y v) ...      as many keypoints as the object with most keypoints has
 
 Lengths are measured from the image's edge, but our pixels have their centres at whole numbers: add 0.5 px.
@@ -15,12 +15,15 @@ A mirrored object is another object, so `flip_idx` is left out and `fliplr` must
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
 import yaml
-from jaxtyping import Float64
+from jaxtyping import Float64, Int32, UInt8
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
 Entry = Mapping[str, Any]
 """An image, annotation or category of a COCO file, which is only read."""
@@ -35,15 +38,10 @@ def detect_line(image: Entry, annotation: Entry, categories: Sequence[Entry]) ->
 
 
 def segment_line(image: Entry, annotation: Entry, categories: Sequence[Entry]) -> str:
-    """Write the class and the outline of the visible mask; empty for a mask too small to have one."""
+    """Write the class and the outline of the visible mask, holes left out."""
     from pycocotools import mask as masks
 
-    mask = masks.decode(annotation["segmentation"])
-    found, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
-    parts = [part[:, 0].astype(np.float64) for part in found if len(part) >= 3]
-    if not parts:
-        return ""
-    outline = (_joined(parts) + 0.5) / [image["width"], image["height"]]
+    outline = outline_of(masks.decode(annotation["segmentation"])) / [image["width"], image["height"]]
     return f"{annotation['category_id'] - 1} {_shares(outline.ravel().tolist())}"
 
 
@@ -82,13 +80,53 @@ def _shares(values: Sequence[float]) -> str:
     return " ".join(f"{min(max(value, 0.0), 1.0):.6f}" for value in values)
 
 
-def _joined(parts: Sequence[Float64[np.ndarray, "_ 2"]]) -> Float64[np.ndarray, "n 2"]:
-    """Join several outlines into one; each further part is traversed from its point nearest to the rest."""
-    first, *others = sorted(parts, key=len, reverse=True)
-    outline = first
-    for part in others:
-        apart = np.linalg.norm(outline[:, None] - part[None], axis=2)
-        here, there = np.unravel_index(int(apart.argmin()), apart.shape)
-        round_trip = np.concatenate([part[there:], part[: there + 1]])
-        outline = np.concatenate([outline[: here + 1], round_trip, outline[here:]])
+LEAST_POINTS = 3
+"""Readers take fewer for a box, or for damage."""
+
+ON_PIXEL_PX = 0.495
+"""Where the outline crosses its pixels, from their left and upper edges.
+
+It is their middle, but a little less: some readers cut coordinates off to whole pixels (Ultralytics), others
+round them (supervision), and both then find the same pixel.
+"""
+
+Bridge = tuple[float, Int32[np.ndarray, "2"], int]
+"""Length of a line to an outline, the point where it starts, and the outline's row where it ends."""
+
+
+def outline_of(mask: UInt8[np.ndarray, "height width"]) -> Float64[np.ndarray, "n 2"]:
+    """Trace a mask that is not empty as one polygon, in pixels from the image's edge.
+
+    It goes through the outermost pixels, which readers draw with it (as cv2.fillPoly and PIL do).
+    """
+    found, _ = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
+    outline = _joined([ring[:, 0] for ring in sorted(found, key=len, reverse=True)])
+    few = max(0, LEAST_POINTS - len(outline))  # one pixel, or a straight line
+    return np.concatenate([outline, outline[:1].repeat(few, axis=0)]) + ON_PIXEL_PX
+
+
+def _joined(rings: Sequence[Int32[np.ndarray, "_ 2"]]) -> Int32[np.ndarray, "n 2"]:
+    """Join closed outlines into one: always the nearest next, by going there and back on the same line."""
+    from scipy.spatial import cKDTree
+
+    outline, *others = rings
+    nearest = [_nearest(cKDTree(outline), ring) for ring in others]
+    while others:
+        row = min(range(len(others)), key=lambda number: _length(nearest[number]))
+        ring, (_, here, there) = others.pop(row), nearest.pop(row)
+        (at,) = np.flatnonzero((outline == here).all(axis=1))[:1]
+        outline = np.concatenate([outline[: at + 1], ring[there:], ring[: there + 1], outline[at:]])
+        tree = cKDTree(ring)
+        to_new = [_nearest(tree, other) for other in others]
+        nearest = [min(pair, key=_length) for pair in zip(nearest, to_new, strict=True)]
     return outline
+
+
+def _nearest(tree: cKDTree, ring: Int32[np.ndarray, "_ 2"]) -> Bridge:
+    apart, rows = tree.query(ring)
+    there = int(apart.argmin())
+    return float(apart[there]), tree.data[rows[there]].astype(np.int32), there
+
+
+def _length(bridge: Bridge) -> float:
+    return bridge[0]

@@ -3,39 +3,35 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
-import numpy as np
-
 from rpl_data.export import (
-    ExportScene,
     ExportSummary,
     export_assets,
     export_bop,
+    export_bop_onboarding,
     export_bundlesdf,
-    export_coco,
+    export_coco_per_object,
     export_foundationpose,
     export_huggingface,
+    export_linemod,
     export_nerfstudio,
     export_okt,
     export_webdataset,
+    export_ycb_video,
     export_yolo,
 )
-from rpl_data.export.corrections import Corrector
+from rpl_data.export.color_images import ColorFormat
 from rpl_data.export.dialect import DialectSummary
-from rpl_data.json_arrays import Json, finite_or_none
-from rpl_data.pipeline.context import Context, step, truth_workspace
-from rpl_data.pipeline.frames import exported_mesh, frames_for, moved_label, moved_model
-from rpl_data.pipeline.good_enough import Keep, QualityTally
-from rpl_data.pipeline.grasp import save_grasps
+from rpl_data.json_arrays import finite_or_none
+from rpl_data.pipeline.choice import ExportChoice
+from rpl_data.pipeline.context import Context, step
+from rpl_data.pipeline.exported_labels import export_labels
 from rpl_data.pipeline.ledger import Advance, Ledger, Outcome, Step
-from rpl_data.pipeline.symmetry import frame_change, symmetry_turns
-from rpl_data.symmetries import moved_symmetries, symmetries_of
-from rpl_data.types import DataError, FrameLabel, KeypointModel, Symmetries
-from rpl_data.wording import counted
-from rpl_data.workspace.workspace import Workspace
+from rpl_data.pipeline.symmetry import symmetry_turns
+from rpl_data.types import DataError
 
 Export = Callable[[Context], ExportSummary | DialectSummary]
 
@@ -80,7 +76,9 @@ def _export_step(context: Context, name: str) -> Step:
         "corrections": context.workspace.corrections_digest(),
         "symmetries": {name: turns for name, turns in symmetries.items() if turns},
         "grasps": {item.object: asdict(item.grasp) for item in annotations if item.grasp is not None},
+        "color": context.recipe.export.color if name in CONVERTING else "recorded",
     }
+    chosen = {key: value for key, value in chosen.items() if value and value != "recorded"}
     options = {
         "split": asdict(context.recipe.split),
         "objects": context.object_names,
@@ -93,7 +91,7 @@ def _export_step(context: Context, name: str) -> Step:
         name,
         run,
         version=VERSION,
-        options=options | {key: value for key, value in chosen.items() if value},
+        options=options | chosen,
         after=[f"label/{v}" for v in context.placed_videos()] if name == "coco" else ["export/coco"],
         outputs=[context.workspace.export(name)],
     )
@@ -114,108 +112,44 @@ def refuse_unseen(context: Context) -> None:
         )
 
 
-def export_labels(context: Context) -> ExportSummary:
-    """Write `export/coco` from the labels of the workspace that are good enough."""
-    least = context.recipe.export.min_quality
-    tally = QualityTally()
-    models = [context.workspace.load_placed(name).model for name in context.object_names]
-    corrector = Corrector(context.workspace.load_corrections(), models)
-    try:
-        summary = _export_coco(
-            context, context.workspace, "coco", {}, tally.good_enough(least), corrector.corrected
-        )
-    except DataError as error:
-        if not tally.frames or tally.frames_left_out < tally.frames:
-            raise
-        raise DataError(
-            f"all {counted(tally.frames, 'labelled frame')} would be left out, since a label in each has a "
-            f"quality below {least:g}: check the clicks and the trajectories, or lower `export.min_quality`"
-        ) from error
-    messages = (*summary.messages, *tally.messages(least), *corrector.messages())
-    return replace(summary, low_quality=dict(tally.low), messages=messages)
+def export_chosen(
+    context: Context, name: str, choice: ExportChoice
+) -> tuple[Path, ExportSummary | DialectSummary]:
+    """Write one format, limited to the choice; returns its folder, too.
 
+    Without a choice this is the recipe's own export. Else `coco`, which is chosen from the labels, and the
+    format, which is made of it, go to a folder of the choice; both keep the splits of the recipe's export.
 
-def export_truth(context: Context) -> ExportSummary:
-    """Write `export/coco_truth`: the same images, ids and schema, with the labels of the truth."""
-    truth = truth_workspace(context)
-    if truth is None:
-        raise DataError(
-            "the truth of these scenes is not known; only a recipe with `twin:` or `truth:` can export it"
-        )
-    coco = context.workspace.export("coco")
-    if not coco.exists():
-        raise DataError(
-            f"there is no {coco} yet; run `rpl export --workspace {context.workspace.root}` first"
-        )
-    return _export_coco(context, truth, "coco_truth", {"as_in": coco})
-
-
-def _export_coco(
-    context: Context,
-    labels: Workspace,
-    name: str,
-    options: Json,
-    keep: Keep = lambda label: True,
-    correct: Callable[[FrameLabel], FrameLabel] = lambda label: label,
-) -> ExportSummary:
-    workspace, frames = context.workspace, frames_for(context, labels)
-    scenes = []
-    for scene_name in labels.labelled_scene_names():
-        if not workspace.scene_file(scene_name).exists():
-            continue
-        scene = workspace.load_scene(scene_name)
-        kept = _without(labels.load_labels(scene_name), workspace.load_left_out(scene_name))
-        lines = filter(keep, map(correct, kept))
-        moved = (moved_label(line, frames) for line in lines)
-        scenes.append(ExportScene(scene, workspace.load_trajectory(scene), moved))
-    names = context.object_names
-    models = [moved_model(labels.load_placed(item).model, frames.get(item)) for item in names]
-    meshes = {
-        item: exported_mesh(labels, item, frames.get(item))
-        for item in names
-        if labels.mesh_file(item).exists()
-    }
-    grasps = save_grasps(workspace, names) if labels == workspace else {}
-    grasps = {item: frames.get(item, np.eye(4)) @ grasp for item, grasp in grasps.items()}
-    return export_coco(
-        workspace.export(name),
-        scenes,
-        models,
-        split=context.recipe.split,
-        meshes=meshes,
-        grasps=grasps,
-        symmetries=_symmetries(context, models),
-        frames=frames,
-        images=context.recipe.export.images,
-        **options,
-    )
-
-
-def _symmetries(context: Context, models: Sequence[KeypointModel]) -> dict[str, Symmetries]:
-    """What leaves the objects looking the same, in the frames of these models."""
-    found = {}
-    for item, model in zip(context.objects, models, strict=True):
-        turns = symmetry_turns(context, item)
-        if turns:
-            own = context.workspace.load_placed(item.name).model
-            found[item.name] = moved_symmetries(symmetries_of(turns), frame_change(model, own))
-    return found
-
-
-def _without(labels: Iterator[FrameLabel], left_out: frozenset[int]) -> Iterator[FrameLabel]:
-    """Drop the frames that the user excluded."""
-    return (label for label in labels if label.frame not in left_out)
+    Raises:
+        DataError: the format or the object is not known, or nothing is left to export.
+    """
+    check_format(name)
+    recipe = replace(context.recipe, export=choice.recipe(context.recipe.export))
+    context = replace(context, recipe=recipe, choice=choice)
+    if choice.folder and name != "coco":
+        export_labels(context)
+    return context.export_folder(name), EXPORTS[name](context)
 
 
 def _dialect(name: str, write: Callable[[Path, Path], DialectSummary]) -> Export:
     """A format made from `coco` alone."""
-    return lambda context: write(context.workspace.export(name), context.workspace.export("coco"))
+    return lambda context: write(context.export_folder(name), context.export_folder("coco"))
 
 
 def _with_units(name: str, write: Callable[[Path, Path, dict[str, float]], DialectSummary]) -> Export:
     """A format that must say what the depth images of each scene count in."""
+    return lambda context: write(context.export_folder(name), context.export_folder("coco"), _units(context))
+
+
+def _with_color(
+    name: str, write: Callable[[Path, Path, dict[str, float], ColorFormat], DialectSummary]
+) -> Export:
+    """A format that also stores colour images as the recipe says."""
     return lambda context: write(
-        context.workspace.export(name), context.workspace.export("coco"), _units(context)
+        context.export_folder(name),
+        context.export_folder("coco"),
+        _units(context),
+        context.recipe.export.color,
     )
 
 
@@ -236,17 +170,24 @@ def _guessed(context: Context) -> dict[str, float]:
     }
 
 
+CONVERTING = ("bop", "bop_onboarding")
+"""The formats for which `export.color` says how colour images are stored."""
+
 EXPORTS: dict[str, Export] = {
     "coco": export_labels,
+    "coco_per_object": _dialect("coco_per_object", export_coco_per_object),
     "yolo": _dialect("yolo", export_yolo),
-    "bop": _with_units("bop", export_bop),
+    "bop": _with_color("bop", export_bop),
+    "bop_onboarding": _with_color("bop_onboarding", export_bop_onboarding),
+    "ycb_video": _with_units("ycb_video", export_ycb_video),
+    "linemod": _with_units("linemod", export_linemod),
     "okt": _dialect("okt", export_okt),
     "foundationpose": _with_units("foundationpose", export_foundationpose),
     "bundlesdf": _with_units("bundlesdf", export_bundlesdf),
     "nerfstudio": _with_units("nerfstudio", export_nerfstudio),
     "huggingface": _dialect("huggingface", export_huggingface),
     "assets": lambda context: export_assets(
-        context.workspace.export("assets"), context.workspace.export("coco"), _guessed(context)
+        context.export_folder("assets"), context.export_folder("coco"), _guessed(context)
     ),
     "webdataset": _dialect("webdataset", export_webdataset),
 }

@@ -73,7 +73,7 @@ def sources_of(workspace: Path) -> dict[str, Path]:
     """
     from rpl_data.formats.datasets.coco import read_coco
     from rpl_data.pipeline.build import context_of
-    from rpl_data.pipeline.stages.export import export_truth
+    from rpl_data.pipeline.exported_labels import export_truth
     from rpl_data.workspace.workspace import Workspace
 
     place = Workspace(workspace)
