@@ -16,6 +16,7 @@ from rpl_data.clicks.log import Annotation
 from rpl_data.clicks.rigidity import describe_loose, generic_points, loose_scenes
 from rpl_data.geometry import transform
 from rpl_data.types import Click, DataError, Observation, Solution
+from rpl_data.types.keypoint_names import keypoint_titles
 from rpl_data.wording import counted
 
 FEWEST = 3
@@ -142,9 +143,8 @@ def tied_scenes(
         untied = loose_scenes(generic_points(len(keypoints)), clicked)
         if not untied:
             break
-        for line, s in zip(
-            describe_loose(untied, clicked, tied, keypoints).splitlines(), untied, strict=True
-        ):
+        lines = describe_loose(untied, clicked, tied, keypoint_titles(keypoints)).splitlines()
+        for line, s in zip(lines, untied, strict=True):
             loose[tied[s]] = line.removeprefix(f"scene {tied[s]} ")
         tied = [scene for s, scene in enumerate(tied) if s not in untied]
     return tied, loose
