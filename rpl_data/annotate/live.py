@@ -140,10 +140,11 @@ def tied_scenes(
     tied = list(enough)
     while len(tied) > 1:
         clicked = np.array([[k in seen[scene] for k in range(len(keypoints))] for scene in tied])
-        untied = loose_scenes(generic_points(len(keypoints)), clicked)
+        points = generic_points(len(keypoints))
+        untied = loose_scenes(points, clicked)
         if not untied:
             break
-        lines = describe_loose(untied, clicked, tied, keypoint_titles(keypoints)).splitlines()
+        lines = describe_loose(untied, clicked, tied, keypoint_titles(keypoints), points).splitlines()
         for line, s in zip(lines, untied, strict=True):
             loose[tied[s]] = line.removeprefix(f"scene {tied[s]} ")
         tied = [scene for s, scene in enumerate(tied) if s not in untied]

@@ -60,7 +60,8 @@ def refuse_loose(
     """DataError when the keypoints where they are do not tie the scenes."""
     loose = loose_scenes(points_model, clicked)
     if loose:
-        raise DataError(f"object {object_name}: " + describe_loose(loose, clicked, scenes, keypoints))
+        told = describe_loose(loose, clicked, scenes, keypoints, points_model)
+        raise DataError(f"object {object_name}: {told}")
 
 
 def _clicked(groups: Sequence[Hypotheses], keypoints: int) -> np.ndarray:

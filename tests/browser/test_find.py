@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
-from driving import SHOWN, ServerHere
+from driving import SHOWN, ServerHere, toured
 from playwright.sync_api import Browser, Page, Route, expect
 
 from rpl_data.pipeline.build import build
@@ -36,6 +36,7 @@ def known(tiny_workspace: Workspace, tmp_path: Path) -> Workspace:
 def test_a_known_object_is_found_without_clicks(browser: Browser, known: Workspace) -> None:
     server = ServerHere(known.root)
     page = browser.new_page()
+    page.context.add_cookies([toured(server.url)])
     try:
         page.goto(f"{server.url}#scene=02")
         page.wait_for_selector(SHOWN)
