@@ -51,7 +51,7 @@ class Watch:
 
     def _look_at_clicks(self) -> None:
         for name, number in self._session.revisions().items():
-            if self._revisions.get(name, number) != number:
+            if self._revisions.get(name) != number:  # a page that knows it already hears nothing new
                 self._session.news.tell("object", name, number)
             self._revisions[name] = number
 

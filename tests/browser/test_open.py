@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import shutil
 
-from driving import SHOWN, ServerHere, place
-from playwright.sync_api import Page, expect
+from driving import SHOWN, ServerHere, place, toured
+from playwright.sync_api import Browser, expect
 
 from rpl_data.workspace.workspace import Workspace
 
@@ -16,8 +16,12 @@ ASKED = """async (path) => {
 
 
 def test_a_workspace_beside_this_one_and_a_recording_are_opened(
-    page: Page, server: ServerHere, tiny_workspace: Workspace
+    browser: Browser, server: ServerHere, tiny_workspace: Workspace
 ) -> None:
+    page = browser.new_page()
+    page.context.add_cookies([toured(server.url)])
+    page.goto(server.url)
+    page.wait_for_selector(SHOWN)
     beside = server.workspace.parent / "mugs"
     shutil.copytree(server.workspace, beside)
     recording = server.workspace.parent / "desk"
@@ -45,3 +49,4 @@ def test_a_workspace_beside_this_one_and_a_recording_are_opened(
     expect(page.locator("#workspace")).to_have_text("desk_workspace", timeout=60_000)
     expect(page.locator("#keypoints .name")).to_have_text(["rim", "foot", "lid"])
     expect(page.locator("#tour")).to_have_count(0)  # seen at another port
+    page.context.close()

@@ -69,6 +69,7 @@ def test_it_shows_scenes_in_the_object_frame_and_follows_a_click(
     keypoints = next(trace for trace in traces(page) if trace.get("text"))
     expected = 1e3 * solution.model.points_object[solution.model.known]
     np.testing.assert_allclose(keypoints["points"], expected, atol=0.05)
+    page.keyboard.press("0")
     page.get_by_label("camera path").check()
     page.get_by_label("distances").check()
     page.wait_for_function(
