@@ -44,7 +44,7 @@ def test_a_known_object_is_found_without_clicks(browser: Browser, known: Workspa
         expect(page.locator("#scenes")).to_contain_text("found ±", timeout=120_000)
         expect(page.locator("#jobs")).to_contain_text("carton was placed automatically in scene 02")
         expect(page.locator("#jobs")).to_contain_text(" px) off")
-        row = page.locator("#result table tr").filter(has_text="02").first
+        row = page.locator("#result table tr").filter(has=page.get_by_role("button", name="02", exact=True))
         expect(row.locator("td").nth(3)).to_have_text(_px(known))
         expect(page.locator("#job-find")).to_have_count(0)
     finally:
