@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float64
@@ -66,6 +67,7 @@ class Session:
         self._results: dict[str, Result] = {}
         self._suggestions: dict[tuple[str, str, bool], list[Suggestion]] = {}
         self._solving = threading.Lock()
+        self._solved_with = self._stamps()
         self.when_opened: list[Callable[[], object]] = []
         self.when_closed: list[Callable[[], object]] = [self.news.close]
 
@@ -78,9 +80,17 @@ class Session:
         """Clear what was computed of scenes and camera poses, which a build may have changed."""
         with self._solving:
             self.scenes.forget()
-            self._lifter = Lifter(self.scenes)
-            self._results.clear()
-            self._suggestions.clear()
+            before, self._solved_with = self._solved_with, self._stamps()
+            if before != self._solved_with:
+                self._lifter = Lifter(self.scenes)
+                self._results.clear()
+                self._suggestions.clear()
+
+    def _stamps(self) -> dict[Path, int]:
+        """When the files that results follow besides the clicks were written: poses, registered scenes."""
+        files = [self.workspace.trajectory_file(scene) for scene in self.scenes.names()]
+        files += [self.workspace.placed_file(name) for name in self.objects()]
+        return {path: path.stat().st_mtime_ns for path in files if path.exists()}
 
     def revisions(self) -> dict[str, int]:
         """The revision on the disk of every object that was opened."""
