@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float64, UInt8
 
-from rpl_data.types import Box, ColorImage, FrameLabel, InstanceLabel, KeypointModel, Rle
+from rpl_data.types import Box, ColorImage, FrameLabel, InstanceLabel, Intrinsics, KeypointModel, Rle
 
 Rgb = tuple[int, int, int]
 
@@ -21,6 +21,9 @@ OBJECT_COLORS: tuple[Rgb, ...] = (
     (240, 98, 146),
 )
 """Colours of the first, second, ... object; they repeat."""
+SMALLEST_VIEW_PX = 160.0
+"""Smallest width of the part of an image that is shown: a smaller part would be magnified to coarse
+pixels."""
 SHIFT_BITS = 4
 """OpenCV draws at 1/16 px with this: rounding to pixels would hide half-pixel errors."""
 
@@ -30,6 +33,27 @@ def keypoint_color(keypoint: int, count: int) -> Rgb:
     step = next(s for s in (3, 5, 7, 2, 1) if count % s or s == 1)
     red, green, blue = colorsys.hsv_to_rgb((keypoint * step % count) / count, 0.75, 1.0)
     return round(255 * red), round(255 * green), round(255 * blue)
+
+
+def view_of(label: FrameLabel, intrinsics: Intrinsics) -> Box:
+    """The 4:3 part of the image around all objects; the whole image when none is there or all is needed."""
+    width, height = float(intrinsics.width), float(intrinsics.height)
+    whole = (0.0, 0.0, width, height)
+    if not label.instances:
+        return whole
+    edges = np.array([instance.box_full for instance in label.instances])
+    for instance in label.instances:
+        box = instance.square_box
+        half = 0.53 * box.side_px + 2
+        edges = np.vstack([edges, [box.cx_px - half, box.cy_px - half, box.cx_px + half, box.cy_px + half]])
+    x0, y0 = np.clip(edges[:, :2].min(axis=0), 0, [width, height])
+    x1, y1 = np.clip(edges[:, 2:].max(axis=0), 0, [width, height])
+    wanted = max(x1 - x0, (y1 - y0) * 4 / 3, SMALLEST_VIEW_PX)
+    if wanted >= width or wanted * 3 / 4 >= height:
+        return whole
+    left = float(np.clip((x0 + x1 - wanted) / 2, 0, width - wanted))
+    top = float(np.clip((y0 + y1 - wanted * 3 / 4) / 2, 0, height - wanted * 3 / 4))
+    return left, top, left + wanted, top + wanted * 3 / 4
 
 
 def draw_overlay(

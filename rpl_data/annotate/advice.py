@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -11,6 +11,7 @@ import numpy as np
 from rpl_data.annotate.live import FEWEST, Live
 from rpl_data.clicks.log import Annotation
 from rpl_data.types import HINTS, Statement
+from rpl_data.types.keypoint_names import keypoint_titles
 from rpl_data.wording import counted
 
 ENOUGH = FEWEST + 1
@@ -39,8 +40,14 @@ class Advice:
     action: Literal["add", "label"] | None = None
 
 
-def next_step(annotation: Annotation, live: Live, scenes: Sequence[str]) -> Advice:
-    """The first of: settle a contradiction, mark what is missing, check, sharpen, make the labels."""
+def next_step(
+    annotation: Annotation, live: Live, scenes: Sequence[str], rough_px: Mapping[str, float] | None = None
+) -> Advice:
+    """The first of: settle a contradiction, mark what is missing, check, sharpen, make the labels.
+
+    Args:
+        rough_px: expected error of the scenes whose labels will be rough.
+    """
     if not annotation.keypoints:
         return Advice("name the object's keypoints: corners, screws, spouts", action="add")
     if live.check is not None:
@@ -52,12 +59,17 @@ def next_step(annotation: Annotation, live: Live, scenes: Sequence[str]) -> Advi
         or _weak_scene(annotation, live)
         or _most_helpful(annotation, live)
         or _unsure(annotation, live)
-        or Advice(f"{_settled(live)}: make the dense model and the labels", action="label")
+        or Advice(f"{_settled(live, rough_px or {})}: make the dense model and the labels", action="label")
     )
 
 
-def _settled(live: Live) -> str:
+def _settled(live: Live, rough_px: Mapping[str, float]) -> str:
     """What can be said of the scenes and keypoints when nothing is left to do."""
+    if rough_px:
+        worst = max(rough_px, key=lambda scene: rough_px[scene])
+        found = f"scene {worst} should be {rough_px[worst]:.0f} px off"
+        more = f", {counted(len(rough_px) - 1, 'other scene')} less" if len(rough_px) > 1 else ""
+        return f"no further click helps much, but labels will be rough: {found}{more}; film again, or"
     if live.solution is not None and not live.solution.checked:
         return "every scene is placed; nothing checks the clicks against one another with this way to solve"
     weak = sorted({s.clicks[0].scene for s in _weak(live)})
@@ -74,7 +86,7 @@ def _checked(live: Live) -> str:
     missing = (
         []
         if model is None
-        else [n for n, known in zip(model.keypoints, model.known, strict=True) if not known]
+        else [n for n, known in zip(keypoint_titles(model.keypoints), model.known, strict=True) if not known]
     )
     if not missing:
         return "every keypoint is checked"
@@ -169,9 +181,10 @@ def _wanted(
 
 def _asking(annotation: Annotation, scene: str, here: Sequence[int], keypoint: int, live: Live) -> str:
     name, count = annotation.keypoints[keypoint], len(annotation.keypoints)
+    title = keypoint_titles(annotation.keypoints)[keypoint]
     if not annotation.clicks:
         if not name.isdigit():
-            return f"scene {scene}: click exactly on {name} of the {annotation.object}"
+            return f"scene {scene}: click exactly on {name} of the {annotation.object}, keypoint {keypoint}"
         what = f"a corner or mark of the {annotation.object} that you will know again in every scene"
         return f"scene {scene}: click exactly on {what}; it becomes keypoint {name}"
     done = f"{len(here)} of {counted(count, 'keypoint')} clicked in this scene"
@@ -179,7 +192,7 @@ def _asking(annotation: Annotation, scene: str, here: Sequence[int], keypoint: i
         done += f"; it needs at least {FEWEST}"
     elif scene in live.loose:
         done += f"; {live.loose[scene]}"
-    return f"scene {scene}: mark keypoint {name} ({done}). Not visible here? Skip it (S)"
+    return f"scene {scene}: mark keypoint {title} ({done}). Not visible here? Skip it (S)"
 
 
 def _most_helpful(annotation: Annotation, live: Live) -> Advice | None:
@@ -189,7 +202,7 @@ def _most_helpful(annotation: Annotation, live: Live) -> Advice | None:
             break
         if (best.keypoint, best.scene) in annotation.skipped:
             continue
-        name = annotation.keypoints[best.keypoint]
+        name = keypoint_titles(annotation.keypoints)[best.keypoint]
         text = (
             f"scene {best.scene}, frame {best.frame}: mark keypoint {name} here; it should lower the error "
             f"by {best.gain_mm:.1f} mm on average, to {best.left_mm:.1f} mm in this scene; not visible? mark "
@@ -213,7 +226,8 @@ def _unsure(annotation: Annotation, live: Live) -> Advice | None:
         visible = [scene for scene in scenes if (keypoint, scene) not in annotation.skipped]
         if not visible or len(clicked) >= OFTEN:
             continue
-        known = f"keypoint {annotation.keypoints[keypoint]} is known to ±{1e3 * sigma_m:.0f} mm only"
+        title = keypoint_titles(annotation.keypoints)[keypoint]
+        known = f"keypoint {title} is known to ±{1e3 * sigma_m:.0f} mm only"
         text = f"{known}: mark it in one more frame, seen from another side"
         return Advice(text, min(visible, key=clicked.count), None, keypoint)
     return None

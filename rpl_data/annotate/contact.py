@@ -10,7 +10,7 @@ from functools import lru_cache
 from rpl_data.annotate.session import Session
 from rpl_data.annotate.stores.pictures import encoded, resized
 from rpl_data.images import read_color
-from rpl_data.overlay import draw_overlay
+from rpl_data.overlay import draw_overlay, view_of
 from rpl_data.types import DataError, KeypointModel
 
 SCENES_KEPT = 24
@@ -53,13 +53,17 @@ class ContactSheet:
         here = self._session.scenes.get(scene).frames  # a part of a cut recording has only some of them
         return [item for item in self._brief(self._video(scene), stamp) if item.frame in here]
 
-    def jpeg(self, scene: str, frame: int, width_px: int) -> bytes:
-        """Draw a frame with its labels as JPEG; DataError when it has none."""
+    def jpeg(self, scene: str, frame: int, width_px: int, *, whole: bool = False) -> bytes:
+        """Draw a frame with its labels as JPEG, the part around the objects or the whole.
+
+        Raises:
+            DataError: it has none.
+        """
         stamp = self._stamp(scene)
         if stamp is None:
             raise DataError(f"scene {scene} has no labels yet; make them first")
         width = next((w for w in WIDTHS_PX if w >= width_px), WIDTHS_PX[-1])
-        return self._picture(scene, frame, width, stamp)
+        return self._picture(scene, frame, width, whole, stamp)
 
     def _stamp(self, scene: str) -> tuple[int, int] | None:
         path = self._workspace.labels_file(self._video(scene))
@@ -84,12 +88,14 @@ class ContactSheet:
                 found.append(Labelled(int(frame[1]), objects, min(quality) if quality else None))
         return found
 
-    def _draw(self, scene: str, frame: int, width_px: int, stamp: tuple[int, int]) -> bytes:
+    def _draw(self, scene: str, frame: int, width_px: int, whole: bool, stamp: tuple[int, int]) -> bytes:
         label = self._session.masks.label(scene, frame)
         if label is None:
             raise DataError(f"scene {scene}, frame {frame} has no label")
-        color = read_color(self._session.scenes.get(scene).frame(frame))
-        drawn = draw_overlay(color, label, self._models(stamp), width_px=max(width_px, DRAWN_PX))
+        posed = self._session.scenes.get(scene)
+        view = None if whole else view_of(label, posed.scene.intrinsics)
+        color, least_px = read_color(posed.frame(frame)), DRAWN_PX if whole else width_px
+        drawn = draw_overlay(color, label, self._models(stamp), view=view, width_px=max(width_px, least_px))
         return encoded(resized(drawn, width_px))
 
     def _read_models(self, stamp: tuple[int, int]) -> Mapping[str, KeypointModel]:

@@ -14,12 +14,14 @@ from rpl_data.annotate.news import News
 from rpl_data.annotate.work import Tell
 from rpl_data.types import DataError, UnsureError
 
-STAGES = ("segment", "label", "export")
-"""Stages that can be started; earlier stages that are out of date run as well."""
+STAGES = ("segment", "label", "export", "report")
+"""Stages that can be started; earlier stages that are out of date run as well. The last makes everything."""
 TELL_EVERY_S = 0.2
 
 FIND = "find"
 """The job that places a known object in a scene without clicks."""
+OPEN = "open"
+"""The job that reads a recording into a workspace of its own."""
 
 Run = Callable[[str, Tell], list[str]]
 State = Literal["running", "stopping", "done", "failed", "stopped", "unsure"]

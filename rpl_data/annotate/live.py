@@ -16,6 +16,7 @@ from rpl_data.clicks.log import Annotation
 from rpl_data.clicks.rigidity import describe_loose, generic_points, loose_scenes
 from rpl_data.geometry import transform
 from rpl_data.types import Click, DataError, Observation, Solution
+from rpl_data.types.keypoint_names import keypoint_titles
 from rpl_data.wording import counted
 
 FEWEST = 3
@@ -139,12 +140,12 @@ def tied_scenes(
     tied = list(enough)
     while len(tied) > 1:
         clicked = np.array([[k in seen[scene] for k in range(len(keypoints))] for scene in tied])
-        untied = loose_scenes(generic_points(len(keypoints)), clicked)
+        points = generic_points(len(keypoints))
+        untied = loose_scenes(points, clicked)
         if not untied:
             break
-        for line, s in zip(
-            describe_loose(untied, clicked, tied, keypoints).splitlines(), untied, strict=True
-        ):
+        lines = describe_loose(untied, clicked, tied, keypoint_titles(keypoints), points).splitlines()
+        for line, s in zip(lines, untied, strict=True):
             loose[tied[s]] = line.removeprefix(f"scene {tied[s]} ")
         tied = [scene for s, scene in enumerate(tied) if s not in untied]
     return tied, loose

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 
 import numpy as np
 
 from rpl_data.annotate.advice import next_step
-from rpl_data.annotate.live import FEWEST, Live
+from rpl_data.annotate.live import FEWEST
 from rpl_data.annotate.log import Revision
 from rpl_data.annotate.session import Result
 from rpl_data.annotate.stores.scenes import PosedScene
@@ -17,6 +17,7 @@ from rpl_data.clicks.log import Event
 from rpl_data.json_arrays import Json, numbers, rows_to_json
 from rpl_data.overlay import keypoint_color
 from rpl_data.types import ClickResidual, Solution, Statement
+from rpl_data.types.keypoint_names import keypoint_titles
 
 
 def scene_payload(posed: PosedScene) -> Json:
@@ -64,7 +65,8 @@ def described(event: Event | None, keypoints: tuple[str, ...]) -> str | None:
     if event is None:
         return None
     number = event.get("keypoint")
-    name = keypoints[number] if number is not None and number < len(keypoints) else ""
+    title = keypoint_titles(keypoints)[number] if number is not None and number < len(keypoints) else ""
+    name = f"keypoint {title}"
     words = {
         "click": f"the click on {name}",
         "move": f"moving {name}",
@@ -100,14 +102,14 @@ def result_payload(result: Result, scenes: Sequence[str]) -> Json:
         else {name: numbers(matrix, 9) for name, matrix in solution.scene_from_object.items()},
         "skeleton": [] if solution is None else [list(pair) for pair in solution.model.skeleton],
         "clicks": [] if solution is None else [_residual(r) for r in solution.residuals],
-        "scenes": _scenes(revision, live, result.expected_px),
+        "scenes": _scenes(result),
         "lifted": [
             {"keypoint": click.keypoint, "scene": click.scene, "point_m": numbers(point, 6)}
             for click, point in result.lifted
         ],
         "grasp": None if result.grasp is None else numbers(result.grasp, 7),
         "grasp_problem": result.grasp_problem,
-        "next": asdict(next_step(revision.annotation, live, scenes)),
+        "next": asdict(next_step(revision.annotation, live, scenes, result.rough_scenes())),
     }
 
 
@@ -143,41 +145,40 @@ def _residual(residual: ClickResidual) -> Json:
     }
 
 
-def _scenes(revision: Revision, live: Live, expected_px: Mapping[str, float]) -> dict[str, Json]:
-    """Describe each scene with clicks or a pose: its keypoints, whether it is tied to others, its errors."""
-    annotation, found = revision.annotation, {}
+def _scenes(result: Result) -> dict[str, Json]:
+    """Describe each scene with clicks or a pose: its state, how its clicks fit, and its expected error."""
+    live, clicks = result.live, result.revision.annotation.clicks
     residuals = live.solution.residuals if live.solution else ()
-    placed_in = live.solution.scene_from_object if live.solution else {}
-    for scene in sorted({click.scene for click in annotation.clicks} | set(placed_in)):
+    placed = live.solution.scene_from_object if live.solution else {}
+    found = {}
+    for scene in sorted({click.scene for click in clicks} | set(placed)):
         mine = [r for r in residuals if r.click.scene == scene]
-        metres = [r.error_m for r in mine if r.error_m is not None and not r.outlier]
-        clicked = {click.keypoint for click in annotation.clicks if click.scene == scene}
-        bad = sum(r.outlier for r in mine)
-        placed = scene in placed_in
-        doubt = any(r.reason for r in mine)
-        state = (
-            "bad"
-            if bad
-            else "doubt"
-            if doubt
-            else "found"
-            if placed and not clicked
-            else "checking"
-            if placed and live.check is not None
-            else "tied"
-            if placed
-            else "few"
-            if len(clicked) < FEWEST
-            else "loose"
-        )
         found[scene] = {
-            "state": state,
-            "clicked": len(clicked),
-            "bad": bad,
-            "error_mm": round(1e3 * float(np.sqrt(np.mean(np.square(metres)))), 2) if metres else None,
-            "error_px": round(float(np.median([r.error_px for r in mine])), 2) if mine else None,
+            "state": _state(result, scene, mine),
+            "clicked": len({click.keypoint for click in clicks if click.scene == scene}),
+            "bad": sum(r.outlier for r in mine),
+            "miss_px": round(float(np.median([r.error_px for r in mine])), 2) if mine else None,
             "expected_mm": _rounded(live.solution.expected_mm.get(scene)) if live.solution else None,
-            "expected_px": _rounded(expected_px.get(scene)),
+            "expected_px": _rounded(result.expected_px.get(scene)),
             "text": live.loose.get(scene, ""),
         }
     return found
+
+
+def _state(result: Result, scene: str, residuals: Sequence[ClickResidual]) -> str:
+    """What is to be said of a scene first: mistakes, then what is missing, then how good it is."""
+    live = result.live
+    clicked = {c.keypoint for c in result.revision.annotation.clicks if c.scene == scene}
+    rough_px, left_out_px = result.limits_px
+    expected_px = result.expected_px.get(scene, 0.0)
+    if any(r.outlier for r in residuals):
+        return "bad"
+    if any(r.reason for r in residuals):
+        return "doubt"
+    if live.solution is None or scene not in live.solution.scene_from_object:
+        return "few" if len(clicked) < FEWEST else "loose"
+    if live.check is not None and clicked:
+        return "checking"
+    if expected_px > rough_px:
+        return "unfit" if expected_px > left_out_px else "rough"
+    return "tied" if clicked else "found"

@@ -12,11 +12,13 @@ from starlette.middleware.gzip import GZipMiddleware
 
 from rpl_data.annotate.guard import Guard
 from rpl_data.annotate.log import Conflict, NotSaved
+from rpl_data.annotate.opening import Opening
 from rpl_data.annotate.routes.clicks import clicks_routes
 from rpl_data.annotate.routes.contact import contact_routes
 from rpl_data.annotate.routes.jobs import job_routes
 from rpl_data.annotate.routes.models import model_routes
 from rpl_data.annotate.routes.objects import add_objects
+from rpl_data.annotate.routes.opening import opening_routes
 from rpl_data.annotate.routes.page import add_page
 from rpl_data.annotate.routes.scenes import add_scenes
 from rpl_data.annotate.routes.solid import solid_routes
@@ -25,11 +27,17 @@ from rpl_data.annotate.work import Address
 from rpl_data.types import DataError
 
 
-def make_app(session: Session, address: Address) -> FastAPI:
-    """Make the application of one workspace, behind its guard."""
+def make_app(session: Session, address: Address, opening: Opening | None = None) -> FastAPI:
+    """Make the application of one workspace, behind its guard.
+
+    Args:
+        opening: what its page may open besides; nothing when None.
+    """
 
     @asynccontextmanager
     async def life(app: FastAPI) -> AsyncIterator[None]:
+        for does in session.when_opened:
+            does()
         yield
         session.close()
 
@@ -43,7 +51,10 @@ def make_app(session: Session, address: Address) -> FastAPI:
     add_objects(app, session)
     app.include_router(solid_routes(session))
     app.include_router(clicks_routes(session))
-    app.include_router(job_routes(session))
+    jobs, routes = job_routes(session)
+    app.include_router(routes)
+    if opening is not None:
+        app.include_router(opening_routes(session, opening, jobs))
     app.include_router(contact_routes(session))
     app.include_router(model_routes(session))
     add_page(app, session)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float64
@@ -32,6 +33,7 @@ class Result:
     Attributes:
         grasp: `object_from_grasp` if one was marked and can be computed; else `grasp_problem` says why not.
         expected_px: expected error of the keypoints over the images of each scene.
+        limits_px: see `Work`.
     """
 
     revision: Revision
@@ -40,6 +42,11 @@ class Result:
     grasp: Transform | None = None
     grasp_problem: str = ""
     expected_px: Mapping[str, float] = field(default_factory=dict)
+    limits_px: tuple[float, float] = (np.inf, np.inf)
+
+    def rough_scenes(self) -> dict[str, float]:
+        """The expected error in px of the scenes whose labels will be rough."""
+        return {scene: px for scene, px in self.expected_px.items() if px > self.limits_px[0]}
 
 
 class Overtaken(Exception):
@@ -60,12 +67,34 @@ class Session:
         self._results: dict[str, Result] = {}
         self._suggestions: dict[tuple[str, str, bool], list[Suggestion]] = {}
         self._solving = threading.Lock()
+        self._solved_with = self._stamps()
+        self.when_opened: list[Callable[[], object]] = []
         self.when_closed: list[Callable[[], object]] = [self.news.close]
 
     def close(self) -> None:
         """End the streams and jobs before the server stops."""
         for does in self.when_closed:
             does()
+
+    def forget(self) -> None:
+        """Clear what was computed of scenes and camera poses, which a build may have changed."""
+        with self._solving:
+            self.scenes.forget()
+            before, self._solved_with = self._solved_with, self._stamps()
+            if before != self._solved_with:
+                self._lifter = Lifter(self.scenes)
+                self._results.clear()
+                self._suggestions.clear()
+
+    def _stamps(self) -> dict[Path, int]:
+        """When the files that results follow besides the clicks were written: poses, registered scenes."""
+        files = [self.workspace.trajectory_file(scene) for scene in self.scenes.names()]
+        files += [self.workspace.placed_file(name) for name in self.objects()]
+        return {path: path.stat().st_mtime_ns for path in files if path.exists()}
+
+    def revisions(self) -> dict[str, int]:
+        """The revision on the disk of every object that was opened."""
+        return {name: log.now().number for name, log in list(self._logs.items())}
 
     def objects(self) -> list[str]:
         """Names of the objects, in the order of the recipe."""
@@ -139,7 +168,8 @@ class Session:
         expected_px = {
             scene: self.work.expected_px(live.solution, scene) for scene in placed if live.solution
         }
-        return Result(revision, live, lifted, *self._grasp(revision.annotation, live), expected_px)
+        grasp, problem = self._grasp(revision.annotation, live)
+        return Result(revision, live, lifted, grasp, problem, expected_px, self.work.limits_px())
 
     def find(self, name: str, scene: str, tell: Tell) -> list[str]:
         """Place a known object in a scene without clicks; see `Work`."""

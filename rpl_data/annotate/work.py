@@ -39,6 +39,8 @@ class Work:
         find: (object, scene, tell) places a known object in a scene without clicks; returns lines for the
             user; UnsureError, with the click that would tell, where it is not sure.
         expected_px: (solution, scene) is the expected error of the keypoints over the images of a scene.
+        limits_px: the expected errors above which a label is rough (its quality is below 0.5), and above
+            which its frame is left out of the dataset.
     """
 
     solve: Solve
@@ -50,6 +52,7 @@ class Work:
     fresh: Callable[[], Mapping[str, bool]]
     find: Callable[[str, str, Tell], list[str]]
     expected_px: Callable[[Solution, str], float]
+    limits_px: Callable[[], tuple[float, float]]
 
 
 @dataclass(frozen=True)

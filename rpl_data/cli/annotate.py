@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import errno
 import ipaddress
 import secrets
-import socket
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
-from pathlib import Path
-from types import FrameType
 
 import numpy as np
 from jaxtyping import Float64
@@ -18,6 +14,7 @@ from jaxtyping import Float64
 from rpl_data.annotate import Address, Work
 from rpl_data.annotate.work import Tell
 from rpl_data.geometry import transform
+from rpl_data.label.certainty import HALF_QUALITY_PX, expected_error_px
 from rpl_data.pipeline.automatic import find_step
 from rpl_data.pipeline.build import (
     Progress,
@@ -65,6 +62,7 @@ def work_of(workspace: Workspace) -> Work:
         fresh=lambda: _fresh(workspace),
         find=lambda name, scene, tell: _find(workspace, name, scene, tell),
         expected_px=lambda solution, scene: _expected_px(workspace, solution, scene),
+        limits_px=lambda: (HALF_QUALITY_PX, expected_error_px(_context(workspace).recipe.export.min_quality)),
     )
 
 
@@ -101,10 +99,12 @@ def _run(workspace: Workspace, stage: str, tell: Tell) -> list[str]:
             lines.extend(progress.outcome.messages)
         if progress.state != "runs" and progress.stage == "export":
             images = progress.outcome.details["images"]
-            counts = ", ".join(f"{count} {split}" for split, count in images.items())
-            lines.append(f"{workspace.export(progress.item).resolve()}: {counts} images")
+            counts = ", ".join(f"{count} of {split}" for split, count in images.items())
+            lines.append(f"{workspace.export(progress.item).resolve()}: images: {counts}")
 
     ledger = build(recipe_of(workspace), workspace, until=stage, tell=told)
+    if stage == "report":
+        lines.append(f"report: {workspace.report.resolve()}")
     if stage != "segment":
         lines.extend(sparse_labels(ledger.of_stage("label").values()))
     return lines
@@ -147,69 +147,3 @@ def _camera_poses(workspace: Workspace, scene: str, stamp: int) -> Float64[np.nd
 def _fresh(workspace: Workspace) -> dict[str, bool]:
     found = stale_steps(_context(workspace).recipe, workspace)
     return {stage: bool(steps) and all(holds for _, holds in steps) for stage, steps in found.items()}
-
-
-NEXT_PORTS = 20
-"""So many ports behind the one asked for are tried when it is taken."""
-
-
-def listening(address: Address) -> tuple[socket.socket, Address]:
-    """A socket that listens, and where: at the next free port when the one asked for is taken.
-
-    Raises:
-        DataError: the address cannot be listened on.
-    """
-    family = socket.AF_INET6 if ":" in address.host else socket.AF_INET
-    for port in range(address.port, min(address.port + NEXT_PORTS, 65536)):
-        try:
-            taken = socket.create_server((address.host, port), family=family)
-        except OSError as error:
-            why = error
-            if error.errno == errno.EADDRINUSE:
-                continue
-            break
-        # A socket made here names no protocol, so asyncio would leave Nagle's delay on: 40 ms per answer.
-        taken.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        return taken, replace(address, port=port)
-    raise DataError(
-        f"cannot listen on {address.host} port {address.port}: {why.strerror or why}; choose another --port"
-    ) from why
-
-
-def serve(workspace: Path, address: Address, taken: socket.socket, *, ready: Callable[[], None]) -> None:
-    """Serve the page until Ctrl-C.
-
-    Args:
-        workspace: its folder.
-        address: where `taken` listens.
-        taken: the socket.
-        ready: called when the workspace was found to be one.
-
-    Raises:
-        DataError: this is no workspace.
-    """
-    import uvicorn
-
-    from rpl_data.annotate.server import make_app
-    from rpl_data.annotate.session import Session
-
-    root = Workspace(workspace)
-    session = Session(root, work_of(root))
-    config = uvicorn.Config(
-        make_app(session, address),
-        log_level="warning",
-        access_log=False,
-        timeout_graceful_shutdown=1,
-        ws="none",
-    )
-    server = uvicorn.Server(config)
-    exits = server.handle_exit
-
-    def end(number: int, frame: FrameType | None) -> None:
-        session.close()  # first the streams of open pages, which would be cut off with an error each
-        exits(number, frame)
-
-    server.handle_exit = end  # type: ignore[assignment, method-assign]
-    ready()
-    server.run(sockets=[taken])
-    raise KeyboardInterrupt  # only a signal ends it, and asyncio sometimes swallows the exception of Ctrl-C

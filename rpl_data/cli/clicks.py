@@ -13,6 +13,7 @@ def annotate(
     root: Path | None = None,
     host: str = "127.0.0.1",
     port: int = 8017,
+    folder: Path | None = None,
 ) -> None:
     """Mark keypoints in the browser, on a page that says what to do next. Ctrl-C ends it.
 
@@ -26,9 +27,13 @@ def annotate(
         root: where the relative paths of the recipe start; the recipe's own folder when left out.
         host: the address to listen on; any other than this machine's own asks for the token in the printed
             URL.
-        port: where the page is served.
+        port: where the page is served; workspaces that are opened from it get the next ports.
+        folder: the page may open workspaces and recordings below this folder; when left out, those beside the
+            workspace, and with a --host for other machines none.
     """
-    from rpl_data.cli.annotate import address_of, listening, serve
+    from rpl_data.cli.annotate import address_of
+    from rpl_data.cli.listening import listening
+    from rpl_data.cli.opened import serve
     from rpl_data.pipeline.recipe_file import load_recipe
 
     address = address_of(host, port)
@@ -37,12 +42,18 @@ def annotate(
     taken, address = listening(address)
     with taken:
         serve(
-            workspace, address, taken, ready=lambda: print(f"open {address.url}\nend with Ctrl-C", flush=True)
+            workspace,
+            address,
+            taken,
+            folder=folder,
+            ready=lambda: print(f"open {address.url}\nend with Ctrl-C", flush=True),
         )
 
 
-def clicks_import(file: Path, workspace: Path = HERE, proposed: bool = False) -> None:
-    """Add the clicks of a CSV file; a click on the same keypoint in the same frame is replaced.
+def clicks_import(file: Path, workspace: Path = HERE, proposed: bool = False, replace: bool = False) -> None:
+    """Add the clicks of a CSV file; a click on the same keypoint in the same frame is moved.
+
+    It says how many clicks were added, moved and removed, and how many stay as before.
 
     Example: rpl clicks import corrected.csv --workspace my-workspace
 
@@ -52,14 +63,18 @@ def clicks_import(file: Path, workspace: Path = HERE, proposed: bool = False) ->
         proposed: the clicks are a program's (`rpl predict poses --clicks`): what a person decided
             stays, and they only fill in keypoints that were neither clicked in that scene nor declared not
             visible there.
+        replace: remove all other clicks of the objects in the file.
     """
     from rpl_data.pipeline.build import context_of
     from rpl_data.pipeline.stages.clicks import add_clicks
-    from rpl_data.wording import counted
+    from rpl_data.types import DataError
     from rpl_data.workspace.workspace import Workspace
 
-    for name, count in add_clicks(context_of(Workspace(workspace)), file, proposed=proposed).items():
-        print(f"{name}: {counted(count, 'click')} added or changed")
+    if proposed and replace:
+        raise DataError("proposed clicks only fill gaps: give either --proposed or --replace")
+    found = add_clicks(context_of(Workspace(workspace)), file, proposed=proposed, replaces=replace)
+    for name, change in found.items():
+        print(f"{name}: {change}")
 
 
 def clicks_export(file: Path, workspace: Path = HERE) -> None:

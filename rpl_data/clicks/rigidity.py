@@ -15,6 +15,8 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool, Float64
 
+from rpl_data.geometry import is_collinear
+
 LEVER = 0.02
 """A motion counts as free when it moves the clicks by less than this share of its own size. Clicks are good
 to 2 mm on an object of 10 cm, so a rotation about a line cannot be observed when all keypoints lie that near
@@ -69,20 +71,27 @@ def _outside_largest_group(free: Float64[np.ndarray, "n s 6"]) -> list[int]:
 
 
 def describe_loose(
-    loose: Sequence[int], clicked: Bool[np.ndarray, "s k"], scenes: Sequence[str], keypoints: Sequence[str]
+    loose: Sequence[int],
+    clicked: Bool[np.ndarray, "s k"],
+    scenes: Sequence[str],
+    keypoints: Sequence[str],
+    points_model: Float64[np.ndarray, "k 3"],
 ) -> str:
-    """Say, for each loose scene, which keypoints it shares with the rest and what to click."""
+    """Say, for each loose scene, which keypoints it shares with the rest and what to click.
+
+    Args:
+        points_model: the positions that the scenes were found to be loose with.
+    """
     lines = []
     for s in loose:
         rest = [r for r in range(len(scenes)) if r != s]
         shared = [int(k) for k in np.flatnonzero(clicked[s] & clicked[rest].any(axis=0))]
         names = ", ".join(keypoints[k] for k in shared) or "none"
         word = "keypoint" if len(shared) == 1 else "keypoints"
-        reason = (
-            ""
-            if len(shared) < 3
-            else " and they lie (nearly) on a line or in scenes that are loose themselves"
-        )
+        reason = ""
+        if len(shared) >= 3:
+            straight = is_collinear(points_model[shared])
+            reason = " and they lie (nearly) on a line" if straight else " and the rest is loose itself"
         lines.append(
             f"scene {scenes[s]} shares only {word} {names} with the rest{reason}; "
             "click at least 3 common, non-collinear keypoints"

@@ -9,17 +9,16 @@ import cv2
 import numpy as np
 
 from rpl_data.images import read_color
-from rpl_data.overlay import draw_overlay, keypoint_color
+from rpl_data.overlay import draw_overlay, keypoint_color, view_of
 from rpl_data.report.counts import FrameSummary
 from rpl_data.report.html import chip, folded, number, text
-from rpl_data.types import Box, ColorImage, FrameLabel, Intrinsics, KeypointModel, Scene
+from rpl_data.types import ColorImage, FrameLabel, KeypointModel, Scene
 from rpl_data.workspace.workspace import Workspace
 
 THUMBNAIL_WIDTH_PX = 420
 JPEG_QUALITY = 82
-SMALLEST_VIEW_PX = 160.0
-"""Smallest width of the part of an image that is shown: a smaller part would be magnified to coarse
-pixels."""
+POOR = 0.5
+"""A quality below this stands for labels that are more than 5 px off; only that is red."""
 
 
 def frames_per_scene(scenes: int) -> int:
@@ -38,27 +37,6 @@ def choose_frames(frames: Sequence[FrameSummary], *, count: int, worst: int) -> 
     others = [frame.frame for frame in with_object if frame.frame not in lowest]
     rows = np.linspace(0, len(others) - 1, min(count - len(lowest), len(others))).round().astype(int)
     return sorted({others[row] for row in rows} | lowest), lowest
-
-
-def view_of(label: FrameLabel, intrinsics: Intrinsics) -> Box:
-    """The 4:3 part of the image around all objects; the whole image when none is there or all is needed."""
-    width, height = float(intrinsics.width), float(intrinsics.height)
-    whole = (0.0, 0.0, width, height)
-    if not label.instances:
-        return whole
-    edges = np.array([instance.box_full for instance in label.instances])
-    for instance in label.instances:
-        box = instance.square_box
-        half = 0.53 * box.side_px + 2
-        edges = np.vstack([edges, [box.cx_px - half, box.cy_px - half, box.cx_px + half, box.cy_px + half]])
-    x0, y0 = np.clip(edges[:, :2].min(axis=0), 0, [width, height])
-    x1, y1 = np.clip(edges[:, 2:].max(axis=0), 0, [width, height])
-    wanted = max(x1 - x0, (y1 - y0) * 4 / 3, SMALLEST_VIEW_PX)
-    if wanted >= width or wanted * 3 / 4 >= height:
-        return whole
-    left = float(np.clip((x0 + x1 - wanted) / 2, 0, width - wanted))
-    top = float(np.clip((y0 + y1 - wanted * 3 / 4) / 2, 0, height - wanted * 3 / 4))
-    return left, top, left + wanted, top + wanted * 3 / 4
 
 
 def jpeg_uri(picture: ColorImage) -> str:
@@ -97,7 +75,7 @@ def _figure(label: FrameLabel, uri: str, *, worst: bool) -> str:
     caption = f"<span>frame {label.frame} · {text(words)}{cut}</span><b>{number(quality)}</b>"
     badge = "<em>lowest quality</em>" if worst else ""
     image = f'<img src="{uri}" alt="{text(f"scene {label.scene}, frame {label.frame}: {words}")}">'
-    kind = ' class="worst"' if worst else ""
+    kind = ' class="worst"' if worst and quality is not None and quality < POOR else ""
     return f"<figure{kind}>{image}{badge}<figcaption>{caption}</figcaption></figure>"
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NoReturn
 
 import numpy as np
 from jaxtyping import Bool, Float64
@@ -15,6 +14,7 @@ from rpl_data.meshes import joined, oriented_points, select, smoothed_normals, t
 from rpl_data.segment.completion import closed_mesh
 from rpl_data.segment.free_space import DepthView, free_share, witnesses
 from rpl_data.segment.mask_votes import MaskView, regions_by_masks
+from rpl_data.segment.refusals import CropBox, refuse_without_surface
 from rpl_data.segment.region_growing import (
     Plane,
     beyond_footprint_m,
@@ -23,10 +23,7 @@ from rpl_data.segment.region_growing import (
     planes_below,
     smooth_or_convex_pairs,
 )
-from rpl_data.types import DataError, Mesh, PointCloud, Solution
-
-CropBox = tuple[tuple[float, float, float], tuple[float, float, float]]
-"""Lowest and highest corner in the object frame, metres."""
+from rpl_data.types import Mesh, PointCloud, Solution
 
 
 @dataclass(frozen=True)
@@ -98,7 +95,7 @@ def segment_object(
     above = {scene: around.above for scene, around in surroundings.items()}
     grown, said = regions_by_masks(grown, above, mask_views, keypoints)
     if not grown:
-        refuse_without_surface(solution.model.name, len(surfaces))
+        refuse_without_surface(surfaces, solution, crop_m)
     agreed = [
         _not_seen_through(region, scene, surroundings, depth_views, voxel_m)
         for scene, region in grown.items()
@@ -110,15 +107,6 @@ def segment_object(
     closed = closed_mesh(cloud, anchors, voxel_m=voxel_m, views=depth_views)
     share = free_share(closed.mesh, depth_views) if depth_views else float("nan")
     return DenseModel(closed.mesh, cloud, closed.seen, closed.open_edges, share, warnings)
-
-
-def refuse_without_surface(object_name: str, surfaces: int) -> NoReturn:
-    """DataError: no region grew from the keypoints in any scene."""
-    raise DataError(
-        f"object {object_name}: none of {surfaces} scene surfaces has points at the keypoints; expected a "
-        "surface there; check the clicks and the trajectories, and that depth is measured there at all (dark "
-        "and shiny parts give none): film such a part nearer or longer"
-    )
 
 
 def grown_regions(

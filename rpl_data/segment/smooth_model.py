@@ -12,7 +12,8 @@ from rpl_data.geometry import Points, invert, transform
 from rpl_data.meshes import joined, joined_meshes, oriented_points, select, thinned
 from rpl_data.segment.completion import open_edges
 from rpl_data.segment.free_space import DepthView, free_share
-from rpl_data.segment.segment import CropBox, DenseModel, refuse_without_surface
+from rpl_data.segment.refusals import CropBox, refuse_without_surface
+from rpl_data.segment.segment import DenseModel
 from rpl_data.segment.smooth_regions import grow_from_seeds
 from rpl_data.types import Mesh, PointCloud, Solution
 
@@ -47,7 +48,7 @@ def join_smooth_regions(
     }
     found = [piece for piece in pieces.values() if len(piece[0].points) and len(piece[1].triangles)]
     if not found:
-        refuse_without_surface(solution.model.name, len(surfaces))
+        refuse_without_surface(surfaces, solution, crop_m)
     mesh = joined_meshes([mesh for _, mesh in found])
     return DenseModel(
         mesh=mesh,

@@ -10,6 +10,10 @@ from jaxtyping import Float64
 from rpl_data.clicks.rigidity import describe_loose, generic_points, loose_scenes
 from rpl_data.solve.initial_guess import Hypotheses
 from rpl_data.types import DataError, Observation
+from rpl_data.wording import counted
+
+FEWEST = 3
+"""Keypoints per scene; fewer leave the object free to turn."""
 
 
 def refuse_bad(object_name: str, observations: Sequence[Observation]) -> None:
@@ -23,6 +27,18 @@ def refuse_bad(object_name: str, observations: Sequence[Observation]) -> None:
                 f"{o.click.keypoint} or the camera pose is not a finite number; delete the click or "
                 "mend the pose"
             )
+
+
+def refuse_few(object_name: str, observations: Sequence[Observation]) -> None:
+    """DataError for fewer than three keypoints in one scene alone; several are judged by what they share."""
+    scenes = {o.click.scene for o in observations}
+    clicked = {o.click.keypoint for o in observations}
+    if len(scenes) > 1 or len(clicked) >= FEWEST:
+        return
+    raise DataError(
+        f"object {object_name}, scene {min(scenes)}: {counted(len(clicked), 'keypoint')} clicked, and in no "
+        f"other scene any; a scene needs at least {FEWEST} that do not lie on a line: click more"
+    )
 
 
 def refuse_untied(
@@ -44,7 +60,8 @@ def refuse_loose(
     """DataError when the keypoints where they are do not tie the scenes."""
     loose = loose_scenes(points_model, clicked)
     if loose:
-        raise DataError(f"object {object_name}: " + describe_loose(loose, clicked, scenes, keypoints))
+        told = describe_loose(loose, clicked, scenes, keypoints, points_model)
+        raise DataError(f"object {object_name}: {told}")
 
 
 def _clicked(groups: Sequence[Hypotheses], keypoints: int) -> np.ndarray:

@@ -33,6 +33,8 @@ from rpl_data.types import (
     Observation,
     Statement,
 )
+from rpl_data.types.keypoint_names import keypoint_titles
+from rpl_data.wording import counted
 
 
 class Registration(NamedTuple):
@@ -91,7 +93,7 @@ def register_scene(
     refuse_bad(model.name, observations)
     scene = observations[0].click.scene
     candidates = {k: p for k, p in hypotheses_of_scene(observations).items() if model.known[k]}
-    _refuse_few(model, scene, sorted(candidates))
+    _refuse_few(model, scene, sorted({o.click.keypoint for o in observations}), sorted(candidates))
     usable = [o for o in observations if model.known[o.click.keypoint]]
     rays = rays_of(usable, [scene], {scene: trajectory_sigma_m})
     points = np.nan_to_num(model.points_object)
@@ -112,7 +114,7 @@ def register_scene(
     )
     ties = describe_near_ties(others, state, [scene], model.known)
     placed = Placed([scene], rays, state, noise, joint, {scene: in_scene}, model.known, ties)
-    diagnosis = diagnose(usable, model.keypoints, placed, hold_points=True)
+    diagnosis = diagnose(usable, keypoint_titles(model.keypoints), placed, hold_points=True)
     fitted = iter(click_residuals(usable, click_fit(rays, state, noise), diagnosis.statements))
     return Registration(
         scene_from_object=state.scene_from_model[0],
@@ -129,16 +131,21 @@ def register_scene(
     )
 
 
-def _refuse_few(model: KeypointModel, scene: str, clicked: Sequence[int]) -> None:
-    """DataError for fewer than three keypoints, or all on a line."""
-    if len(clicked) < 3:
+def _refuse_few(model: KeypointModel, scene: str, clicked: Sequence[int], usable: Sequence[int]) -> None:
+    """DataError for fewer than three keypoints that can be used, or all on a line."""
+    titles = keypoint_titles(model.keypoints)
+    if len(usable) < 3:
+        unknown = [titles[k] for k in clicked if not model.known[k]]
+        deep = [titles[k] for k in clicked if model.known[k] and k not in usable]
+        reasons = ((unknown, "without a position in the model"), (deep, "without depth at the click"))
+        why = [f"{', '.join(names)} {what}" for names, what in reasons if names]
         raise DataError(
-            f"object {model.name}, scene {scene}: {len(clicked)} usable keypoints clicked, at least 3 "
-            "needed; click more of the model's keypoints, where there is depth"
+            f"object {model.name}, scene {scene}: {counted(len(clicked), 'keypoint')} clicked, {len(usable)} "
+            f"can be used, at least 3 are needed{''.join(f'; {text}' for text in why)}; click more keypoints"
         )
-    if is_collinear(model.points_object[clicked], tolerance_m=LINE_M):
+    if is_collinear(model.points_object[usable], tolerance_m=LINE_M):
         raise DataError(
-            f"object {model.name}, scene {scene}: keypoints {', '.join(model.keypoints[k] for k in clicked)} "
+            f"object {model.name}, scene {scene}: keypoints {', '.join(titles[k] for k in usable)} "
             "lie on a line, about which the object could turn; click one more keypoint off that line"
         )
 
@@ -177,5 +184,6 @@ def _covariance_in_scene(
 
 def _not_in_model(observation: Observation, model: KeypointModel) -> ClickResidual:
     """Of a click that could not be used."""
-    reason = f"the model has no position of keypoint {model.keypoints[observation.click.keypoint]}"
+    title = keypoint_titles(model.keypoints)[observation.click.keypoint]
+    reason = f"the model has no position of keypoint {title}"
     return ClickResidual(observation.click, 0.0, None, None, "none", outlier=False, reason=reason)

@@ -40,13 +40,14 @@ from rpl_data.solve.noise import (
     widened_for_all_scenes,
 )
 from rpl_data.solve.procrustes import Adjusted, Fragments, Loss, adjust_points
-from rpl_data.solve.refusals import refuse_bad, refuse_loose, refuse_untied
+from rpl_data.solve.refusals import refuse_bad, refuse_few, refuse_loose, refuse_untied
 from rpl_data.solve.register import register, register_scene
 from rpl_data.solve.residuals import click_fit, click_residuals, describe_keypoints
 from rpl_data.solve.search import Alternative, cheapest_of, search
 from rpl_data.solve.slsqp import adjust_points_slsqp, at_clicked_pixel, measured_fragments
 from rpl_data.solve.starts import complete, first_states
 from rpl_data.types import KeypointModel, Observation, Solution
+from rpl_data.types.keypoint_names import keypoint_titles
 
 __all__ = ["Method", "Unchecked", "register", "register_scene", "solve", "solve_points", "solve_unchecked"]
 
@@ -119,13 +120,13 @@ def solve_unchecked(
     """As `solve`, for a person who waits: other starts and the check of the clicks are left for later."""
     scenes = sorted({o.click.scene for o in observations})
     refuse_bad(object_name, observations)
+    refuse_few(object_name, observations)
+    titles = keypoint_titles(keypoints)
     if method == "slsqp":
         observations = [at_clicked_pixel(o) for o in observations]
-        answer, searched = _papers_answer(object_name, keypoints, observations, scenes), None
+        answer, searched = _papers_answer(object_name, titles, observations, scenes), None
     else:
-        answer, searched = _robust_answer(
-            object_name, keypoints, observations, scenes, trajectory_sigma_m or {}
-        )
+        answer, searched = _robust_answer(object_name, titles, observations, scenes, trajectory_sigma_m or {})
     finish = partial(
         _solution, object_name, keypoints, skeleton, observations, trajectory_sigma_m=trajectory_sigma_m or {}
     )
@@ -263,7 +264,7 @@ def _solution(
             for name, scene_from_model in zip(answer.scenes, state.scene_from_model, strict=True)
         },
         residuals=click_residuals(observations, click_fit(answer.rays, state, answer.noise)),
-        warnings=describe_keypoints(keypoints, observations, known),
+        warnings=describe_keypoints(keypoint_titles(keypoints), observations, known),
         covariance_in_scene={
             name: covariance + trajectory_sigma_m.get(name, 0.0) ** 2 * np.eye(3)
             for name, covariance in in_scene.items()
@@ -280,7 +281,7 @@ def _checked(
     solution: Solution, placed: Placed, observations: Sequence[Observation], go_on: GoOn
 ) -> Solution:
     """The solution, with what its clicks say about one another and which further clicks would help."""
-    diagnosis = diagnose(observations, solution.model.keypoints, placed, go_on=go_on)
+    diagnosis = diagnose(observations, keypoint_titles(solution.model.keypoints), placed, go_on=go_on)
     fit = click_fit(placed.rays, placed.state, placed.noise)
     return replace(
         solution,

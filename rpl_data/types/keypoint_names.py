@@ -20,6 +20,11 @@ def are_numbers(keypoints: Sequence[str]) -> bool:
     return list(keypoints) == [str(row) for row in range(len(keypoints))]
 
 
+def keypoint_titles(keypoints: Sequence[str]) -> tuple[str, ...]:
+    """What a person reads: `3 rim`, a keypoint's number and name; the number alone where it has no name."""
+    return tuple(name if name == str(row) else f"{row} {name}" for row, name in enumerate(keypoints))
+
+
 def rows_by_name(wanted: Sequence[str], there: Sequence[str], *, what: str) -> list[int]:
     """Row in `there` of each wanted keypoint; row by row where one of both lists has numbers only.
 

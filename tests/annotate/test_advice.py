@@ -42,7 +42,7 @@ def test_a_keypoint_without_a_position_is_not_called_checked():
         skipped=[(3, s) for s in SCENES],
         points=np.vstack([POINTS[:3], np.full((1, 3), np.nan)]),
     )
-    assert "every keypoint is checked but d, which will have no label" in said.text
+    assert "every keypoint is checked but 3 d, which will have no label" in said.text
 
 
 def test_a_wrong_click_is_shown_where_it_is():
@@ -63,7 +63,9 @@ def test_clicks_that_disagree_want_a_third_scene():
 def test_a_scene_with_too_few_clicks_says_how_many_it_needs():
     step = advised(clicks=[c for c in CLICKS if c.scene != "02" or c.keypoint == 0])
     assert (step.scene, step.keypoint) == ("02", 1)
-    asked = "mark keypoint b (1 of 4 keypoints clicked in this scene; it needs at least 3). Not visible here?"
+    asked = (
+        "mark keypoint 1 b (1 of 4 keypoints clicked in this scene; it needs at least 3). Not visible here?"
+    )
     assert asked in step.text
 
 
@@ -100,6 +102,13 @@ def test_the_click_that_helps_most_is_named_with_its_gain_while_it_is_worth_it()
     )
     step = advised(helpful=helpful)
     assert (step.scene, step.frame, step.keypoint) == ("01", 7, 2)
-    assert "keypoint c here; it should lower the error by 1.2 mm on average, to 3.5 mm" in step.text
+    assert "keypoint 2 c here; it should lower the error by 1.2 mm on average, to 3.5 mm" in step.text
     assert advised(helpful=helpful, skipped={(2, "01")}).scene == "02"
     assert advised(helpful=helpful, skipped={(2, "01"), (1, "02")}).action == "label"
+
+
+def test_scenes_whose_labels_will_be_rough_are_not_called_good():
+    annotation = Annotation("it", tuple("abcd"), clicks=tuple(CLICKS))
+    said = next_step(annotation, Live(solution_of()), SCENES, {"01": 7.0, "02": 12.0})
+    assert said.action == "label"
+    assert "labels will be rough: scene 02 should be 12 px off, 1 other scene less" in said.text

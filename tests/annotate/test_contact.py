@@ -13,7 +13,7 @@ from fastapi.testclient import TestClient
 
 from rpl_data.annotate.stores.pictures import resized
 from rpl_data.images import read_color
-from rpl_data.overlay import draw_overlay
+from rpl_data.overlay import draw_overlay, view_of
 from rpl_data.workspace.workspace import Workspace
 
 
@@ -35,7 +35,7 @@ def test_every_labelled_frame_is_listed_with_its_worst_quality(client: TestClien
 
 def test_a_picture_is_the_frame_with_its_labels(client: TestClient, root: Path) -> None:
     workspace = Workspace(root)
-    answer = client.get("/api/labels/01/3.jpg?width=300")
+    answer = client.get("/api/labels/01/3.jpg?width=300&whole=true")
     shown = cv2.imdecode(np.frombuffer(answer.content, np.uint8), cv2.IMREAD_COLOR_RGB)
     label = next(label for label in workspace.load_labels("01") if label.frame == 3)
     color = read_color(workspace.load_scene("01").frame(3))
@@ -46,6 +46,11 @@ def test_a_picture_is_the_frame_with_its_labels(client: TestClient, root: Path) 
     marked = drawn > 90
     assert marked.sum() > 500 and (off < drawn / 2)[marked].mean() > 0.95
     assert client.get("/api/labels/01/99.jpg").status_code == 422
+    answer = client.get("/api/labels/01/3.jpg?width=300")
+    cut = cv2.imdecode(np.frombuffer(answer.content, np.uint8), cv2.IMREAD_COLOR_RGB)
+    view = view_of(label, workspace.load_scene("01").intrinsics)
+    expected = draw_overlay(color, label, models, view=view, width_px=320)
+    assert cut is not None and np.abs(cut.astype(int) - expected).mean() < 4  # JPEG
 
 
 def test_frames_left_out_stay_out_of_the_export(client: TestClient, root: Path) -> None:

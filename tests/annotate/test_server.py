@@ -44,7 +44,7 @@ def test_undo_and_redo_without_limit(client: TestClient) -> None:
         act(client, click(1, 50.0 + number, 60.0))
     for _ in range(12):
         state = act(client, {"op": "undo"})
-    assert marks(state) == marks(first) and state["redo"] == f"the click on {first['keypoints'][1]['name']}"
+    assert marks(state) == marks(first) and state["redo"].startswith("the click on keypoint 1")
     for _ in range(12):
         state = act(client, {"op": "redo"})
     assert marks(state)[1, "00", 0] == (61.0, 60.0) and state["redo"] is None

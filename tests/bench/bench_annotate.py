@@ -22,7 +22,7 @@ from playwright.sync_api import Browser, CDPSession, Page, sync_playwright
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "browser"))
 from conftest import FLAGS, chromium
-from driving import SHOWN, Server, on_page
+from driving import SHOWN, Server, on_page, toured
 
 from rpl_data.annotate.live import Lifter, solve_live
 from rpl_data.annotate.stores.scenes import SceneStore
@@ -135,6 +135,7 @@ def long_workspace(folder: Path, marked: Workspace) -> Workspace:
 def opened(browser: Browser, server: Server) -> tuple[Page, float]:
     """The page in a browser without a cache, and the seconds until a frame was shown."""
     page = browser.new_context(viewport={"width": 1280, "height": 720}, bypass_csp=True).new_page()
+    page.context.add_cookies([toured(server.url)])
     started = time.perf_counter()
     page.goto(server.url)
     page.wait_for_selector(SHOWN)

@@ -22,7 +22,7 @@ from playwright.sync_api import Page, sync_playwright
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "browser"))
 from conftest import FLAGS, chromium
-from driving import SHOWN, Server, on_page
+from driving import SHOWN, Server, on_page, toured
 
 from rpl_data.geometry import invert, project, transform
 from rpl_data.pipeline.build import build
@@ -160,6 +160,7 @@ def main(data: Path, folder: Path) -> None:
         browser = playwright.chromium.launch(executable_path=chromium(), args=FLAGS)
         server = Server(workspace.root)
         page = browser.new_page(viewport={"width": 1280, "height": 720})
+        page.context.add_cookies([toured(server.url)])
         page.goto(server.url)
         page.wait_for_selector(SHOWN)
         person = Person(page, cube)

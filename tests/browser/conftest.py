@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from driving import SHOWN, Server, ServerHere, is_ours
+from driving import SHOWN, Server, ServerHere, is_ours, toured
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 from rpl_data.workspace.workspace import Workspace
@@ -70,6 +70,7 @@ def server(unmarked: Path, tmp_path: Path, request: pytest.FixtureRequest) -> It
 def page(browser: Browser, server: Server | ServerHere) -> Iterator[Page]:
     """The page, opened; it may ask for nothing outside the server, nor fail in the console."""
     context = browser.new_context(viewport={"width": 1280, "height": 720}, color_scheme="light")
+    context.add_cookies([toured(server.url)])
     opened = context.new_page()
     outside, errors = [], []
     opened.on("request", lambda r: outside.append(r.url) if not is_ours(r.url, server) else None)

@@ -10,6 +10,7 @@ import threading
 import time
 import urllib.request
 from pathlib import Path
+from typing import Any
 
 from playwright.sync_api import Page, expect
 
@@ -58,27 +59,28 @@ class ServerHere:
     """The same application in a thread of the tests: it starts at once, but cannot be killed."""
 
     def __init__(self, workspace: Path) -> None:
-        import uvicorn
-
-        from rpl_data.annotate.server import make_app
-        from rpl_data.annotate.session import Session
-        from rpl_data.cli.annotate import address_of, work_of
+        from rpl_data.cli.annotate import address_of
+        from rpl_data.cli.listening import server_of
+        from rpl_data.cli.opened import Opened
 
         self.workspace = workspace
         taken = socket.create_server(("127.0.0.1", 0))
         place = address_of("127.0.0.1", taken.getsockname()[1])
-        self.url, root = place.url, Workspace(workspace)
-        app = make_app(Session(root, work_of(root)), place)
-        config = uvicorn.Config(
-            app, log_level="warning", access_log=False, timeout_graceful_shutdown=1, ws="none"
-        )
-        self.server = uvicorn.Server(config)
+        self.url = place.url
+        self.opened = Opened(place, workspace.parent)
+        self.server = server_of(self.opened.app(workspace, place)[1])
         self.thread = threading.Thread(target=self.server.run, kwargs={"sockets": [taken]})
         self.thread.start()
 
     def kill(self) -> None:
+        self.opened.close()
         self.server.should_exit = True
         self.thread.join()
+
+
+def toured(url: str) -> Any:
+    """The cookie of a browser that has seen the tour of the page."""
+    return {"name": "rpl_tour", "value": "seen", "url": url}
 
 
 def is_ours(url: str, server: Server | ServerHere) -> bool:

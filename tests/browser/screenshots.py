@@ -11,7 +11,7 @@ import tempfile
 from pathlib import Path
 
 from conftest import FLAGS, chromium
-from driving import SHOWN, Server, on_page, saved
+from driving import SHOWN, Server, on_page, saved, toured
 from playwright.sync_api import Page, expect, sync_playwright
 
 from rpl_data.clicks.log import click_event
@@ -35,6 +35,7 @@ def main(demo: Path, docs: Path) -> None:
         browser = playwright.chromium.launch(executable_path=chromium(), args=FLAGS)
         try:
             page = browser.new_page(viewport={"width": 1280, "height": 800}, color_scheme="light")
+            page.context.add_cookies([toured(server.url)])
             page.goto(server.url, wait_until="commit")
             page.wait_for_selector(SHOWN)
             mark(page, docs, [c for c in clicks if c.scene == scenes[-1]])

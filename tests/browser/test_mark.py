@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from driving import SHOWN, Server, clicks, on_page, place, saved, view, zoom_to
+from driving import SHOWN, Server, clicks, on_page, place, saved, toured, view, zoom_to
 from playwright.sync_api import Browser, Page, expect
 
 from rpl_data.geometry import invert, project, transform
@@ -123,6 +123,7 @@ def test_the_model_is_projected_as_the_library_does(
         [{"op": "click", **{k: v for k, v in vars(c).items() if k != "object"}} for c in clicked],
     )
     page = browser.new_page(viewport={"width": 1280, "height": 720})
+    page.context.add_cookies([toured(server.url)])
     page.goto(server.url)
     page.wait_for_selector(SHOWN)
     expect(page.locator("#scenes .good")).to_have_count(3)

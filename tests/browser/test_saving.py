@@ -103,6 +103,10 @@ def test_clicks_go_out_and_come_in_as_csv(page: Page, server: Server, tmp_path: 
         page.keyboard.press("o")
         page.locator("dialog button", has_text="Import clicks").click()
     chooser.value.set_files(wanted)
+    expect(page.locator("dialog")).to_contain_text("clicks.csv holds 2 clicks on carton")
+    expect(page.locator("dialog")).to_contain_text("2 clicks added; 2 stay as before")
+    page.locator("dialog button", has_text="Replace what is here").click()
+    expect(page.locator("#alert")).to_have_text("clicks.csv: 2 clicks added, 2 removed.Close")
     expect(page.locator("#undo")).to_have_attribute("title", "undo several changes at once")
     assert clicks(server).keys() == {(2, "01", 3), (1, "00", 0)}
     np.testing.assert_array_equal(clicks(server)[2, "01", 3], (77.5, 66.25))

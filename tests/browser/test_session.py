@@ -92,6 +92,8 @@ def test_a_session_from_no_click_to_the_dataset(
     page.reload()  # the job goes on without the page
     expect(page.locator("#next-text")).to_contain_text("look through", timeout=120_000)
     expect(page.locator("#job-label")).to_be_disabled()
+    settled(page)
+    expect(page.locator("#next-text")).to_contain_text("look through")
     page.keyboard.press("g")
     expect(page.locator("#sheet figure")).to_have_count(6)
     page.wait_for_function("() => document.querySelector('#sheet img').naturalWidth > 0")

@@ -9,6 +9,7 @@ import pytest
 from driving import Server, place, saved
 from playwright.sync_api import Page, expect
 
+from rpl_data.geometry import invert, transform
 from rpl_data.workspace.workspace import Workspace
 
 
@@ -68,6 +69,17 @@ def test_it_shows_scenes_in_the_object_frame_and_follows_a_click(
     keypoints = next(trace for trace in traces(page) if trace.get("text"))
     expected = 1e3 * solution.model.points_object[solution.model.known]
     np.testing.assert_allclose(keypoints["points"], expected, atol=0.05)
+    page.keyboard.press("0")
+    page.get_by_label("camera path").check()
+    page.get_by_label("distances").check()
+    page.wait_for_function(
+        "() => document.getElementById('plot').data.filter((t) => /^camera/.test(t.name)).length === 3"
+    )
+    path = tiny_workspace.load_trajectory(tiny_workspace.load_scene("01")).scene_from_camera[:, :3, 3]
+    in_object = 1e3 * transform(invert(solution.scene_from_object["01"]), path)
+    np.testing.assert_allclose(named(page, "camera 01")["points"], in_object, atol=0.1)
+    said = float(named(page, "distance to keypoint 1")["text"][1])
+    assert said == pytest.approx(np.linalg.norm(expected[1] - expected[0]), abs=0.1)
     drawn = page.locator("#plot").get_attribute("data-drawn")
     page.keyboard.press("Control+z")
     saved(page)

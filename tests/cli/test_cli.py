@@ -171,10 +171,15 @@ def test_clicks_go_out_and_in(recipe: Path, tmp_path: Path, capsys: pytest.Captu
     table.write_text(f"object,keypoint,scene,frame,u_px,v_px\n{moved}\n")
     capsys.readouterr()
     assert main(["clicks", "import", str(table), *at]) == 0
-    assert "carton: 1 click added or changed" in capsys.readouterr().out
+    others = len(before) - 1
+    assert capsys.readouterr().out == f"carton: 1 click moved; {others} stay as before\n"
     after = place.load_annotation("carton").clicks
     assert Click("carton", before[0].keypoint, before[0].scene, before[0].frame, 10.0, 20.0) in after
     assert len(after) == len(before)
+    assert main(["clicks", "import", str(table), *at, "--replace=true"]) == 0
+    assert capsys.readouterr().out == f"carton: {others} clicks removed; 1 stays as before\n"
+    assert len(place.load_annotation("carton").clicks) == 1
+    assert main(["clicks", "import", str(table), *at, "--replace=true", "--proposed=true"]) == 1
 
 
 @pytest.mark.parametrize(
@@ -213,7 +218,7 @@ def test_proposed_clicks_only_fill_in(
     proposals.write_text(heading + first + "".join(moved))
     capsys.readouterr()
     assert main(["clicks", "import", str(proposals), *at, "--proposed=true"]) == 0
-    assert "carton: 1 click added or changed" in capsys.readouterr().out
+    assert "carton: 1 click added; " in capsys.readouterr().out
     after = set(place.load_annotation("carton").clicks)
     assert before < after and len(after) == len(before) + 1
 

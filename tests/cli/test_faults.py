@@ -12,7 +12,8 @@ from pathlib import Path
 import pytest
 
 from rpl_data.cli import main as command
-from rpl_data.cli.annotate import address_of, listening
+from rpl_data.cli.annotate import address_of
+from rpl_data.cli.listening import listening
 from rpl_data.workspace.workspace import Workspace
 
 

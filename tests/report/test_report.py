@@ -12,10 +12,11 @@ import pytest
 from pycocotools import mask as coco_mask
 
 from rpl_data.meshes import save_mesh, simplified
+from rpl_data.overlay import view_of
 from rpl_data.report import write_report
 from rpl_data.report.counts import FrameSummary
 from rpl_data.report.html import number
-from rpl_data.report.pictures import choose_frames, view_of
+from rpl_data.report.pictures import choose_frames
 from rpl_data.types import (
     Click,
     ClickResidual,

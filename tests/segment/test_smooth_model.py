@@ -85,5 +85,5 @@ def test_the_regions_of_all_scenes_are_joined_in_the_object_frame() -> None:
     half = join_smooth_regions(surfaces, solution, crop_m=((-1.0, -1.0, -1.0), (0.0435, 1.0, 1.0)))
     assert half.cloud.points[:, 0].max() < 0.0435 < dense.cloud.points[:, 0].max()
     far = {"00": Mesh(flat.vertices + 1, flat.triangles)}
-    with pytest.raises(DataError, match="none of 1 scene surfaces"):
+    with pytest.raises(DataError, match="within 8 mm of 0 of them in scene 00"):
         join_smooth_regions(far, solution)

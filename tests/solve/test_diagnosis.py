@@ -98,7 +98,8 @@ def test_clicks_that_nothing_would_contradict_are_named_weakest_first():
     (said,) = (s for s in solve("it", NAMES, observations).statements if s.kind == "unjudged")
     assert not said.blames and f"{len(said.clicks)} clicks of {len(observations)}" in said.text
     worst = said.clicks[0]
-    assert f"click keypoint {NAMES[worst.keypoint]} in scene {worst.scene} again" in said.text
+    title = f"{worst.keypoint} {NAMES[worst.keypoint]}"
+    assert f"click keypoint {title} in scene {worst.scene} again" in said.text
     assert f"another frame than {worst.frame}" in said.text
 
 
@@ -119,7 +120,7 @@ def test_exchanged_keypoints_are_a_swap_and_not_two_wrong_clicks(frames):
     (said,) = told(observations)
     assert said.kind == "swapped"
     assert {(c.scene, c.keypoint) for c in said.clicks} == {("01", 2), ("01", 5)}
-    assert "scene 01: keypoints c and f are swapped" in said.text
+    assert "scene 01: keypoints 2 c and 5 f are swapped" in said.text
 
 
 def test_a_click_on_another_keypoint_names_it():
@@ -132,7 +133,7 @@ def test_a_click_on_another_keypoint_names_it():
     )
     (said,) = told(observations)
     assert (said.kind, [c.keypoint for c in said.clicks]) == ("wrong name", [1])
-    assert "keypoint b was clicked where keypoint g is" in said.text
+    assert "keypoint 1 b was clicked where keypoint 6 g is" in said.text
 
 
 @pytest.mark.parametrize("px", [20.0, 60.0])
@@ -166,7 +167,7 @@ def test_two_placements_disagree_and_a_third_is_asked_for():
     (said,) = about_faults(solution.statements)
     assert said.kind == "disagree"
     assert {(c.scene, c.keypoint) for c in said.clicks} == {("00", 7), ("01", 7)}
-    assert "keypoint h: its clicks in scene 00 and scene 01 disagree by" in said.text
+    assert "keypoint 7 h: its clicks in scene 00 and scene 01 disagree by" in said.text
     assert "mark it in a third scene" in said.text
     assert not any(r.outlier for r in solution.residuals)
     assert {r.click.scene for r in solution.residuals if r.reason} == {"00", "01"}

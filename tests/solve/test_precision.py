@@ -56,11 +56,11 @@ def test_three_clicks_nearly_on_a_line_place_a_scene_badly_and_one_off_it_is_ask
     observations += clicked("03", pose(random), [0, 1, 2], random, 0.5)
     solution = solve("it", NAMES, observations)
     (weak,) = [s for s in solution.statements if s.kind == "weak scene"]
-    assert "scene 03: its clicks (keypoints a, b, c) place the object badly" in weak.text
+    assert "scene 03: its clicks (keypoints 0 a, 1 b, 2 c) place the object badly" in weak.text
     assert solution.expected_mm["03"] > 30 > 10 > solution.expected_mm["00"]
     best = solution.next_clicks[0]
     assert best.scene == "03" and best.keypoint in (3, 4, 5)
-    assert f"marking keypoint {NAMES[best.keypoint]} in frame 0 should leave" in weak.text
+    assert f"marking keypoint {best.keypoint} {NAMES[best.keypoint]} in frame 0 should leave" in weak.text
 
 
 def test_a_further_click_brings_what_was_foretold():

@@ -132,7 +132,7 @@ def test_a_swapped_pair_is_named():
     blamed = [r for r in solution.residuals if r.outlier]
     assert {(r.click.scene, r.click.keypoint) for r in blamed} == {("02", 1), ("02", 6)}
     assert [s.kind for s in solution.statements if s.kind != "unjudged"] == ["swapped"]
-    assert all("keypoints b and g are swapped" in r.reason for r in blamed)
+    assert all("keypoints 1 b and 6 g are swapped" in r.reason for r in blamed)
 
 
 def test_keypoints_clicked_once_or_never_are_said():
@@ -141,14 +141,14 @@ def test_keypoints_clicked_once_or_never_are_said():
     observations += click_scene("01", CUBE, pose(random), cameras(2), random, keypoints=[0, 1, 2, 3, 4, 5])
     solution = solve("cube", NAMES, observations)
     assert list(solution.model.known) == [True] * 7 + [False]
-    assert "keypoint h was never clicked" in solution.warnings[0]
+    assert "keypoint 7 h was never clicked" in solution.warnings[0]
     assert {s.kind for s in solution.statements} <= {
         "unjudged"
     }  # the two frames of scene 00 check keypoint g
     once = [o for o in observations if o.click.keypoint != 6 or o.click.frame == 0]
     (said,) = (s for s in solve("cube", NAMES, once).statements if s.kind != "unjudged")
     assert (said.kind, said.clicks[0].keypoint) == ("unchecked", 6)
-    assert "keypoint g was clicked in one frame only (scene 00, frame 0): nothing checks it" in said.text
+    assert "keypoint 6 g was clicked in one frame only (scene 00, frame 0): nothing checks it" in said.text
 
 
 def test_a_keypoint_whose_depth_nothing_tells_is_said():
@@ -165,7 +165,7 @@ def test_a_keypoint_whose_depth_nothing_tells_is_said():
     solution = solve("cube", NAMES, observations)
     assert solution.model.known.tolist() == [True] * 7 + [False]
     assert solution.warnings == (
-        "keypoint h was clicked, but neither depth nor other frames tell how far away it is: it has no "
+        "keypoint 7 h was clicked, but neither depth nor other frames tell how far away it is: it has no "
         "position and no label; click it where there is depth, or from another side",
     )
     assert error_mm(solution.model.points_object).max() < 0.01
@@ -177,8 +177,15 @@ def test_two_shared_points_are_refused_and_named():
     observations += click_scene("01", CUBE, pose(random), cameras(1), random, keypoints=[0, 1, 2, 3, 4])
     observations += click_scene("03", CUBE, pose(random), cameras(1), random, keypoints=[4, 1, 5, 6])
     with pytest.raises(
-        DataError, match="scene 03 shares only keypoints b, e with the rest; click at least 3 common"
+        DataError, match="scene 03 shares only keypoints 1 b, 4 e with the rest; click at least 3 common"
     ):
+        solve("cube", NAMES, observations)
+
+
+def test_two_keypoints_in_one_scene_are_said_to_be_too_few():
+    random = np.random.default_rng(8)
+    observations = click_scene("00", CUBE, pose(random), cameras(2), random, keypoints=[0, 1])
+    with pytest.raises(DataError, match="scene 00: 2 keypoints clicked, and in no other scene any; a scene"):
         solve("cube", NAMES, observations)
 
 
@@ -296,7 +303,7 @@ def test_register_does_not_use_clicks_on_keypoints_the_model_lacks():
     assert len(residuals) == len(observations)
     unused = [r for r in residuals if r.click.keypoint >= 6]
     assert {r.reason for r in unused} == {
-        "the model has no position of keypoint g", "the model has no position of keypoint h"
+        "the model has no position of keypoint 6 g", "the model has no position of keypoint 7 h"
     }  # fmt: skip
     assert not any(r.outlier for r in residuals)
 

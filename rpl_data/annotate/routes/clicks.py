@@ -7,7 +7,7 @@ from fastapi.responses import PlainTextResponse, Response
 from pydantic import BaseModel
 
 from rpl_data.annotate.session import Session
-from rpl_data.clicks.log import events_to
+from rpl_data.clicks.incoming import incoming
 from rpl_data.clicks.table import clicks_from_csv, clicks_to_csv
 from rpl_data.json_arrays import Json
 
@@ -20,7 +20,7 @@ class ClicksFile(BaseModel):
 
 
 def clicks_routes(session: Session) -> APIRouter:
-    """Routes: export the clicks, and read a file into the actions that would add its clicks."""
+    """Routes: export the clicks, and read a file into the actions that add its clicks or replace others."""
     routes = APIRouter()
 
     @routes.get("/api/objects/{name}/clicks.csv")
@@ -37,6 +37,14 @@ def clicks_routes(session: Session) -> APIRouter:
         )
         for click in clicks:
             session.scenes.refuse_outside(click)
-        return {"actions": events_to(annotation, annotation.keypoints, clicks)}
+        found = {
+            name: incoming(annotation, annotation.keypoints, clicks, replaces=replaces)
+            for name, replaces in (("add", False), ("replace", True))
+        }
+        said = {
+            name: {"actions": list(change.events), "says": str(change), "removed": change.removed}
+            for name, change in found.items()
+        }
+        return {**said, "clicks": len(clicks)}
 
     return routes

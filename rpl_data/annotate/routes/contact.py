@@ -33,8 +33,8 @@ def contact_routes(session: Session) -> APIRouter:
         return {"frames": [asdict(item) | {"left_out": item.frame in left_out} for item in found]}
 
     @routes.get("/api/labels/{scene}/{frame}.jpg")
-    def picture(scene: str, frame: int, width: int = 320) -> Response:
-        content = sheet.jpeg(scene, frame, width)
+    def picture(scene: str, frame: int, width: int = 320, whole: bool = False) -> Response:
+        content = sheet.jpeg(scene, frame, width, whole=whole)
         return Response(content, media_type="image/jpeg", headers={"Cache-Control": "no-cache"})
 
     @routes.post("/api/labels/{scene}")

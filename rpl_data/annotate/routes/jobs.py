@@ -6,12 +6,15 @@ from dataclasses import asdict
 from functools import partial
 
 from fastapi import APIRouter
+from fastapi.responses import FileResponse, Response
 from pydantic import BaseModel
 
 from rpl_data.annotate.jobs import FIND, Jobs
 from rpl_data.annotate.session import Session
+from rpl_data.annotate.watch import Watch
 from rpl_data.annotate.work import Tell
 from rpl_data.json_arrays import Json
+from rpl_data.types import DataError
 
 
 class Wanted(BaseModel):
@@ -22,18 +25,25 @@ class Wanted(BaseModel):
     scene: str = ""
 
 
-def job_routes(session: Session) -> APIRouter:
-    """Routes: start, stop and watch a build."""
+def job_routes(session: Session) -> tuple[Jobs, APIRouter]:
+    """The jobs of a session, and routes: start, stop and watch a build."""
     routes = APIRouter()
 
     def run(stage: str, tell: Tell) -> list[str]:
         try:
             return session.work.run(stage, tell)
         finally:
-            session.scenes.forget()
+            session.forget()
+            watch.own()
+
+    def at_work() -> bool:
+        job = jobs.now()
+        return job is not None and job.at_work
 
     jobs = Jobs(run, session.news)
-    session.when_closed.append(jobs.stop)
+    watch = Watch(session, at_work)
+    session.when_opened.append(watch.start)
+    session.when_closed += [jobs.stop, watch.close]
 
     def state() -> Json:
         job = jobs.now()
@@ -42,9 +52,16 @@ def job_routes(session: Session) -> APIRouter:
 
     @routes.get("/api/jobs")
     def now() -> Json:
-        job = jobs.now()
-        at_work = job is not None and job.at_work
-        return {**state(), "fresh": {} if at_work else dict(session.work.fresh())}
+        return {**state(), "fresh": {} if at_work() else dict(session.work.fresh())}
+
+    @routes.get("/api/report.html")
+    def report() -> Response:
+        """Sent as a file: on a page of this server its own scripts would not run."""
+        path = session.workspace.report
+        if not path.exists():
+            raise DataError("there is no report yet; make it first")
+        name = f"{session.workspace.root.resolve().name}_report.html"
+        return FileResponse(path, filename=name, headers={"Cache-Control": "no-store"})
 
     @routes.post("/api/jobs")
     def start(wanted: Wanted) -> Json:
@@ -62,4 +79,4 @@ def job_routes(session: Session) -> APIRouter:
         jobs.stop()
         return state()
 
-    return routes
+    return jobs, routes

@@ -32,7 +32,9 @@ def add_scenes(app: FastAPI, session: Session) -> None:
     @app.get("/api/scenes/{scene}/poses")
     def poses(scene: str) -> Response:
         table = poses_table(session.scenes.get(scene))
-        return Response(table.astype("<f4").tobytes(), media_type="application/octet-stream", headers=KEEP)
+        headers = {"Cache-Control": "no-cache"}  # a build may correct them
+        content = table.astype("<f4").tobytes()
+        return Response(content, media_type="application/octet-stream", headers=headers)
 
     @app.get("/api/scenes/{scene}/frames/{frame:int}.jpg")
     def picture(request: Request, scene: str, frame: int, width: int = 0) -> Response:

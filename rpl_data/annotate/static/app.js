@@ -5,39 +5,46 @@ import * as canvas from "./image/canvas.js";
 import * as contact from "./panels/contact.js";
 import * as crop from "./solid/crop.js";
 import * as dense from "./solid/dense.js";
+import * as distances from "./solid/distances.js";
 import * as files from "./panels/files.js";
 import { openScene } from "./image/frames.js";
 import * as grasp from "./panels/grasp.js";
 import * as jobs from "./panels/jobs.js";
 import * as keypoints from "./panels/keypoints.js";
 import * as keys from "./panels/keys.js";
+import * as legend from "./image/legend.js";
 import * as log from "./state/log.js";
 import * as loupe from "./image/loupe.js";
 import * as mask from "./image/mask.js";
+import { keep, kept } from "./state/kept.js";
 import { listen } from "./state/news.js";
 import * as model from "./panels/model.js";
 import * as next from "./panels/next.js";
+import * as opening from "./panels/open.js";
 import { newObject, openObject } from "./panels/objects.js";
 import * as results from "./panels/results.js";
 import * as scenes from "./panels/scenes.js";
 import * as solid from "./solid/solid.js";
+import * as path from "./solid/path.js";
 import { app, change, frame, onChange } from "./state/store.js";
 import * as timeline from "./image/timeline.js";
+import * as tour from "./panels/tour.js";
 
 const by = (id) => document.getElementById(id);
 
 async function start() {
   setUpTheme();
-  for (const part of [timeline, keypoints, scenes, results, next, keys, files, mask]) part.setUp();
-  for (const part of [dense, solid, crop, jobs, contact, model, grasp]) part.setUp();
+  for (const part of [legend, timeline, keypoints, scenes, results, next, keys, files, mask]) part.setUp();
+  for (const part of [dense, solid, path, distances, crop, jobs, contact, model, grasp, opening, tour]) part.setUp();
   canvas.setUp({ place: keypoints.place, move: keypoints.move });
   onChange(() => { canvas.draw(); loupe.draw(); });
-  onChange(drawHead, () => [app.workspace, app.state, app.waiting, app.offline, app.alert, app.brightness, app.showModel, app.showMask, app.view]);
+  onChange(drawHead, () => [app.workspace, app.state, app.waiting, app.offline, app.alert, app.brightness, app.showModel, app.showMask, app.showNames, app.view]);
   onChange(drawAlert, () => [app.alert]);
   onChange(rememberPlace, () => [app.state, app.scene, app.row, app.keypoint]);
   setUpButtons();
   await open();
   listen();
+  tour.startOnce();
 }
 
 // Open the workspace at the object, scene and frame that the address names.
@@ -78,6 +85,7 @@ function drawHead() {
   by("brightness").value = app.brightness;
   by("show-model").checked = app.showModel;
   by("show-mask").checked = app.showMask;
+  by("show-names").checked = app.showNames;
   for (const tab of document.querySelectorAll("#views button")) tab.setAttribute("aria-selected", tab.dataset.view === app.view);
   for (const view of document.querySelectorAll(".view")) view.hidden = view.id !== app.view;
 }
@@ -85,6 +93,7 @@ function drawHead() {
 function drawAlert() {
   by("alert").hidden = !app.alert;
   if (!app.alert) return;
+  by("alert").className = app.alert.good ? "told" : "";
   const again = app.alert.again ? [button("Try again", log.sendAgain)] : [];
   by("alert").replaceChildren(Object.assign(document.createElement("span"), { textContent: app.alert.text }),
     ...again, button("Close", () => change({ alert: null })));
@@ -106,6 +115,7 @@ function setUpButtons() {
   on("brightness", (event) => change({ brightness: Number(event.target.value) }), "input");
   on("show-model", (event) => change({ showModel: event.target.checked }), "change");
   on("show-mask", (event) => change({ showMask: event.target.checked }), "change");
+  on("show-names", (event) => change({ showNames: event.target.checked }), "change");
   on("object", (event) => openObject(event.target.value), "change");
   on("new-object", newObject);
   for (const tab of document.querySelectorAll("#views button")) tab.addEventListener("click", () => change({ view: tab.dataset.view }));
@@ -114,12 +124,11 @@ function setUpButtons() {
 function setUpTheme() {
   const dark = matchMedia("(prefers-color-scheme: dark)");
   const use = (theme) => { document.documentElement.dataset.theme = theme; change({ theme }); };
-  const kept = () => localStorage.getItem("rpl-theme");
-  use(kept() || (dark.matches ? "dark" : "light"));
-  dark.addEventListener("change", () => kept() || use(dark.matches ? "dark" : "light"));
+  use(kept("theme") || (dark.matches ? "dark" : "light"));
+  dark.addEventListener("change", () => kept("theme") || use(dark.matches ? "dark" : "light"));
   const turn = () => {
     const name = document.documentElement.dataset.theme === "dark" ? "light" : "dark";
-    localStorage.setItem("rpl-theme", name);
+    keep("theme", name);
     use(name);
   };
   by("theme").addEventListener("click", turn);

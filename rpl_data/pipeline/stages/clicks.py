@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from rpl_data.clicks.log import Event, events_to, keypoints_event
+from rpl_data.clicks.incoming import Incoming, incoming
+from rpl_data.clicks.log import keypoints_event
 from rpl_data.clicks.table import clicks_from_csv, clicks_to_csv, objects_in_csv
 from rpl_data.files import read_text
 from rpl_data.pipeline.context import Context, step
 from rpl_data.pipeline.ledger import Advance, Outcome, Step, stamps
 from rpl_data.pipeline.recipe import ObjectRecipe
 from rpl_data.types import Click, DataError
-from rpl_data.wording import counted
 from rpl_data.workspace.workspace import Workspace
 
 VERSION = 1
@@ -30,12 +30,8 @@ def _clicks_step(context: Context, item: ObjectRecipe) -> Step:
     def run(advance: Advance) -> Outcome:
         if item.clicks is None:
             return _name_keypoints(context.workspace, item)
-        changed = import_clicks(context.workspace, item, item.clicks)
-        return Outcome(
-            messages=(f"{item.name}: {counted(changed, 'click')} added or changed, from {item.clicks}",)
-            if changed
-            else ()
-        )
+        found = import_clicks(context.workspace, item, item.clicks)
+        return Outcome(messages=(f"{item.name}: {found}, from {item.clicks}",) if found.changed else ())
 
     options = {
         "keypoints": list(item.keypoint_names),
@@ -56,31 +52,29 @@ def _name_keypoints(workspace: Workspace, item: ObjectRecipe) -> Outcome:
     return Outcome()
 
 
-def import_clicks(workspace: Workspace, item: ObjectRecipe, path: Path) -> int:
-    """Make the log of an object agree with the CSV file; returns the number of clicks changed."""
+def import_clicks(workspace: Workspace, item: ObjectRecipe, path: Path) -> Incoming:
+    """Make the log of an object agree with the CSV file."""
     clicks = clicks_from_csv(
         read_text(path), source=str(path), object_name=item.name, keypoints=item.keypoint_names
     )
     clicks = [workspace.parts().click_in_scene(click) for click in clicks]
-    events = events_to(workspace.load_annotation(item.name), item.keypoint_names, clicks)
-    if events:
-        workspace.append_events(item.name, events)
-    return _changed_clicks(events)
+    found = incoming(workspace.load_annotation(item.name), item.keypoint_names, clicks, replaces=True)
+    if found.events:
+        workspace.append_events(item.name, found.events)
+    return found
 
 
-def _changed_clicks(events: Sequence[Event]) -> int:
-    """How many of the events are about a click, not about the names of the keypoints."""
-    return sum(event["op"] != "keypoints" for event in events)
-
-
-def add_clicks(context: Context, path: Path, *, proposed: bool = False) -> dict[str, int]:
-    """Add the clicks of a CSV file to the logs; returns how many changed, by object.
+def add_clicks(
+    context: Context, path: Path, *, proposed: bool = False, replaces: bool = False
+) -> dict[str, Incoming]:
+    """Add the clicks of a CSV file to the logs, or put them in place of others; what changed, by object.
 
     Args:
         context: context of the workspace.
         path: the CSV file.
         proposed: the clicks come from a program: skip keypoints that were already clicked in that scene
             or declared not visible there.
+        replaces: the other clicks of the objects in the file are removed.
 
     Raises:
         DataError: the file names an object, a keypoint, a scene or a frame that is not there; nothing is
@@ -94,7 +88,7 @@ def add_clicks(context: Context, path: Path, *, proposed: bool = False) -> dict[
             f"{path} has clicks for {', '.join(sorted(named)) or 'no object'}; "
             f"the recipe has the objects {', '.join(context.object_names)}; use the same names"
         )
-    events = {}
+    found = {}
     for item in chosen:
         annotation = context.workspace.load_annotation(item.name)
         names = annotation.keypoints or item.keypoint_names
@@ -104,10 +98,10 @@ def add_clicks(context: Context, path: Path, *, proposed: bool = False) -> dict[
         if proposed:
             decided = annotation.skipped | {(click.keypoint, click.scene) for click in annotation.clicks}
             clicks = [click for click in clicks if (click.keypoint, click.scene) not in decided]
-        events[item.name] = events_to(annotation, names, [*annotation.clicks, *clicks])
-    for name, found in events.items():  # only after the whole file was read
-        context.workspace.append_events(name, found)
-    return {name: _changed_clicks(found) for name, found in events.items()}
+        found[item.name] = incoming(annotation, names, clicks, replaces=replaces)
+    for name, change in found.items():  # only after the whole file was read
+        context.workspace.append_events(name, change.events)
+    return found
 
 
 def _refuse_unknown_frames(workspace: Workspace, clicks: Sequence[Click], path: Path) -> None:

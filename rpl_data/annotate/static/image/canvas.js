@@ -1,4 +1,4 @@
-// The image with its marks: zoom at the cursor, pan, click, drag.
+// The image with its marks: zoom at the cursor, pan, click, drag; by mouse, pen and fingers.
 
 import { fetchNeighbours, onlyFetch, picture, wantedWidth } from "./frames.js";
 import { drawMarks, markAt } from "./marks.js";
@@ -8,10 +8,11 @@ import { isInside, toImage, toScreen, view } from "./view.js";
 const pictureCanvas = document.getElementById("picture");
 const marksCanvas = document.getElementById("marks");
 const stage = document.getElementById("stage");
-const MOST_ZOOM = 64, STILL_PX = 4;
+const MOST_ZOOM = 64, STILL_PX = 4, FINGER_STILL_PX = 10, HOLD_MS = 350;
 
 let shownScene = null, placing = () => {}, moving = () => {}, drag = null, last = null, wanted = null;
-
+const touches = new Map(); // where each finger is
+let pinch = null; // the middle of two fingers, and how far they are apart
 
 // place(u, v) marks the selected keypoint there; move(click, u, v) moves a mark.
 export function setUp({ place, move }) {
@@ -22,7 +23,7 @@ export function setUp({ place, move }) {
   marksCanvas.addEventListener("pointerdown", down);
   marksCanvas.addEventListener("pointermove", move_);
   marksCanvas.addEventListener("pointerup", up);
-  marksCanvas.addEventListener("pointercancel", () => (drag = null));
+  marksCanvas.addEventListener("pointercancel", cancel);
   marksCanvas.addEventListener("pointerleave", () => drag || change({ cursor: null }));
   marksCanvas.addEventListener("contextmenu", (event) => event.preventDefault());
 }
@@ -87,23 +88,66 @@ function wheel(event) {
 }
 
 function down(event) {
-  if (!scene() || drag) return;
+  if (!scene() || (drag && !touches.size)) return;
   marksCanvas.setPointerCapture(event.pointerId);
-  const [x, y] = position(event);
-  const mark = event.button === 0 ? markAt(x, y) : null;
+  const [x, y] = position(event), finger = event.pointerType === "touch";
+  if (finger) touches.set(event.pointerId, [x, y]);
+  if (touches.size > 1) return beginPinch();
+  const mark = event.button === 0 ? markAt(x, y, finger) : null;
   if (mark) change({ keypoint: mark.keypoint });
-  drag = { x, y, left: view.left, top: view.top, mark, button: event.button, moved: false };
+  drag = { x, y, left: view.left, top: view.top, mark, button: event.button, moved: false, aiming: false };
+  if (finger && !mark) drag.hold = setTimeout(aim, HOLD_MS, drag);
+}
+
+// A finger that rests aims: the loupe shows what it hides, and lifting it marks.
+function aim(begun) {
+  if (drag !== begun || begun.moved) return;
+  begun.aiming = true;
+  change({ cursor: cursor(...toImage(begun.x, begun.y)) });
 }
 
 function move_(event) {
   if (!scene()) return;
   const [x, y] = position(event);
+  if (touches.has(event.pointerId)) touches.set(event.pointerId, [x, y]);
+  if (pinch) return movePinch();
+  if (drag?.aiming) return change({ cursor: cursor(...toImage(x, y)) });
   if (drag) {
-    drag.moved ||= Math.hypot(x - drag.x, y - drag.y) >= STILL_PX;
+    drag.moved ||= Math.hypot(x - drag.x, y - drag.y) >= (touches.size ? FINGER_STILL_PX : STILL_PX);
+    if (drag.moved) clearTimeout(drag.hold);
     if (drag.moved && drag.mark) return change({ dragged: dragged(x, y), cursor: cursor(...draggedTo(x, y)) });
     if (drag.moved) Object.assign(view, { left: drag.left + x - drag.x, top: drag.top + y - drag.y, fitted: false });
   }
-  change({ cursor: cursor(...toImage(x, y)) });
+  change({ cursor: touches.size ? null : cursor(...toImage(x, y)) });
+}
+
+// Two fingers: what is between them stays between them.
+function between() {
+  const [[x0, y0], [x1, y1]] = touches.values();
+  return { x: (x0 + x1) / 2, y: (y0 + y1) / 2, apart: Math.max(1, Math.hypot(x1 - x0, y1 - y0)) };
+}
+
+function beginPinch() {
+  giveUp();
+  pinch = between();
+}
+
+function movePinch() {
+  const before = pinch, { x, y, apart } = (pinch = between());
+  Object.assign(view, { left: view.left + x - before.x, top: view.top + y - before.y });
+  zoomBy(apart / before.apart, x, y);
+}
+
+function giveUp() {
+  clearTimeout(drag?.hold);
+  drag = null;
+  change({ dragged: null, cursor: null });
+}
+
+function cancel(event) {
+  touches.delete(event.pointerId);
+  if (touches.size < 2) pinch = null;
+  giveUp();
 }
 
 const cursor = (u, v) => (isInside(u, v) ? { u, v } : null);
@@ -123,13 +167,15 @@ function dragged(x, y) {
 }
 
 function up(event) {
+  if (pinch) return cancel(event); // the other finger does nothing until it is lifted, too
+  const finger = touches.delete(event.pointerId);
   if (!drag) return;
   const [x, y] = position(event), done = drag;
   if (done.moved && done.mark) moving(done.mark, ...draggedTo(x, y));
-  drag = null;
-  change({ dragged: null });
+  giveUp();
+  if (!finger) change({ cursor: cursor(...toImage(x, y)) });
   if (done.moved || done.button !== 0 || done.mark) return;
-  const [u, v] = toImage(done.x, done.y);
+  const [u, v] = done.aiming ? toImage(x, y) : toImage(done.x, done.y);
   if (isInside(u, v)) placing(u, v);
 }
 
@@ -163,7 +209,7 @@ function drawPicture(entry) {
   const shown = entry.ready ? entry : last;
   if (entry.failed) {
     context.fillStyle = "#fff";
-    context.fillText("this picture cannot be read", 20, 30);
+    context.fillText(app.offline ? "no picture: the connection is lost" : "the server cannot read this picture", 20, 30);
   } else if (shown) {
     context.imageSmoothingEnabled = view.zoom < 4;
     context.imageSmoothingQuality = "high";

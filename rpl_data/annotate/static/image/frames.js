@@ -33,13 +33,26 @@ export async function suggestions(name) {
   return found;
 }
 
-async function ensureScene(name) {
+export async function ensureScene(name) {
   if (app.poses[name]) return;
+  const [details, poses] = await fetchScene(name);
+  app.scenes[name] = details;
+  app.poses[name] = poses;
+}
+
+async function fetchScene(name) {
   const [details, buffer] = await Promise.all([get(scenePath(name)), binary(`${scenePath(name)}/poses`)]);
   const table = new Float32Array(buffer);
   const index = Int32Array.from({ length: table.length / 8 }, (_, row) => table[8 * row]);
-  app.scenes[name] = details;
-  app.poses[name] = { index, table };
+  return [details, { index, table }];
+}
+
+// After a build: camera poses may be better now, and a scene may have been cut.
+export async function refreshScenes() {
+  const stays = app.workspace.scenes.includes(app.scene), name = stays ? app.scene : app.workspace.scenes[0];
+  const index = stays ? frame() : 0, [details, poses] = await fetchScene(name);
+  Object.assign(app, { scenes: { [name]: details }, poses: { [name]: poses }, suggestions: {} });
+  change({ scene: name, row: rowOf(name, index) });
 }
 
 export function goToRow(row) {

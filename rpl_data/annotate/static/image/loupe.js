@@ -19,7 +19,7 @@ export function draw() {
   drawPixels(u, v);
   drawReadout(u, v);
   const [x, y] = toScreen([u, v]);
-  canvas.classList.toggle("low", x > canvas.parentElement.clientWidth - 260 && y < 240);
+  canvas.classList.toggle("left", x > canvas.parentElement.clientWidth - 260 && y < 240);
 }
 
 function drawPixels(u, v) {

@@ -4,13 +4,13 @@ import { apply, invert, multiply, poseAt, project } from "./camera.js";
 import { clicksHere, toScreen, view } from "./view.js";
 import { app, frame, poses, residualOf, scene } from "../state/store.js";
 
-const REACH_PX = 9;
+const REACH_PX = 9, FINGER_PX = 16;
 
 // The click under a position on the screen; that of the selected keypoint first.
-export function markAt(x, y) {
+export function markAt(x, y, byFinger = false) {
   const near = clicksHere().filter((click) => {
     const [sx, sy] = toScreen([click.u_px, click.v_px]);
-    return Math.hypot(sx - x, sy - y) <= REACH_PX;
+    return Math.hypot(sx - x, sy - y) <= (byFinger ? FINGER_PX : REACH_PX);
   });
   return near.find((click) => click.keypoint === app.keypoint) || near[0] || null;
 }
@@ -55,10 +55,10 @@ export function drawMarks(canvas, dragged) {
 }
 
 const color = (k) => app.state?.keypoints[k]?.color || "#fff";
-// The keypoint's number, with the name for the selected one only, so that names hide nothing.
+// The keypoint's number, with the name for the selected one, or for all where that is wanted (N).
 const title = (k) => {
   const name = app.state?.keypoints[k]?.name;
-  return k === app.keypoint && name !== String(k) ? `${k} ${name}` : String(k);
+  return (app.showNames || k === app.keypoint) && name !== undefined && name !== String(k) ? `${k} ${name}` : String(k);
 };
 
 function drawModel(context, projected) {

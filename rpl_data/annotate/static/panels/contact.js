@@ -2,17 +2,17 @@
 
 import { get, post } from "../state/api.js";
 import { openScene } from "../image/frames.js";
-import { element } from "./dom.js";
+import { element, refill } from "./dom.js";
 import { addKeys } from "./keys.js";
 import { alertOnce } from "../state/log.js";
 import { onNews } from "../state/news.js";
-import { app, change, onChange } from "../state/store.js";
+import { app, change, counted, onChange } from "../state/store.js";
 
 const PAGE = 48;
 const section = document.getElementById("labels");
 const head = element("div", { className: "solid-head row" });
 const grid = element("div", { id: "sheet" });
-let scene = null, frames = null, order = "worst", page = 0, asked = null;
+let scene = null, frames = null, order = "worst", whole = false, page = 0, asked = null;
 
 export function setUp() {
   section.append(head, grid);
@@ -54,7 +54,9 @@ function draw() {
   grid.scrollTop = 0;
 }
 
-const nothing = () => (app.fresh?.label ? `No frame of scene ${scene} is labelled: the object's pose there is not known yet.`
+const placedHere = () => Boolean(app.result?.scene_from_object[scene]);
+const nothing = () => (app.fresh?.label ? (placedHere() ? `No frame of scene ${scene} is labelled: the object is placed there, but its images do not show it.`
+  : `No frame of scene ${scene} is labelled: the object has no pose there; click at least 3 of its keypoints.`)
   : "No labels yet: make them with the button on the right (X). Then every frame is shown here with its labels.");
 
 function drawHead() {
@@ -66,23 +68,26 @@ function drawHead() {
   sort.value = order;
   sort.addEventListener("change", () => { order = sort.value; page = 0; draw(); });
   const turn = (by) => element("button", { textContent: by < 0 ? "◀ page" : "page ▶", disabled: page + by < 0 || page + by >= pages, onclick: () => { page += by; draw(); } });
-  const count = `${frames.length} ${frames.length === 1 ? "frame" : "frames"}${left ? `, ${left} left out of the export` : ""}${pages > 1 ? ` · page ${page + 1} of ${pages}` : ""}`;
-  head.replaceChildren(scenes, sort, ...(pages > 1 ? [turn(-1), turn(1)] : []), element("span", { className: "quiet", textContent: count }));
+  const part = element("select", { ariaLabel: "part of the picture", id: "sheet-part" }, new Option("around the object", ""), new Option("whole frames", "whole"));
+  part.value = whole ? "whole" : "";
+  part.addEventListener("change", () => { whole = Boolean(part.value); draw(); });
+  const count = `${counted(frames.length, "frame")}${left ? `, ${left} left out of the export` : ""}${pages > 1 ? ` · page ${page + 1} of ${pages}` : ""}`;
+  refill(head, scenes, sort, part, ...(pages > 1 ? [turn(-1), turn(1)] : []), element("span", { className: "quiet", textContent: count }));
 }
 
 function picture(item) {
   const { frame, quality, left_out } = item;
-  const image = element("img", { loading: "lazy", alt: `labels of frame ${frame}`, src: `${labelsPath(scene)}/${frame}.jpg?width=320&v=${app.built || 0}` });
+  const image = element("img", { loading: "lazy", alt: `labels of frame ${frame}`, src: `${labelsPath(scene)}/${frame}.jpg?width=320&whole=${whole}&v=${app.built || 0}` });
   const { width, height } = app.scenes[scene];
-  image.style.aspectRatio = `${width} / ${height}`;
+  image.style.aspectRatio = whole ? `${width} / ${height}` : "4 / 3";
   const open = element("button", { className: "open", title: "open this frame to correct its clicks" }, image);
   open.addEventListener("click", () => openScene(scene, frame, { view: "mark" }));
   const box = element("input", { type: "checkbox", checked: !left_out, ariaLabel: `export frame ${frame}` });
   box.addEventListener("change", () => leaveOut(frame, !box.checked));
-  const mark = quality == null ? ["quiet", "no object"] : quality < 0.5 ? ["bad", quality.toFixed(2)] : ["quiet", quality.toFixed(2)];
+  const mark = quality == null ? ["quiet", "no object"] : quality < 0.5 ? ["bad", `quality ${quality.toFixed(2)}`] : ["quiet", `quality ${quality.toFixed(2)}`];
   return element("figure", { className: left_out ? "out" : "" }, open,
     element("figcaption", {}, element("label", {}, box, ` frame ${frame}`),
-      element("span", { className: `small ${mark[0]}`, title: "how well the measured depth agrees with the label, 0 to 1", textContent: mark[1] })));
+      element("span", { className: `small ${mark[0]}`, title: "quality: 0.5 stands for an expected error of 5 px, 0.25 for 15 px; frames below the least quality are left out", textContent: mark[1] })));
 }
 
 async function leaveOut(frame, left_out) {

@@ -4,11 +4,11 @@ import { objectPath, post } from "../state/api.js";
 import { closeDialog, element, show } from "./dom.js";
 import { addKeys } from "./keys.js";
 import * as log from "../state/log.js";
-import { app } from "../state/store.js";
+import { app, counted } from "../state/store.js";
 
 const entries = [
   ["Export clicks (CSV)", "every click of this object: object, keypoint, scene, frame, u_px, v_px", exportClicks],
-  ["Import clicks (CSV)", "replaces this object's clicks; undo restores them", importClicks],
+  ["Import clicks (CSV)", "add them to this object's clicks, or replace those; undo restores them", importClicks],
 ];
 
 // Add an entry: its text, a short description, and its function.
@@ -46,10 +46,22 @@ async function importClicks() {
   const file = await chooseFile(".csv,text/csv");
   if (!file) return;
   try {
-    const { actions } = await post(`${objectPath(app.state.object)}/clicks/read`, { name: file.name, text: await file.text() });
-    if (actions.length) await log.act({ op: "batch", events: actions });
-    else log.alertOnce("This object already has all these clicks.");
+    const found = await post(`${objectPath(app.state.object)}/clicks/read`, { name: file.name, text: await file.text() });
+    const chosen = found[await howToImport(file.name, found)];
+    if (!chosen) return;
+    if (chosen.actions.length) await log.act({ op: "batch", events: chosen.actions });
+    log.tell(`${file.name}: ${chosen.says}.`);
   } catch (error) {
     log.alertOnce(error.message);
   }
+}
+
+// Adding and replacing, each with what it would do; "" when cancelled. Where they do the same, nothing is asked.
+async function howToImport(name, { add, replace, clicks }) {
+  if (!replace.removed) return "add";
+  const choice = (value, title, says) => element("button", { className: "entry", onclick: () => closeDialog(value) },
+    element("b", { textContent: title }), element("span", { className: "quiet small", textContent: says }));
+  return show(element("b", { textContent: `${name} holds ${counted(clicks, "click")} on ${app.state.object}` }),
+    choice("add", "Add to what is here", add.says), choice("replace", "Replace what is here", replace.says),
+    element("button", { textContent: "Cancel (Esc)", onclick: () => closeDialog() }));
 }

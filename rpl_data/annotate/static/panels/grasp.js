@@ -1,11 +1,11 @@
 // A grasp frame from two clicks in one frame: where to grasp, and where its x axis points.
 
-import { addEntry } from "./files.js";
+import { element, refill } from "./dom.js";
 import { addKeys } from "./keys.js";
 import { takeClicks } from "./keypoints.js";
 import { act, alertOnce } from "../state/log.js";
 import { addTraces, xyz } from "../solid/solid.js";
-import { app, change, frame } from "../state/store.js";
+import { app, change, frame, onChange } from "../state/store.js";
 
 const LENGTH_M = 0.05;
 const AXES = [["x", "#e5484d"], ["y", "#30a46c"], ["z", "#3e8bff"]];
@@ -13,11 +13,20 @@ const WHERE = "grasp: click on the object where it is to be grasped (W cancels)"
 const TOWARD = "grasp: now click, in this frame, toward where its x axis is to point (W cancels)";
 
 export function setUp() {
-  addEntry("Mark a grasp", "two clicks on the object: where to grasp, and toward where the gripper's x axis points", begin);
-  addEntry("Remove the grasp", "undo restores it", () => app.state.grasp && act({ op: "grasp", scene: null }));
-  addKeys([[["w"], "mark a grasp: two clicks; again to cancel", () => (app.pendingGrasp ? end() : begin())]]);
+  addKeys([[["w"], "mark a grasp: two clicks; again to cancel", turn]]);
+  onChange(draw, () => [app.pendingGrasp, app.state?.grasp, app.state === null]);
   takeClicks(place);
   addTraces(axes, () => [app.result?.grasp]);
+}
+
+const turn = () => (app.pendingGrasp ? end() : begin());
+
+function draw() {
+  const mark = element("button", { id: "grasp", textContent: app.pendingGrasp ? "Cancel grasp" : "Grasp", disabled: !app.state, onclick: turn,
+    title: "two clicks on the object: where to grasp, and toward where the gripper's x axis points (W)" });
+  const remove = element("button", { id: "grasp-remove", textContent: "✕", ariaLabel: "remove the grasp", title: "remove the grasp; undo restores it",
+    hidden: !app.state?.grasp || Boolean(app.pendingGrasp), onclick: () => act({ op: "grasp", scene: null }) });
+  refill(document.getElementById("grasp-tools"), mark, remove);
 }
 
 function begin() {

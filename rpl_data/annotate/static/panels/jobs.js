@@ -1,30 +1,32 @@
-// Builds: the dense model, the labels, the dataset. They run on the server, even when the page is closed.
+// Builds: the dense model, the labels, the dataset, the report. They run on the server, even when the page is closed.
 
 import { get, post } from "../state/api.js";
 import { openObject } from "./objects.js";
 import * as dense from "../solid/dense.js";
-import { element } from "./dom.js";
-import { openScene } from "../image/frames.js";
+import { element, refill } from "./dom.js";
+import { openScene, refreshScenes } from "../image/frames.js";
 import { addKeys } from "./keys.js";
 import { alertOnce, load as loadObject } from "../state/log.js";
 import { onNews } from "../state/news.js";
 import { onAction } from "./next.js";
-import { app, change, clicksIn, onChange } from "../state/store.js";
+import { app, change, clicksIn, counted, onChange } from "../state/store.js";
 
 const panel = document.getElementById("jobs");
 const STEPS = [
   ["segment", "Dense model", "Make", "the object's surface, from the depth of all scenes"],
   ["label", "Labels", "Make", "pose, keypoints, boxes and masks in every chosen frame"],
   ["export", "Dataset", "Export", "a folder that trainers read"],
+  ["report", "Report", "Make", "one page to look at and to send: pictures, errors, models in 3D"],
 ];
 let asked = null; // the revision that `fresh` was last asked for
 
 export function setUp() {
   onNews("job", heard);
   onAction("label", () => start("label"));
-  onAction("export", () => start("export"));
+  onNews("built", elsewhere);
+  onAction("export", () => start("report"));
   onAction("object", (step) => openObject(step.object));
-  addKeys([[["x"], "make what is missing: dense model and labels, then the dataset", () => start(app.fresh.label ? "export" : "label")]]);
+  addKeys([[["x"], "make what is missing: dense model and labels, then the dataset and its report", () => start(app.fresh.label ? "report" : "label")]]);
   onChange(refresh);
   onChange(advise);
   onChange(draw);
@@ -45,12 +47,22 @@ export const atWork = () => ["running", "stopping"].includes(app.job?.state);
 async function heard(job) {
   const ended = atWork() && !["running", "stopping"].includes(job.state);
   change({ job });
-  if (!ended) return;
+  if (ended) await rebuilt();
+}
+
+// Another program built here, a step or many.
+async function elsewhere(steps) {
+  const before = app.elsewhere?.steps || [];
+  change({ elsewhere: { steps: [...new Set([...before, ...steps])], time: new Date().toTimeString().slice(0, 5) } });
+  await rebuilt();
+}
+
+async function rebuilt() {
   dense.forget();
   const workspace = await get("/api/workspace").catch(() => app.workspace); // a build may cut a scene that drifts
   change({ workspace, built: (app.built || 0) + 1 });
-  if (!workspace.scenes.includes(app.scene)) await openScene(workspace.scenes[0]);
-  if (job.stage === "find" && job.state === "done" && app.state) await loadObject(app.state.object);
+  await refreshScenes().catch((error) => alertOnce(error.message));
+  if (app.state) await loadObject(app.state.object);
   await load();
 }
 
@@ -93,11 +105,11 @@ function afterClicks() {
   if (other) return { text: `${app.state.object} is marked in every scene; now mark ${other}`, action: "object", object: other };
   if (!app.fresh?.label)
     return { text: app.result?.next.text ?? "make the dense model and the labels", action: "label", label: "Make them " };
-  if (!app.fresh.export)
+  if (!app.fresh.export || !app.fresh.report)
     return app.view === "labels"
-      ? { text: "look through the labels, click a frame to mend it; when they are good, export the dataset", action: "export", label: "Export " }
+      ? { text: "look through the labels, click a frame to mend it; when they are good, make the dataset and its report", action: "export", label: "Make them " }
       : { text: "the labels are made: look through them", view: "labels", label: "Show them " };
-  return { text: "done: the dataset is exported. Add clicks or scenes whenever you like, and make it again" };
+  return { text: "done: the dataset and its report are made. Add clicks or scenes whenever you like, and make it again" };
 }
 
 // With fewer clicks than place a scene, the object may be found there by its shape and colours.
@@ -106,14 +118,25 @@ function findable() {
   return Boolean(app.fresh?.segment) && new Set(clicksIn(app.scene).map((c) => c.keypoint)).size < 3;
 }
 
-const signature = () => JSON.stringify([app.job, app.fresh, app.scene, findable()]);
+const TITLES = { find: "Finding the object", open: "Reading the recording", ...Object.fromEntries(STEPS.map(([stage, title]) => [stage, title])) };
+const signature = () => JSON.stringify([app.job, app.fresh, app.scene, app.elsewhere, findable()]);
 let drawn = "";
 
 function draw() {
   if (drawn === signature()) return;
   drawn = signature();
   document.getElementById("find").replaceChildren(...finding());
-  panel.replaceChildren(element("h2", { textContent: "Build" }), ...STEPS.map(row), ...progress(), ...ending());
+  const all = element("button", { textContent: "Make all", id: "job-all", disabled: atWork() || Boolean(app.fresh?.report),
+    title: "everything that is out of date, as `rpl build` does (X)" });
+  all.addEventListener("click", () => start("report"));
+  refill(panel, element("h2", {}, "Build", all), ...STEPS.map(row), ...progress(), ...builtElsewhere(), ...ending());
+}
+
+function builtElsewhere() {
+  if (!app.elsewhere) return [];
+  const { steps, time } = app.elsewhere, more = steps.length - 3;
+  const named = steps.slice(-3).map((step) => step.replace("/", " ")).join(", ") + (more > 0 ? ` and ${counted(more, "other step")}` : "");
+  return [element("p", { className: "note", id: "elsewhere", textContent: `Another program built here until ${time}: ${named}. What you see is up to date with it.` })];
 }
 
 function finding() {
@@ -131,7 +154,9 @@ function row([stage, title, verb, note]) {
     : element("span", { className: "small quiet", textContent: atWork() ? "" : "to make" });
   const button = element("button", { textContent: verb, title: note, disabled: atWork() || Boolean(fresh), id: `job-${stage}` });
   button.addEventListener("click", () => start(stage));
-  return element("div", { className: "job row" }, element("span", { className: "name", textContent: title }), mark, button);
+  const name = element("span", { className: "name", textContent: title });
+  if (stage === "report" && fresh) name.append(" ", element("a", { href: "/api/report.html", textContent: "open", title: "saves it as a file, to open or to send" }));
+  return element("div", { className: "job row" }, name, mark, button);
 }
 
 function progress() {
@@ -141,7 +166,7 @@ function progress() {
   if (total) bar.value = done; // otherwise it shows only that it is running
   const button = element("button", { textContent: state === "stopping" ? "stopping …" : "Stop", disabled: state === "stopping", id: "job-stop" });
   button.addEventListener("click", stop);
-  return [element("p", { className: "note", textContent: `${what || stage}${total ? ` · ${done} of ${total}${stage === "find" ? "" : " frames"}` : " …"}` }),
+  return [element("p", { className: "note", textContent: `${what || stage}${total ? ` · ${done} of ${stage === "find" ? total : counted(total, "frame")}` : " …"}` }),
     element("div", { className: "job row" }, bar, button)];
 }
 
@@ -153,8 +178,8 @@ function ending() {
     return [element("p", { className: "note warn", role: "alert", textContent: `Not sure: ${error}` }), go];
   }
   if (state === "failed") return [element("p", { className: "note bad", role: "alert", textContent: error })];
-  if (state === "stopped") return [element("p", { className: "note warn", textContent: `${stage} was stopped; what was finished stays` })];
+  if (state === "stopped") return [element("p", { className: "note warn", textContent: `${TITLES[stage]}: stopped; what was finished stays` })];
   if (state !== "done") return [];
   const shown = lines.map((text) => element("p", { className: "note", textContent: text }));
-  return [element("p", { className: "note good", textContent: `${stage} done in ${seconds} s` }), ...shown];
+  return [element("p", { className: "note good", textContent: `${TITLES[stage]}: done in ${seconds} s` }), ...shown];
 }

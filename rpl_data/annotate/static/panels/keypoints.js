@@ -1,6 +1,6 @@
 // The list of keypoints: which one to mark next, and all changes to the list itself.
 
-import { app, change, clicksIn, frame as frameNow, isSkipped, keypointTitle, onChange, residualOf } from "../state/store.js";
+import { app, change, clicksIn, counted, frame as frameNow, isSkipped, keypointName, keypointTitle, onChange, residualOf } from "../state/store.js";
 import { act, alertOnce } from "../state/log.js";
 import { ask, element, refill } from "./dom.js";
 
@@ -103,7 +103,7 @@ export async function shift(by) {
 
 export async function removeFromList() {
   const marks = app.state.clicks.filter((c) => c.keypoint === app.keypoint).length;
-  const sure = await ask(`Take ${keypointTitle(app.keypoint)} out of the list, with its ${marks} ${marks === 1 ? "click" : "clicks"}? Undo restores it.`, []);
+  const sure = await ask(`Take ${keypointTitle(app.keypoint)} out of the list, with its ${counted(marks, "click")}? Undo restores it.`, []);
   if (sure) act({ op: "order", order: names().map((_, k) => k).filter((k) => k !== app.keypoint) });
 }
 
@@ -119,7 +119,7 @@ function row({ name, color }, k) {
     : isSkipped(k, app.scene) ? ["quiet", "skipped"] : ["quiet", "to mark"];
   const button = element("button", { title: `${keypointTitle(k)}: ${whereMarked(k)}` },
     badge(k, color),
-    element("span", { className: name === String(k) ? "name quiet" : "name", textContent: keypointTitle(k) }),
+    element("span", { className: name === String(k) ? "name quiet" : "name", textContent: keypointName(k) }),
     element("span", { className: `small ${kind}`, textContent: word }));
   button.dataset.key = `keypoint ${k}`;
   button.addEventListener("click", () => select(k));

@@ -2,6 +2,7 @@
 
 import { cursorOnScreen, fit, nudge, zoomBy } from "../image/canvas.js";
 import { element, show, closeDialog } from "./dom.js";
+import { legend } from "../image/legend.js";
 import { goToRow } from "../image/frames.js";
 import * as keypoints from "./keypoints.js";
 import * as scenes from "./scenes.js";
@@ -34,11 +35,13 @@ const KEYS = [
   [["r"], "a frame at random", timeline.random],
   [["p"], "play, stop", timeline.play],
   [["PageUp", "PageDown"], "previous, next scene", (key) => scenes.step(key === "PageDown" ? 1 : -1)],
+  [["Shift+r"], "reset the scene: remove its clicks and skips", scenes.reset],
   [["+", "="], "zoom in at the cursor", () => zoomBy(1.25, ...cursorOnScreen())],
   [["-"], "zoom out", () => zoomBy(0.8, ...cursorOnScreen())],
   [["f"], "the whole image", fit],
   [["b", "Shift+b"], "brighter, darker", (key) => brighter(key === "b" ? 0.2 : -0.2)],
   [["m"], "show or hide the model", () => change({ showModel: !app.showModel })],
+  [["n"], "names of all keypoints in the picture, or of the selected one", () => change({ showNames: !app.showNames })],
   [["l"], "show or hide the mask of the labels", () => change({ showMask: !app.showMask })],
 ];
 
@@ -86,8 +89,12 @@ function arrowKey(event) {
 function sheet() {
   const lines = KEYS.map(([keys, text]) =>
     element("p", {}, element("span", {}, ...keys.flatMap((k) => [element("kbd", { textContent: k.replace("Arrow", "") }), " "])), text));
-  const mouse = "Mouse: click marks the selected keypoint, drag a mark to move it, drag the image to pan, wheel zooms.";
-  show(element("b", { textContent: "Keys" }), element("p", { textContent: mouse }),
+  const mouse = "Mouse, pen: click marks the selected keypoint, drag a mark to move it, drag the image to pan, wheel zooms.";
+  const touch = "Touch: tap marks; hold for the loupe and lift where the keypoint is; one finger pans, two zoom.";
+  show(element("b", { textContent: "Keys" }), element("p", { textContent: mouse }), element("p", { textContent: touch }),
     element("div", { className: "columns" }, ...lines),
-    element("button", { className: "primary", textContent: "Close (Esc)", onclick: () => closeDialog() }));
+    element("b", { textContent: "Marks in the picture" }), legend(),
+    element("div", { className: "row" },
+      element("button", { className: "primary", textContent: "Close (Esc)", onclick: () => closeDialog() }),
+      element("button", { textContent: "Tour of the page (F1)", onclick: () => { closeDialog(); press(new KeyboardEvent("keydown", { key: "F1" })); } })));
 }

@@ -3,7 +3,7 @@
 
 import { get, objectPath } from "../state/api.js";
 import { bytes, floats } from "../solid/dense.js";
-import { ask, element } from "./dom.js";
+import { ask, element, refill } from "./dom.js";
 import { addEntry, chooseFile } from "./files.js";
 import { selectNext } from "./keypoints.js";
 import { act, alertOnce } from "../state/log.js";
@@ -17,8 +17,6 @@ let mesh = null, asked = null;
 
 export function setUp() {
   addEntry("Load a known model", "sparse_model.txt, MeshLab's .pp, or a mesh to pick its keypoints on", load);
-  addEntry("Keep the model as it is", "three clicks then place it in further scenes, without changing it", freeze);
-  addEntry("Find the model from the clicks", "the known model is no longer used", () => act({ op: "model", points: null }));
   addEntry("Export the model", "sparse_model.txt of RapidPoseLabels, with the grasp where there is one", exportModel);
   onNews("mesh", (name) => { if (name === app.state?.object) asked = null; change({}); });
   stage.append(panel);
@@ -26,7 +24,7 @@ export function setUp() {
   onPick(pick);
   addTraces(() => [], () => [app.picking, mesh, app.state?.known_points]);
   onChange(fetchMesh, () => [app.state?.object, asked]);
-  onChange(draw, () => [app.picking, mesh, app.state?.known_points, app.keypoint, app.state?.object]);
+  onChange(draw, () => [app.picking, mesh, app.state?.known_points, app.keypoint, app.state?.object, Boolean(app.result?.points_m)]);
 }
 
 async function load() {
@@ -103,14 +101,19 @@ function pick(point) {
 }
 
 function draw() {
-  panel.hidden = !mesh && !app.state?.known_points;
-  if (panel.hidden) return;
+  panel.hidden = !mesh && !app.state?.known_points && !app.result?.points_m;
+  if (panel.hidden || !app.state) return;
+  if (!mesh && !app.state.known_points) return refill(panel, button("Keep this model", "model-keep", freeze,
+    "three clicks then place it in further scenes, without changing it; undo takes that back"));
   const known = (app.state.known_points || []).filter(Boolean).length;
   const text = app.picking ? `Click on the mesh where ${keypointTitle(app.keypoint)} is. ${known} picked, at least 3 are needed.`
     : `This object has a known model of ${known} keypoints${mesh ? " and a mesh" : ""}: three clicks place it in a scene.`;
-  const turn = element("button", { textContent: app.picking ? "Done picking" : "Pick keypoints on the mesh", id: "pick", hidden: !mesh });
-  turn.addEventListener("click", () => change({ picking: !app.picking }));
-  const drop = element("button", { textContent: "Drop the mesh", hidden: !mesh });
-  drop.addEventListener("click", () => fetch(`${objectPath(app.state.object)}/given`, { method: "DELETE" }));
-  panel.replaceChildren(element("span", { textContent: text }), turn, drop);
+  const parts = [element("span", { textContent: text })];
+  if (mesh) parts.push(button(app.picking ? "Done picking" : "Pick keypoints on the mesh", "pick", () => change({ picking: !app.picking })),
+    button("Drop the mesh", "mesh-drop", () => fetch(`${objectPath(app.state.object)}/given`, { method: "DELETE" })));
+  if (app.state.known_points && !app.picking) parts.push(button("Find it from the clicks", "model-free", () => act({ op: "model", points: null }),
+    "the known model is no longer used; undo takes that back"));
+  refill(panel, ...parts);
 }
+
+const button = (textContent, id, onclick, title = "") => element("button", { textContent, id, onclick, title });

@@ -26,6 +26,7 @@ async function go() {
   const wanted = step();
   if (!wanted) return;
   if (wanted.action && actions[wanted.action]) return actions[wanted.action](wanted);
+  if (wanted.scene == null && !wanted.view) return; // there is no place to go to
   const part = { view: wanted.view || "mark" };
   if (wanted.keypoint != null) part.keypoint = wanted.keypoint;
   if (wanted.scene != null) await openScene(wanted.scene, wanted.frame ?? suggested(wanted.scene), part); else change(part);

@@ -1,15 +1,17 @@
 // How good the result is: what the clicks contradict, errors per scene and per click, what is missing.
 
 import { element, refill } from "./dom.js";
+import { distancesFrom } from "../solid/distances.js";
 import { openScene } from "../image/frames.js";
 import { looks } from "./looks.js";
+import { millimetres } from "./scenes.js";
 import { app, frame, keypointTitle, onChange, residualOf } from "../state/store.js";
 
 const panel = document.getElementById("result");
 const STEPS = [
   "Choose keypoints: corners, screws, spouts that you will know again in every scene.",
   "In every scene, click at least four of them, in any frames. Skip what is hidden.",
-  "Errors appear here after each click; a wrong click turns red and says why.",
+  "Expected errors appear here after each click; a wrong click turns red and says why.",
   "When every scene is placed: make the dense model and the labels, and look at them.",
 ];
 const DEPTH_WORDS = { agrees: "", "other surface": "other surface", rejected: "depth not used", none: "no depth" };
@@ -26,7 +28,7 @@ function draw() {
   if (!app.state) return;
   if (!app.result || !app.state.clicks.length) return refill(panel, ...beginning());
   const { result } = app;
-  refill(panel, ...statements(result), ...ofScenes(result), ...missing(result), ...ofKeypoint(result), ...distances(result));
+  refill(panel, ...statements(result), ...ofScenes(result), ...missing(result), ...ofKeypoint(result), ...distances());
 }
 
 const beginning = () => [
@@ -49,12 +51,17 @@ function statements(result) {
     })];
 }
 
+const digits = (value, write = (v) => v.toFixed(1)) => (value == null ? "—" : write(value));
+
+// Two different things: how far off labels should be, and how far the clicks are from what fits all of them.
 function ofScenes(result) {
   const rows = Object.entries(result.scenes).map(([name, s]) =>
-    [name, s.clicked, s.error_mm?.toFixed(1) ?? "—", s.error_px?.toFixed(1) ?? "—", s.expected_mm?.toFixed(1) ?? "—", s.expected_px?.toFixed(1) ?? "—"]);
+    [name, s.clicked, digits(s.expected_mm, millimetres), digits(s.expected_px), digits(s.miss_px)]);
   const problem = result.problem ? [element("p", { className: "note bad", textContent: result.problem })] : [];
-  return [element("h2", { textContent: "Errors by scene" }), ...problem,
-    table(["scene", "clicked", "mm", "px", "± mm", "± px"], rows, (i) => openScene(rows[i][0], null, { view: "mark" }))];
+  const note = "± says how far off labels should be. “Miss” says only how well the clicks agree; few clicks always do.";
+  return [element("h2", { textContent: "Expected errors" }), ...problem,
+    table(["scene", "clicked", "± mm", "± px", "miss, px"], rows, (i) => openScene(rows[i][0], null, { view: "mark" })),
+    element("p", { className: "small quiet", textContent: note })];
 }
 
 function missing(result) {
@@ -71,7 +78,7 @@ function ofKeypoint(result) {
   const mine = app.state.clicks.filter((click) => click.keypoint === app.keypoint);
   const sigma = result.sigma_mm[app.keypoint];
   const head = element("h2", { textContent: keypointTitle(app.keypoint) },
-    element("span", { className: "quiet small", textContent: sigma == null ? "" : `known to ±${sigma.toFixed(1)} mm` }));
+    element("span", { className: "quiet small", textContent: sigma == null ? "" : `known to ± ${millimetres(sigma)} mm` }));
   if (!mine.length) return [head, element("p", { className: "note quiet", textContent: "No clicks yet." })];
   const rows = mine.map((click) => {
     const found = residualOf(click);
@@ -79,16 +86,13 @@ function ofKeypoint(result) {
     const state = found?.outlier ? "✗ wrong" : found?.reason ? "? doubtful" : DEPTH_WORDS[found?.depth_state] ?? "";
     return [`${here}${click.scene} / ${click.frame}`, found?.error_mm?.toFixed(1) ?? "—", found?.error_px.toFixed(1) ?? "—", state];
   });
-  return [head, looks(mine, go), table(["scene / frame", "mm", "px", ""], rows, (i) => go(mine[i]))];
+  return [head, looks(mine, go), table(["scene / frame", "miss, mm", "px", ""], rows, (i) => go(mine[i]))];
 }
 
-// Distances from the picked keypoint to the others: one that can be measured on the object gives an error away.
-function distances(result) {
-  const from = result.points_m?.[app.keypoint];
-  if (!from || from[0] == null) return [];
-  const rows = result.points_m.map((to, k) => [k, to]).filter(([k, to]) => k !== app.keypoint && to && to[0] != null)
-    .map(([k, to]) => element("tr", {}, element("td", { textContent: `to ${keypointTitle(k)}` }),
-      element("td", { textContent: (1e3 * Math.hypot(...from.map((x, i) => x - to[i]))).toFixed(1) })));
+// One that can be measured on the object gives an error away.
+function distances() {
+  const rows = distancesFrom(app.keypoint).map(({ k, mm }) =>
+    element("tr", {}, element("td", { textContent: `to ${keypointTitle(k)}` }), element("td", { textContent: mm.toFixed(1) })));
   if (!rows.length) return [];
   const head = element("tr", {}, element("th", { textContent: "distance, measure one" }), element("th", { textContent: "mm" }));
   return [element("table", { id: "distances" }, head, ...rows)];

@@ -2,13 +2,22 @@
 
 import { openScene, suggestions } from "../image/frames.js";
 import { selectOpen } from "./keypoints.js";
-import { app, change, clicksIn, isSkipped, onChange } from "../state/store.js";
-import { element, refill } from "./dom.js";
+import { app, clicksIn, counted, isSkipped, onChange } from "../state/store.js";
+import { act, alertOnce } from "../state/log.js";
+import { ask, element, refill } from "./dom.js";
 
 const list = document.getElementById("scenes");
+// Class and word of a state, and whether the expected error of its labels follows.
 const WORDS = {
-  checking: ["quiet", "checking …"], tied: ["good", "placed"], bad: ["bad", "wrong click"],
-  doubt: ["warn", "doubtful"], found: ["good", "found without clicks"], loose: ["warn", "not placed"], few: ["warn", "too few"],
+  checking: ["quiet", "checking …"], tied: ["good", "✓", true], found: ["good", "✓ found", true],
+  rough: ["warn", "rough", true], unfit: ["bad", "too rough", true], bad: ["bad", "✗ wrong click"],
+  doubt: ["warn", "? doubtful"], loose: ["warn", "not placed"], few: ["warn", "too few clicks"],
+};
+const MEANINGS = {
+  found: "placed by shape and colours, without clicks",
+  rough: "labels rougher than 5 px: film it again, or add clicks where the page asks for them",
+  unfit: "labels so rough that the dataset leaves them out",
+  bad: "the other clicks contradict one of these", doubt: "one of some clicks is wrong, and nothing tells which",
 };
 
 export function setUp() {
@@ -50,14 +59,52 @@ function row(name) {
   const done = new Set(clicksIn(name).map((c) => c.keypoint)).size;
   const skipped = app.state.keypoints.filter((_, k) => isSkipped(k, name)).length;
   const found = app.result?.scenes?.[name];
-  const [kind, word] = done || found ? WORDS[found?.state] || ["quiet", "…"] : ["quiet", "nothing yet"];
-  const error = found?.error_mm != null ? ` ${found.error_mm.toFixed(1)} mm` : "";
-  const button = element("button", { title: found?.text || "" },
+  const [kind, word, figure] = done || found ? WORDS[found?.state] || ["quiet", "…"] : ["quiet", "nothing yet"];
+  const off = figure && found.expected_mm != null ? ` ± ${millimetres(found.expected_mm)} mm` : "";
+  const button = element("button", { title: explained(found, done, skipped, off) },
     element("span", { className: "name", textContent: name }),
-    element("span", { className: "small quiet", textContent: `${done}${skipped ? `+${skipped}` : ""}/${count}` }),
-    element("span", { className: `small ${kind}`, textContent: word + error }));
+    element("span", { className: "small quiet", textContent: `${done} of ${count - skipped}` }),
+    element("span", { className: `small ${kind}`, textContent: word + off }));
   button.addEventListener("click", () => open(name));
   const item = element("li", {}, button);
   item.setAttribute("aria-current", name === app.scene);
+  if (name === app.scene) item.append(tools());
   return item;
+}
+
+const ofScene = (name) => ({
+  marks: clicksIn(name), skipped: app.state.skipped.filter(([, where]) => where === name),
+});
+
+function tools() {
+  const { marks, skipped } = ofScene(app.scene);
+  const button = element("button", { textContent: "reset", title: "remove this object's clicks and skips in this scene (Shift+R)", disabled: !marks.length && !skipped.length });
+  button.dataset.key = "reset";
+  button.addEventListener("click", reset);
+  return element("div", { className: "tools" }, button);
+}
+
+// Begin the scene anew; one action, which undo takes back.
+export async function reset() {
+  const name = app.scene, { marks, skipped } = ofScene(name);
+  if (!marks.length && !skipped.length) return alertOnce(`Scene ${name} has nothing to reset: no click, and nothing skipped.`);
+  const what = [marks.length && counted(marks.length, "click"), skipped.length && `${skipped.length} skipped`].filter(Boolean).join(" and ");
+  const sure = await ask(`Reset scene ${name}: remove ${what} of ${app.state.object} there? Undo restores them.`, []);
+  if (!sure) return;
+  await act({ op: "batch", events: [
+    ...marks.map(({ keypoint, scene, frame }) => ({ op: "delete", keypoint, scene, frame })),
+    ...skipped.map(([keypoint, scene]) => ({ op: "unskip", keypoint, scene })),
+  ] });
+  selectOpen();
+}
+
+// One digit is enough for what is a guess of the size of an error.
+export const millimetres = (mm) => (mm < 10 ? mm.toFixed(1) : mm.toFixed(0));
+
+function explained(found, done, skipped, off) {
+  const lines = [`${counted(done, "keypoint")} clicked${skipped ? `, ${skipped} not visible here` : ""}`];
+  if (off) lines.push(`placed: its labels should be${off} (${found.expected_px?.toFixed(1) ?? "?"} px) off`);
+  if (MEANINGS[found?.state]) lines.push(MEANINGS[found.state]);
+  if (found?.text) lines.push(found.text);
+  return lines.join("\n");
 }

@@ -12,13 +12,14 @@ const plot = element("div", { id: "plot", tabIndex: 0, ariaLabel: "3D view: arro
 const empty = element("p", { className: "empty", id: "plot-empty" });
 export const stage = element("div", { id: "solid-stage" }, plot, empty); // other parts put their controls here
 const show = { surfaces: true, around: false, photo: false, dense: true, names: false };
+const toggles = []; // of other parts
 const extras = []; // functions that give more traces
 let drawn = [], library = null, camera = null;
 
 export function setUp() {
   const tools = element("div", { id: "solid-tools", className: "row" },
     toggle("surfaces", "surfaces"), toggle("around", "surroundings"),
-    toggle("photo", "photo colours"), toggle("dense", "dense model"), toggle("names", "names"));
+    toggle("photo", "photo colours"), toggle("dense", "dense model"), toggle("names", "names"), ...toggles);
   section.append(element("div", { className: "solid-head" }, tools), stage);
   plot.addEventListener("keydown", turn);
   new ResizeObserver(() => plot._fullLayout && !section.hidden && window.Plotly.Plots.resize(plot)).observe(plot);
@@ -44,6 +45,15 @@ export function insteadOf(give) {
 let picked = () => {};
 export function onPick(does) {
   picked = does;
+}
+
+// Another part's own toggle; returns whether it is on.
+export function addToggle(name, text, title) {
+  show[name] = false;
+  const made = toggle(name, text);
+  made.title = title;
+  toggles.push(made);
+  return () => show[name];
 }
 
 function nextView() {
@@ -163,11 +173,11 @@ function keypoints(scenes) {
   const lifted = (app.result?.lifted || []).filter((c) => c.scene === scenes[0]?.name).map((c) => ({ point: c.point_m, k: c.keypoint }));
   const shown = (app.result?.points_m ? solved : lifted).filter(({ k }) => k < app.state.keypoints.length);
   const of = (k) => app.state.keypoints[k];
-  const sigma = (k) => (app.result?.sigma_mm?.[k] != null ? ` · known to ±${app.result.sigma_mm[k].toFixed(1)} mm` : "");
+  const sigma = (k) => (app.result?.sigma_mm?.[k] != null ? ` · known to ± ${app.result.sigma_mm[k].toFixed(1)} mm` : "");
   return {
     type: "scatter3d", mode: "markers+text", showlegend: false, ...xyz(shown.map(({ point }) => point)),
     text: shown.map(({ k }) => (show.names || k === app.keypoint ? escaped(keypointTitle(k)) : String(k))),
-    hovertext: shown.map(({ k }) => escaped(`${of(k).name}${sigma(k)}`)), hovertemplate: "%{hovertext}<extra></extra>",
+    hovertext: shown.map(({ k }) => escaped(`${keypointTitle(k)}${sigma(k)}`)), hovertemplate: "%{hovertext}<extra></extra>",
     textposition: "top center", textfont: labelFont(),
     marker: {
       size: shown.map(({ k }) => (k === app.keypoint ? 9 : 6)), color: shown.map(({ k }) => of(k).color),

@@ -113,6 +113,9 @@ export function alertOnce(text, again = false) {
   change({ alert: { text, again } });
 }
 
+// What was done, to be read and closed.
+export const tell = (text) => change({ alert: { text, good: true } });
+
 export async function sendAgain() {
   change({ alert: null });
   await sending; // what is under way was asked before, and may fail still

@@ -12,7 +12,7 @@ export const app = {
   shown: null, // "scene/frame" of the picture on the screen
   hurried: false, // while the user scrubs or plays
   cursor: null, // {u, v} in image pixels
-  showModel: true, showMask: false, brightness: 1,
+  showModel: true, showMask: false, showNames: false, brightness: 1,
   waiting: 0, offline: false, job: null, fresh: {},
 };
 
@@ -61,11 +61,16 @@ export const clicksIn = (sceneName, frameIndex) =>
 export const residualOf = (click) =>
   app.result?.clicks.find((r) => r.keypoint === click.keypoint && r.scene === click.scene && r.frame === click.frame);
 
-// The number of a keypoint, as in files of clicks, and its name where it has one of its own.
-export const keypointTitle = (k) => {
+// A keypoint's name; its number where it has no name of its own.
+export const keypointName = (k) => {
   const name = app.state?.keypoints[k]?.name;
   return name === undefined || name === String(k) ? `keypoint ${k}` : name;
 };
+
+// Number and name, as the messages of the server and files of clicks have them.
+export const keypointTitle = (k) => (keypointName(k) === `keypoint ${k}` ? `keypoint ${k}` : `${k} ${keypointName(k)}`);
+
+export const counted = (number, noun) => `${number} ${noun}${number === 1 ? "" : "s"}`;
 
 export const isSkipped = (keypoint, sceneName) =>
   (app.state?.skipped || []).some(([k, s]) => k === keypoint && s === sceneName);

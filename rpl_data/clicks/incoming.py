@@ -1,0 +1,64 @@
+"""Clicks that come from a file: what they change, as events for the log and in words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from rpl_data.clicks.log import Annotation, Event, events_to
+from rpl_data.types import Click
+from rpl_data.wording import counted
+
+
+@dataclass(frozen=True)
+class Incoming:
+    """What a file of clicks does to an object.
+
+    Attributes:
+        events: they bring the log there; empty when nothing changes.
+        added, moved, removed, same: numbers of clicks: new ones, those of the same keypoint and frame at
+            another pixel, those that the object had and the file has not, and those that stay as they are.
+    """
+
+    events: tuple[Event, ...]
+    added: int
+    moved: int
+    removed: int
+    same: int
+
+    @property
+    def changed(self) -> int:
+        """Number of clicks that are not as before."""
+        return self.added + self.moved + self.removed
+
+    def __str__(self) -> str:
+        """`3 clicks added, 1 moved, 2 removed; 20 stay as they were`."""
+        numbers = (("added", self.added), ("moved", self.moved), ("removed", self.removed))
+        parts = [f"{number} {word}" for word, number in numbers if number]
+        if not parts:
+            return f"no click changed; all {self.same} were there" if self.same else "no click changed"
+        first = next(number for _, number in numbers if number)
+        parts[0] = parts[0].replace(f"{first} ", f"{counted(first, 'click')} ", 1)
+        stay = f"; {self.same} {'stays' if self.same == 1 else 'stay'} as before" if self.same else ""
+        return ", ".join(parts) + stay
+
+
+def incoming(
+    annotation: Annotation, keypoints: Sequence[str], clicks: Iterable[Click], *, replaces: bool
+) -> Incoming:
+    """What the clicks of a file change.
+
+    Args:
+        keypoints: the names that the object has from then on.
+        replaces: the object's other clicks are removed; else they stay.
+    """
+    new = {(c.keypoint, c.scene, c.frame): c for c in clicks}
+    old = {(c.keypoint, c.scene, c.frame): c for c in annotation.clicks}
+    wanted = new if replaces else old | new
+    return Incoming(
+        tuple(events_to(annotation, keypoints, wanted.values())),
+        added=len(wanted.keys() - old.keys()),
+        moved=sum(old[key] != click for key, click in wanted.items() if key in old),
+        removed=len(old.keys() - wanted.keys()),
+        same=sum(old.get(key) == click for key, click in wanted.items()),
+    )

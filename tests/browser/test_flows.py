@@ -1,0 +1,69 @@
+"""Flows beside marking: a scene begun anew, a grasp, other programs at work, a picture that never moves."""
+
+from __future__ import annotations
+
+import json
+
+from driving import ServerHere, on_page, place, saved
+from playwright.sync_api import Page, expect
+
+from rpl_data.clicks.log import click_event
+from rpl_data.types import Click
+from rpl_data.workspace.workspace import Workspace
+
+BOX = "(id) => { const { x, y, width, height } = document.getElementById(id).getBoundingClientRect();" + (
+    " return [x, y, width, height]; }"
+)
+
+
+def test_a_scene_is_reset_and_undone(page: Page, server: ServerHere) -> None:
+    stage = page.evaluate(BOX, "stage")
+    for u in (100.0, 120.0, 140.0):
+        place(page, u, 90.0)
+        assert page.evaluate(BOX, "stage") == stage, "no hint moves the picture"
+    page.keyboard.press("s")
+    saved(page)
+    page.get_by_role("button", name="reset").click()
+    expect(page.locator("dialog")).to_contain_text("remove 3 clicks and 1 skipped of carton there?")
+    page.keyboard.press("Enter")
+    expect(page.locator("#scenes li[aria-current=true]")).to_contain_text("nothing yet")
+    saved(page)
+    annotation = Workspace(server.workspace).load_annotation("carton")
+    assert not annotation.clicks and not annotation.skipped
+    page.keyboard.press("Control+z")
+    saved(page)
+    annotation = Workspace(server.workspace).load_annotation("carton")
+    assert len(annotation.clicks) == 3 and len(annotation.skipped) == 1
+
+    page.locator("#grasp").click()
+    page.mouse.click(*on_page(page, 150.0, 120.0))
+    page.mouse.click(*on_page(page, 180.0, 118.0))
+    saved(page)
+    assert Workspace(server.workspace).load_annotation("carton").grasp is not None
+    page.locator("#grasp-remove").click()
+    saved(page)
+    assert Workspace(server.workspace).load_annotation("carton").grasp is None
+    page.evaluate(
+        """async () => {
+            const { alertOnce } = await import("/static/state/log.js");
+            alertOnce("Not saved: the disk is full. ".repeat(12));
+        }"""
+    )
+    expect(page.locator("#alert")).to_be_visible()
+    assert page.evaluate(BOX, "stage") == stage, "and no alert"
+    build = page.evaluate(BOX, "jobs")
+    assert build[1] + build[3] <= 720, "Build is in the window whatever stands above it"
+
+
+def test_what_other_programs_do_is_said(page: Page, server: ServerHere) -> None:
+    workspace = Workspace(server.workspace)
+    place(page, 100.0, 90.0)
+    workspace.append_events("carton", [click_event(Click("carton", 5, "01", 2, 50.0, 60.0))])
+    expect(page.locator("#undo")).to_have_attribute("title", "undo the click on keypoint 5", timeout=8000)
+    ledger = json.loads(workspace.stages_file.read_text())
+    ledger["drift/00"] = {**ledger["clicks/carton"], "seconds": 1.0}
+    workspace.stages_file.write_text(json.dumps(ledger))
+    said = page.locator("#elsewhere")
+    expect(said).to_contain_text("Another program built here until", timeout=8000)
+    expect(said).to_contain_text("drift 00")
+    expect(page.locator("#saved")).to_have_text("all saved")
