@@ -1,5 +1,6 @@
 """Small hand-made scenes with labels, for the tests of what comes after labelling."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -81,6 +82,22 @@ def labelled_scene(folder: Path, name: str, *, frames=6, objects=(BOX, CAN), suf
         labels.append(FrameLabel(name, index, index / 30, instances))
     poses = Trajectory(np.arange(frames), np.tile(np.eye(4), (frames, 1, 1)))
     return ExportScene(Scene(name, CAMERA, 0.001, tuple(taken)), poses, labels)
+
+
+def two_boxes(folder: Path, name: str = "desk") -> ExportScene:
+    """A scene with two instances of the box."""
+    scene = labelled_scene(folder, name, objects=(BOX, BOX))
+    labels = [
+        replace(
+            label,
+            instances=tuple(
+                replace(one, instance=called)
+                for one, called in zip(label.instances, ("", "2"), strict=bool(label.instances))
+            ),
+        )
+        for label in scene.labels
+    ]
+    return replace(scene, labels=labels)
 
 
 def exported(folder: Path, *, models=(BOX, CAN), suffix=".png", frames=6, **rule):

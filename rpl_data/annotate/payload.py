@@ -13,10 +13,11 @@ from rpl_data.annotate.live import FEWEST
 from rpl_data.annotate.log import Revision
 from rpl_data.annotate.session import Result
 from rpl_data.annotate.stores.scenes import PosedScene
-from rpl_data.clicks.log import Event
+from rpl_data.clicks.log import Annotation, Event
 from rpl_data.json_arrays import Json, numbers, rows_to_json
 from rpl_data.overlay import keypoint_color
 from rpl_data.types import ClickResidual, Solution, Statement
+from rpl_data.types.instances import places_in
 from rpl_data.types.keypoint_names import keypoint_titles
 
 
@@ -109,8 +110,18 @@ def result_payload(result: Result, scenes: Sequence[str]) -> Json:
         ],
         "grasp": None if result.grasp is None else numbers(result.grasp, 7),
         "grasp_problem": result.grasp_problem,
-        "next": asdict(next_step(revision.annotation, live, scenes, result.rough_scenes())),
+        "next": asdict(
+            next_step(
+                revision.annotation, live, places_of(revision.annotation, scenes), result.rough_scenes()
+            )
+        ),
     }
+
+
+def places_of(annotation: Annotation, scenes: Sequence[str]) -> list[str]:
+    """The scenes, each followed by the places of further instances that were clicked in it."""
+    clicked = {click.scene for click in annotation.clicks}
+    return [place for scene in scenes for place in sorted({scene, *places_in(scene, clicked)})]
 
 
 def _sigmas_mm(solution: Solution) -> list[float | None]:

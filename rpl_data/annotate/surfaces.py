@@ -22,6 +22,7 @@ from rpl_data.images import read_color
 from rpl_data.json_arrays import Json
 from rpl_data.meshes import load_mesh, simplified
 from rpl_data.types import DataError, DepthImage
+from rpl_data.types.instances import scene_of
 from rpl_data.workspace.workspace import Workspace
 
 MOST_POINTS = 5000
@@ -63,13 +64,13 @@ class SurfaceStore:
         return thinned(found)
 
     def _stamp(self, scene: str) -> int:
-        path = self.scenes.workspace.surface_file(scene)
+        path = self.scenes.workspace.surface_file(scene_of(scene))
         return path.stat().st_mtime_ns if path.exists() else 0
 
     def _read_fused(self, scene: str, stamp: int) -> Coloured:
         if not stamp:
             return Coloured(np.empty((0, 3)), np.empty((0, 3), np.uint8))
-        mesh = load_mesh(self.scenes.workspace.surface_file(scene))
+        mesh = load_mesh(self.scenes.workspace.surface_file(scene_of(scene)))
         grey = np.full((len(mesh.vertices), 3), 150, np.uint8)
         return Coloured(mesh.vertices, grey if mesh.colors is None else mesh.colors)
 

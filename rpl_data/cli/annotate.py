@@ -33,6 +33,7 @@ from rpl_data.pipeline.stages.solve import solve_annotation_unchecked
 from rpl_data.solve.expected import expected_px
 from rpl_data.solve.solve import register
 from rpl_data.types import DataError, Solution
+from rpl_data.types.instances import scene_of
 from rpl_data.workspace.workspace import Workspace
 
 
@@ -132,8 +133,9 @@ VIEWS = 40
 
 def _expected_px(workspace: Workspace, solution: Solution, scene: str) -> float:
     """The expected error of the keypoints in the images of a scene."""
-    recorded = workspace.load_scene(scene)
-    poses = _camera_poses(workspace, scene, workspace.trajectory_file(scene).stat().st_mtime_ns)
+    recorded = workspace.load_scene(scene_of(scene))
+    stamp = workspace.trajectory_file(recorded.name).stat().st_mtime_ns
+    poses = _camera_poses(workspace, recorded.name, stamp)
     points = transform(solution.scene_from_object[scene], solution.model.points_object)
     return expected_px(solution.covariance_at(scene), points, recorded.intrinsics, poses)
 

@@ -6,26 +6,51 @@ import csv
 import io
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import TypeVar
 
 from rpl_data.types import Click, DataError
+from rpl_data.types.instances import instance_of, placed_as, scene_of
 from rpl_data.types.keypoint_names import keypoint_rows
+from rpl_data.untrusted.names import checked_name
 
 Number = TypeVar("Number", int, float)
 
 _SEPARATOR = re.compile(r"sep=.\n", re.IGNORECASE)
 CSV_COLUMNS = ["object", "keypoint", "scene", "frame", "u_px", "v_px"]
+INSTANCE = "instance"
+"""A column that is there only where several instances of an object in a scene are told apart."""
 
 
-def clicks_to_csv(clicks: Iterable[Click], keypoints: Sequence[str]) -> str:
-    """Clicks as CSV text, keypoints by name."""
+def clicks_to_csv(clicks: Iterable[Click], keypoints: Sequence[str], *, instances: bool | None = None) -> str:
+    """Clicks as CSV text, keypoints by name.
+
+    Args:
+        instances: whether there is a column for the instance; None = where a click has one.
+    """
+    clicks = list(clicks)
+    several = has_instances(clicks) if instances is None else instances
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(CSV_COLUMNS)
+    writer.writerow([*CSV_COLUMNS, INSTANCE] if several else CSV_COLUMNS)
     for c in clicks:
-        writer.writerow([c.object, keypoints[c.keypoint], c.scene, c.frame, f"{c.u_px:.4f}", f"{c.v_px:.4f}"])
+        where = [c.object, keypoints[c.keypoint], scene_of(c.scene), c.frame]
+        row = [*where, f"{c.u_px:.4f}", f"{c.v_px:.4f}"]
+        writer.writerow([*row, instance_of(c.scene)] if several else row)
     return text.getvalue()
+
+
+def tables_to_csv(tables: Iterable[tuple[Iterable[Click], Sequence[str]]]) -> str:
+    """The clicks of several objects, each with its keypoints, as CSV text with one heading."""
+    listed = [(list(clicks), keypoints) for clicks, keypoints in tables]
+    several = any(has_instances(clicks) for clicks, _ in listed)
+    texts = [clicks_to_csv(clicks, keypoints, instances=several) for clicks, keypoints in listed]
+    return texts[0] + "".join(text.split("\n", 1)[1] for text in texts[1:])
+
+
+def has_instances(clicks: Iterable[Click]) -> bool:
+    """Whether a click names an instance."""
+    return any(instance_of(click.scene) for click in clicks)
 
 
 def objects_in_csv(text: str, *, source: str) -> list[str]:
@@ -78,13 +103,14 @@ def clicks_from_csv(text: str, *, source: str, object_name: str, keypoints: Sequ
             raise DataError(
                 f"{source} line {line}: u_px and v_px must be finite, got {u_px}, {v_px}; delete the line"
             )
-        click = Click(object_name, numbers[row["keypoint"]], row["scene"], frame, u_px, v_px)
-        place = (click.keypoint, click.scene, click.frame)
-        before, same = first_lines.setdefault(place, (line, click))
+        place = _place(row, where=f"{source} line {line}")
+        click = Click(object_name, numbers[row["keypoint"]], place, frame, u_px, v_px)
+        before, same = first_lines.setdefault((click.keypoint, click.scene, click.frame), (line, click))
         if same != click:
             raise DataError(
                 f"{source} lines {before} and {line} put keypoint {row['keypoint']} of {object_name} at two "
-                f"places of frame {frame} in scene {row['scene']}; delete the wrong line"
+                f"places of frame {frame} in scene {place}; delete the wrong line, or tell two instances of "
+                f"the object apart in a column `{INSTANCE}`"
             )
         clicks.append(click)
     if not clicks:
@@ -93,6 +119,14 @@ def clicks_from_csv(text: str, *, source: str, object_name: str, keypoints: Sequ
             f"it has clicks for {sorted(others) or 'nothing'}"
         )
     return clicks
+
+
+def _place(row: Mapping[str, str], *, where: str) -> str:
+    """The scene and instance of a line, as `Click.scene`."""
+    if "/" in row["scene"]:
+        checked_name(row["scene"], "scene", where=where)
+    instance = row.get(INSTANCE, "")
+    return placed_as(row["scene"], checked_name(instance, "instance", where=where) if instance else "")
 
 
 def _rows(text: str, source: str) -> Iterator[tuple[int, dict[str, str]]]:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from rpl_data.evaluate.matching import in_order_of_model, rows_in_truth
+from rpl_data.evaluate.matching import in_order_of_model, matched_instances, rows_in_truth
 from rpl_data.geometry import Transform, fit_rigid, invert, rotation_angle_rad, transform
 from rpl_data.types import DataError, FrameLabel, InstanceLabel, KeypointModel, QualityRow, Rle
 from rpl_data.wording import counted
@@ -36,7 +36,7 @@ class ModelError:
 
 @dataclass(frozen=True)
 class InstanceError:
-    """Errors of one object in one frame.
+    """Errors of one instance of an object in one frame.
 
     Attributes:
         keypoints_px: distance of every labelled keypoint (v > 0) from the truth; NaN for the others.
@@ -108,15 +108,18 @@ def label_errors(
         if true_instances is None:
             continue
         instances = _by_object(label)
-        for name in instances.keys() & true_instances.keys():
-            error = _instance_error(label, instances[name], true_instances[name], alignments.get(name))
-            pairs.setdefault(name, []).append(error)
-        _count(missed, true_instances.keys() - instances.keys())
-        _count(invented, instances.keys() - true_instances.keys())
+        for name in instances.keys() | true_instances.keys():
+            same = matched_instances(instances.get(name, []), true_instances.get(name, []))
+            pairs.setdefault(name, []).extend(
+                _instance_error(label, one, true, alignments.get(name)) for one, true in same
+            )
+            missed[name] = missed.get(name, 0) + len(true_instances.get(name, [])) - len(same)
+            invented[name] = invented.get(name, 0) + len(instances.get(name, [])) - len(same)
     totals: dict[str, int] = {}
     for true_instances in true_frames.values():
-        _count(totals, true_instances.keys())
-    names = sorted(totals.keys() | pairs.keys() | invented.keys())
+        for name, several in true_instances.items():
+            totals[name] = totals.get(name, 0) + len(several)
+    names = sorted(totals.keys() | pairs.keys())
     return {
         name: LabelErrors(
             tuple(pairs.get(name, ())), totals.get(name, 0), missed.get(name, 0), invented.get(name, 0)
@@ -125,13 +128,11 @@ def label_errors(
     }
 
 
-def _by_object(label: FrameLabel) -> dict[str, InstanceLabel]:
-    return {instance.object: instance for instance in label.instances}
-
-
-def _count(counts: dict[str, int], names: Iterable[str]) -> None:
-    for name in names:
-        counts[name] = counts.get(name, 0) + 1
+def _by_object(label: FrameLabel) -> dict[str, list[InstanceLabel]]:
+    found: dict[str, list[InstanceLabel]] = {}
+    for instance in label.instances:
+        found.setdefault(instance.object, []).append(instance)
+    return found
 
 
 def _instance_error(

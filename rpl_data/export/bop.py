@@ -16,6 +16,7 @@ the same number in every split; image ids are frame numbers.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -177,12 +178,16 @@ def _detection_targets(targets: Sequence[Json]) -> list[Json]:
 def _pose_targets(
     scene: int, images: Sequence[Json], split: Split, info: Mapping[int, list[Json]]
 ) -> list[Json]:
-    """Which poses are asked for: of instances of which enough is visible."""
-    return [
-        {"scene_id": scene, "im_id": image["frame"], "obj_id": annotation["category_id"], "inst_count": 1}
+    """Which poses are asked for: of how many instances of an object enough is visible in an image."""
+    counts = Counter(
+        (image["frame"], annotation["category_id"])
         for image in images
         for annotation, numbers in zip(
             split.annotations.get(image["id"], []), info[image["frame"]], strict=True
         )
         if numbers["visib_fract"] >= LEAST_VISIBLE
+    )
+    return [
+        {"scene_id": scene, "im_id": frame, "obj_id": category, "inst_count": count}
+        for (frame, category), count in counts.items()
     ]

@@ -2,7 +2,7 @@
 
 ::
 
-    <folder>/<object>/<scene>/  cam_K.txt
+    <folder>/<object>/<scene>/  cam_K.txt           (<scene>_instance_2 for another instance there)
                                 rgb/000000.png              8 bit; files are called by frame number
                                 depth/000000.png            16 bit, millimetres
                                 masks/000000.png            255 where the object is seen
@@ -47,7 +47,7 @@ def export_bundlesdf(folder: Path, coco: Path, metres_per_unit: Mapping[str, flo
                 refuse_distortion(views, "BundleSDF's layout")
                 _write_frames(building / category["name"], views, coco, metres_per_unit)
                 images[split.name] += len(views)
-                cameras |= {building / category["name"] / view.image["scene"]: view for view in views}
+                cameras |= {building / category["name"] / _video(view): view for view in views}
         for place, view in cameras.items():
             write_text(place / "cam_K.txt", rows_of(view.camera.matrix))
     return DialectSummary(images, sum(images.values()))
@@ -57,7 +57,7 @@ def _write_frames(
     folder: Path, views: Sequence[View], coco: Path, metres_per_unit: Mapping[str, float]
 ) -> None:
     for view in views:
-        place, name = folder / view.image["scene"], f"{view.image['frame']:06d}"
+        place, name = folder / _video(view), f"{view.image['frame']:06d}"
         write_view(
             view,
             coco,
@@ -68,3 +68,9 @@ def _write_frames(
         )
         pose = matrix_from_json(view.annotation["camera_from_object"])
         write_text(place / "annotated_poses" / f"{name}.txt", rows_of(pose))
+
+
+def _video(view: View) -> str:
+    """Name of the video of an instance in a scene; it shows one object."""
+    instance = view.annotation.get("instance")
+    return f"{view.image['scene']}_instance_{instance}" if instance else str(view.image["scene"])

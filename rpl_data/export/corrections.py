@@ -17,12 +17,12 @@ class Corrector:
     """Corrects the labels of one export and counts what it did.
 
     Args:
-        corrections: at most one per scene, frame and object.
+        corrections: at most one per scene, frame, object and instance.
         models: the objects, which name the keypoints.
     """
 
     def __init__(self, corrections: Sequence[Correction], models: Sequence[KeypointModel]) -> None:
-        self._given = {(one.scene, one.frame, one.object): one for one in corrections}
+        self._given = {(one.scene, one.frame, one.object, one.instance): one for one in corrections}
         self._names = {model.name: model.keypoints for model in models}
         self._applied: Counter[str] = Counter()
         self._left = {key for key, one in self._given.items() if not one.deleted}
@@ -35,7 +35,7 @@ class Corrector:
         return replace(label, instances=tuple(one for one in instances if one is not None))
 
     def _instance(self, label: FrameLabel, instance: InstanceLabel) -> InstanceLabel | None:
-        key = (label.scene, label.frame, instance.object)
+        key = (label.scene, label.frame, instance.object, instance.instance)
         change, names = self._given.get(key), self._names.get(instance.object, ())
         if change is None or not _fits(instance, change, names):
             return instance

@@ -34,12 +34,12 @@ class OurImage:
 
     Attributes:
         size: height and width.
-        annotations: entries of the COCO file by object.
+        annotations: entries of the COCO file by object and instance.
     """
 
     file_name: str
     size: tuple[int, int]
-    annotations: Mapping[str, Json]
+    annotations: Mapping[tuple[str, str], Json]
 
 
 @dataclass
@@ -48,7 +48,7 @@ class Difference:
 
     Attributes:
         corrections: one per changed instance.
-        covered: scene, frame and object of all labels that the file speaks about.
+        covered: scene, frame, object and instance of all labels that the file speaks about.
         ious: of each changed mask with ours.
         moved_px: how far each keypoint moved that has a position before and after.
         refused: number of new instances, by the reason why they are not taken.
@@ -58,7 +58,7 @@ class Difference:
     """
 
     corrections: list[Correction] = field(default_factory=list)
-    covered: set[tuple[str, int, str]] = field(default_factory=set)
+    covered: set[tuple[str, int, str, str]] = field(default_factory=set)
     ious: list[float] = field(default_factory=list)
     moved_px: list[float] = field(default_factory=list)
     refused: Counter[str] = field(default_factory=Counter)
@@ -162,26 +162,43 @@ def _differences(
     found = Difference()
     for key, image in ours.items():
         for name, order in orders.items():
-            edited, own = given.get((key, name), []), image.annotations.get(name)
-            found.covered.add((*key, name))
-            if own is None:
+            edited = given.get((key, name), [])
+            ours_here = {instance: own for (of, instance), own in image.annotations.items() if of == name}
+            found.covered |= {(*key, name, instance) for instance in ours_here or [""]}
+            if not ours_here:
                 found.refused["the workspace has no label there, so it would have no pose"] += len(edited)
                 continue
-            if not edited:
-                found.corrections.append(Correction(*key, name, deleted=True))
-                continue
-            found.refused["an image has one instance per object"] += len(edited) - 1
             with decoding(f"{source}: {name} in {image.file_name}", REMEDY):
-                change = _change(Correction(*key, name), _same(edited, own), own, order, found)
-            if change != Correction(*key, name):
-                found.corrections.append(change)
+                same = _paired(edited, ours_here)
+                found.refused["an image has one instance per label of ours"] += len(edited) - len(same)
+                for instance, own in ours_here.items():
+                    as_ours = Correction(*key, name, instance=instance)
+                    change = replace(as_ours, deleted=True)
+                    if instance in same:
+                        change = _change(as_ours, same[instance], own, order, found)
+                    if change != as_ours:
+                        found.corrections.append(change)
     return found
 
 
-def _same(edited: Sequence[Json], own: Json) -> Json:
-    """The annotation with our id; where a program numbered them anew, the one that overlaps ours most."""
-    with_id = [each for each in edited if each["id"] == own["id"]]
-    return with_id[0] if with_id else max(edited, key=lambda each: _overlap(each, own))
+def _paired(edited: Sequence[Json], ours: Mapping[str, Json]) -> dict[str, Json]:
+    """Which annotation of a file is which instance of ours; instances that the file lacks are absent.
+
+    Programs may number annotations anew and drop what they do not know. So where an image has one instance,
+    its id tells; where it has several, their names do; else the masks that overlap most.
+    """
+    if len(ours) == 1:
+        told = {instance: [e for e in edited if e["id"] == own["id"]] for instance, own in ours.items()}
+    else:
+        told = {name: [e for e in edited if "instance" in e and e["instance"] == name] for name in ours}
+    same = {instance: found[0] for instance, found in told.items() if found}
+    left = [each for each in edited if not any(each is one for one in same.values())]
+    while left and len(same) < len(ours):
+        pairs = [(each, name) for each in left for name in ours.keys() - same.keys()]
+        each, name = max(pairs, key=lambda pair: _overlap(pair[0], ours[pair[1]]))
+        same[name] = each
+        left = [other for other in left if other is not each]
+    return same
 
 
 def _change(change: Correction, edited: Json, own: Json, order: Orders, found: Difference) -> Correction:

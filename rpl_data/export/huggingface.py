@@ -6,7 +6,8 @@
                                      <scene>_<frame>.jpg
 
 `objects` of a line has the same columns for each instance: id, category (index into `categories`), bbox
-(x, y, width, height, pixels), area, keypoints (x, y, v), camera_from_object (16 numbers, metres), quality.
+(x, y, width, height, pixels), area, keypoints (x, y, v), camera_from_object (16 numbers, metres), quality,
+instance (a name where a scene shows several of an object).
 Layout: https://huggingface.co/docs/datasets/image_dataset (object detection).
 """
 
@@ -57,6 +58,7 @@ COLUMNS = ("id", "bbox", "area", "keypoints", "camera_from_object", "visib_fract
 
 def _line(name: str, image: Json, annotations: Sequence[Json]) -> Json:
     objects = {column: [one[column] for one in annotations] for column in COLUMNS}
+    objects["instance"] = [one.get("instance", "") for one in annotations]
     objects["category"] = [one["category_id"] - 1 for one in annotations]
     kept = {key: image[key] for key in ("width", "height", "scene", "frame", "timestamp_s", "cam_K")}
     return {"file_name": name, "image_id": image["id"], **kept, "objects": objects}

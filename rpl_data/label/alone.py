@@ -35,6 +35,7 @@ class SceneObject:
         dots: its points; where they are given, the mask is made of them, as in the paper, not of the mesh.
         strayed_m: how far the camera's poses stray within the scene, standard deviation per axis, besides
             that covariance.
+        instance: which of several instances of the object in the scene it is, as `InstanceLabel.instance`.
     """
 
     model: KeypointModel
@@ -43,6 +44,12 @@ class SceneObject:
     scene_from_object: Transform
     dots: PointCloud | None = None
     strayed_m: float = 0.0
+    instance: str = ""
+
+    @property
+    def key(self) -> tuple[str, str]:
+        """Name of the object and of the instance, which no other body of the scene shares."""
+        return self.model.name, self.instance
 
 
 @dataclass(frozen=True)

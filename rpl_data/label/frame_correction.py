@@ -62,13 +62,13 @@ class FrameCorrector:
     """Corrects the labels of one scene.
 
     Attributes:
-        references: per object.
+        references: per instance, by `SceneObject.key`.
         unproven: also apply corrections without held-out evidence, and small ones.
     """
 
     camera: PixelTable
     motion: Motion
-    references: Mapping[str, Sequence[Reference]]
+    references: Mapping[tuple[str, str], Sequence[Reference]]
     unproven: bool = False
 
     def corrected(
@@ -105,7 +105,7 @@ class FrameCorrector:
             visible: the object's pixels that nothing hides, in its window.
         """
         item, pose = alone.body.item, alone.camera_from_object
-        references = self.references.get(item.model.name, ())
+        references = self.references.get(item.key, ())
         if not references or np.count_nonzero(visible) < FEWEST_POINTS:
             return None
         view = view_direction(pose)
@@ -159,7 +159,7 @@ def frame_corrector(
         sight = Sight(
             camera, motion, trajectory, Body.of(item), read_depth, read_grey, tolerances or Tolerances()
         )
-        found[item.model.name] = settled(sight, choose_references(sight, usable), usable)
+        found[item.key] = settled(sight, choose_references(sight, usable), usable)
     return FrameCorrector(camera, motion, found, unproven)
 
 

@@ -71,7 +71,7 @@ def label_frames(
     read_depth: ReadDepth,
     *,
     read_grey: Callable[[Frame], GreyImage] | None = None,
-    camera_from_object: Mapping[tuple[int, str], Transform] | None = None,
+    camera_from_object: Mapping[tuple[int, str, str], Transform] | None = None,
     corrector: FrameCorrector | None = None,
     tolerances: Tolerances | None = None,
 ) -> Iterator[FrameLabel]:
@@ -85,7 +85,7 @@ def label_frames(
             nothing.
         read_grey: reads the brightness of a frame, at full size; its edges then show, beside those of depth,
             how far off the label is.
-        camera_from_object: refined poses by (frame index, object name); they replace those of Eq. 3.
+        camera_from_object: refined poses by (frame index, object, instance); they replace those of Eq. 3.
         corrector: corrects the poses of single frames by what they show, where `read_grey` is given.
         tolerances: by how much surfaces must differ in depth for one to hide the other.
 
@@ -118,7 +118,7 @@ def _label_frames(
     frames: Iterable[Frame],
     read_depth: ReadDepth,
     read_grey: Callable[[Frame], GreyImage] | None,
-    refined: Mapping[tuple[int, str], Transform],
+    refined: Mapping[tuple[int, str, str], Transform],
     corrector: FrameCorrector | None,
     tolerances: Tolerances,
 ) -> Iterator[FrameLabel]:
@@ -131,7 +131,7 @@ def _label_frames(
         objects_alone = []
         for body in bodies:
             eq3 = camera_from_scene @ body.item.scene_from_object
-            alone = object_alone(camera, body, refined.get((frame.index, body.item.model.name), eq3))
+            alone = object_alone(camera, body, refined.get((frame.index, *body.item.key), eq3))
             if alone is not None:
                 objects_alone.append(alone)
         grey = read_grey(frame) if read_grey is not None and objects_alone else None
@@ -205,6 +205,7 @@ def _instance(
         truncated=reaches_border(box_full, **size),
         quality=quality(sigmas_px),
         corrected_px=correction.moved_px if moved and correction is not None else None,
+        instance=alone.body.item.instance,
     )
 
 

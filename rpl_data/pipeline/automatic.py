@@ -26,6 +26,7 @@ from rpl_data.place.place import candidates_in
 from rpl_data.place.verify import Candidate
 from rpl_data.solve.expected import covariance_by_pose
 from rpl_data.types import ClickResidual, DataError, Observation, Placement, PointCloud, Solution, UnsureError
+from rpl_data.types.instances import instance_of
 
 
 def find_step(context: Context, object_name: str, scene: str, advance: Advance) -> Step:
@@ -38,6 +39,11 @@ def find_step(context: Context, object_name: str, scene: str, advance: Advance) 
         DataError: the object is not known, or has no dense model yet.
     """
     item, workspace = object_named(context, object_name), context.workspace
+    if instance_of(scene):
+        raise DataError(
+            f"{item.name} in scene {scene}: one instance per scene is found without clicks; place the others "
+            "by clicks on three of their keypoints"
+        )
     refuse_changed(context, item, scene)
     solution = workspace.load_placed(object_name)
     model = dense_model(context, item, solution)

@@ -18,6 +18,7 @@ from rpl_data.pipeline.ledger import Advance, Outcome, Step
 from rpl_data.pipeline.pool import Pool
 from rpl_data.pipeline.recipe import ObjectRecipe, Recipe, SceneSource
 from rpl_data.types import DataError, Frame, KeypointModel, Scene, Solution, Trajectory
+from rpl_data.types.instances import places_in, scene_of
 from rpl_data.workspace.workspace import Workspace
 
 Box3 = tuple[tuple[float, float, float], tuple[float, float, float]]
@@ -88,7 +89,7 @@ class Context:
     def solutions_in(self, scene: str) -> list[Solution]:
         """Solutions of the objects that have a pose in a scene."""
         solutions = [self.workspace.load_solution(name) for name in self.object_names]
-        return [solution for solution in solutions if scene in solution.scene_from_object]
+        return [one for one in solutions if places_in(scene, one.scene_from_object)]
 
     def placed_by(self, object_name: str) -> str:
         """Name of the step whose solution the labels of an object follow."""
@@ -117,7 +118,7 @@ class Context:
     def placed_scenes(self) -> list[str]:
         """Scenes in which at least one object has a pose."""
         solutions = [self.workspace.load_solution(name) for name in self.object_names]
-        placed = {scene for solution in solutions for scene in solution.scene_from_object}
+        placed = {scene_of(place) for solution in solutions for place in solution.scene_from_object}
         return [scene for scene in self.workspace.scene_names() if scene in placed]
 
 

@@ -19,6 +19,9 @@ from rpl_data.pipeline.frames import frames_for, moved_label
 from rpl_data.types import DataError, FrameLabel
 from rpl_data.wording import counted
 
+InstanceKey = tuple[str, str]
+"""Name of an object, and of the instance."""
+
 
 def import_corrections(context: Context, file: Path) -> list[str]:
     """Keep what an edited COCO file changes; corrections of the same labels from earlier files are replaced.
@@ -34,7 +37,7 @@ def import_corrections(context: Context, file: Path) -> list[str]:
     keypoints = {name: workspace.load_placed(name).model.keypoints for name in context.object_names}
     found = compare(data, _our_images(context), keypoints, source=str(file))
     before = workspace.load_corrections()
-    kept = [one for one in before if (one.scene, one.frame, one.object) not in found.covered]
+    kept = [one for one in before if (one.scene, one.frame, one.object, one.instance) not in found.covered]
     workspace.save_corrections([*kept, *found.corrections])
     replaced = len(before) - len(kept)
     return [
@@ -72,25 +75,27 @@ def _our_images(context: Context) -> dict[FrameKey, OurImage]:
     return images
 
 
-def _exported(coco: Path) -> Iterator[tuple[FrameKey, tuple[Json, dict[str, Json]]]]:
-    """Each exported image with its annotations by object."""
+def _exported(coco: Path) -> Iterator[tuple[FrameKey, tuple[Json, dict[InstanceKey, Json]]]]:
+    """Each exported image with its annotations."""
     for split in splits_of(coco):
         names = {category["id"]: category["name"] for category in split.data["categories"]}
-        annotations: dict[int, dict[str, Json]] = {image["id"]: {} for image in split.images}
+        annotations: dict[int, dict[InstanceKey, Json]] = {image["id"]: {} for image in split.images}
         for annotation in (*split.data["annotations"], *split.data.get("crowds", ())):
-            annotations[annotation["image_id"]][names[annotation["category_id"]]] = annotation
+            key = names[annotation["category_id"]], annotation.get("instance", "")
+            annotations[annotation["image_id"]][key] = annotation
         for image in split.images:
             yield (image["scene"], image["frame"]), (image, annotations[image["id"]])
 
 
-def _entries(label: FrameLabel, exported: dict[str, Json]) -> dict[str, Json]:
+def _entries(label: FrameLabel, exported: dict[InstanceKey, Json]) -> dict[InstanceKey, Json]:
     """Entries of a frame's labels without corrections, with the ids of the export; 0 for those it lacks."""
     found = {}
     for instance in label.instances:
-        same = exported.get(instance.object, {"id": 0, "image_id": 0, "category_id": 0})
+        key = instance.object, instance.instance
+        same = exported.get(key, {"id": 0, "image_id": 0, "category_id": 0})
         entry = instance_to_coco(same["id"], same["image_id"], same["category_id"], instance)
         if entry is not None:
-            found[instance.object] = entry
+            found[key] = entry
     return found
 
 

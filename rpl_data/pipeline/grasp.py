@@ -6,6 +6,7 @@ from rpl_data.clicks.grasp import grasp_frame
 from rpl_data.clicks.log import GraspClicks
 from rpl_data.geometry import Transform, invert
 from rpl_data.types import DataError, Solution
+from rpl_data.types.instances import scene_of
 from rpl_data.workspace.workspace import Workspace
 
 
@@ -20,7 +21,7 @@ def object_from_grasp(workspace: Workspace, clicks: GraspClicks, solution: Solut
             f"the grasp of {solution.model.name} was marked in scene {clicks.scene}, where the object has "
             "no pose; mark it in another scene, or click more keypoints there"
         )
-    scene = workspace.load_scene(clicks.scene)
+    scene = workspace.load_scene(scene_of(clicks.scene))
     camera_from_grasp = grasp_frame(
         scene.intrinsics,
         workspace.depth_reader(scene)(scene.frame(clicks.frame)),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from rpl_data.clicks.lift import lift_clicks
 from rpl_data.types import Click, DataError, Observation, Scene, Trajectory
+from rpl_data.types.instances import scene_of
 from rpl_data.workspace.workspace import Workspace
 
 
@@ -24,9 +25,9 @@ def observe(workspace: Workspace, object_name: str, *, scene: str | None = None)
             f"`rpl clicks import FILE.csv --workspace {workspace.root}`"
         )
     scenes = {name: workspace.load_scene(name) for name in workspace.scene_names()}
-    trajectories = {
-        name: workspace.load_trajectory(scenes[name]) for name in {c.scene for c in clicks} & scenes.keys()
-    }
+    clicked = {c.scene for c in clicks if scene_of(c.scene) in scenes}
+    scenes |= {place: scenes[scene_of(place)] for place in clicked}
+    trajectories = {place: workspace.load_trajectory(scenes[place]) for place in clicked}
     posed = [
         c for c in clicks if not (c.scene in scenes and _lost(c, scenes[c.scene], trajectories[c.scene]))
     ]

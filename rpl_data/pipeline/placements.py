@@ -11,6 +11,7 @@ from jaxtyping import Float64
 from rpl_data.geometry import Transform, fit_rigid
 from rpl_data.pipeline.context import path_key
 from rpl_data.types import Click, KeypointModel, Observation, Placement, Solution
+from rpl_data.types.instances import scene_of
 from rpl_data.workspace.workspace import Workspace
 
 SAME_MODEL_M = 0.01
@@ -22,13 +23,16 @@ def standing(workspace: Workspace, object_name: str) -> dict[str, Placement]:
     kept, scenes = workspace.load_placements(object_name), set(workspace.scene_names())
     clicks = workspace.load_annotation(object_name).clicks if kept else ()
     return {
-        scene: one for scene, one in kept.items() if scene in scenes and _holds(workspace, scene, one, clicks)
+        scene: one
+        for scene, one in kept.items()
+        if scene_of(scene) in scenes and _holds(workspace, scene, one, clicks)
     }
 
 
 def fallen(workspace: Workspace, object_name: str) -> list[str]:
     """Scenes that were placed and are there, but not by their present clicks and camera poses."""
-    there = set(workspace.scene_names()) & workspace.load_placements(object_name).keys()
+    scenes = set(workspace.scene_names())
+    there = {scene for scene in workspace.load_placements(object_name) if scene_of(scene) in scenes}
     return sorted(there - standing(workspace, object_name).keys())
 
 
@@ -66,7 +70,7 @@ def fallen_lines(workspace: Workspace, object_name: str) -> list[str]:
 
 def _holds(workspace: Workspace, scene: str, placement: Placement, clicks: Sequence[Click]) -> bool:
     """Whether a scene's poses are the same, and its clicks: on known keypoints, in frames with a pose."""
-    trajectory = workspace.load_trajectory(workspace.load_scene(scene))
+    trajectory = workspace.load_trajectory(workspace.load_scene(scene_of(scene)))
     posed = set(trajectory.frames.tolist())
     known = np.isfinite(placement.points_object).all(axis=1)
     used = {
@@ -94,7 +98,8 @@ def placement_lines(workspace: Workspace, *, scenes: Collection[str] | None = No
         f"{name} in scene {scene}: {PLACED[one.how]} {one.checked}"
         for name in workspace.object_names()
         for scene, one in sorted(standing(workspace, name).items())
-        if (scenes is None or scene in scenes) and scene in workspace.load_placed(name).scene_from_object
+        if (scenes is None or scene_of(scene) in scenes)
+        and scene in workspace.load_placed(name).scene_from_object
     ]
 
 

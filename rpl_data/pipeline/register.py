@@ -17,13 +17,14 @@ from rpl_data.pipeline.placements import with_placements
 from rpl_data.pipeline.recipe import ObjectRecipe
 from rpl_data.pipeline.stages.segment import depth_views
 from rpl_data.pipeline.stages.solve import solve_step, trajectory_sigmas_m
-from rpl_data.pipeline.stages.surface import reporting, sphere_of
+from rpl_data.pipeline.stages.surface import reporting, spheres_of
 from rpl_data.place.decide import MOST_FREE
 from rpl_data.place.verify import free_share
 from rpl_data.solve.expected import covariance_by_pose, expected_px
 from rpl_data.solve.joint import joint_clicks
 from rpl_data.solve.register import Registration, register_scene
 from rpl_data.types import DataError, Observation, Placement, PointCloud, Solution, expected_mm
+from rpl_data.types.instances import scene_of
 from rpl_data.wording import counted
 
 FUSED_FRAMES = 60
@@ -49,6 +50,8 @@ class Found:
 def register_step(context: Context, object_name: str, scene: str, advance: Advance) -> Step:
     """Place a known object in one more scene from its clicks there, and align it to the scene's surface.
 
+    Another instance in a scene is named as in `types.instances`: `00/2`.
+
     The placement is on the disk when this returns. The step that it returns adds it to the solution, in the
     place of the solve: a build then goes on from it and does not solve again.
 
@@ -67,7 +70,7 @@ def register_step(context: Context, object_name: str, scene: str, advance: Advan
 def refuse_changed(context: Context, item: ObjectRecipe, scene: str) -> None:
     """DataError when there is no such scene, or the model is not that of the present clicks of the others."""
     workspace = context.workspace
-    workspace.load_scene(scene)  # says which scenes there are
+    workspace.load_scene(scene_of(scene))  # says which scenes there are
     outside = {scene, *workspace.load_placements(item.name)}
     solved = {r.click for r in workspace.load_solution(item.name).residuals if r.click.scene not in outside}
     now = {o.click for o in observe(workspace, item.name) if o.click.scene not in outside}
@@ -126,7 +129,7 @@ def _by_clicks(context: Context, item: ObjectRecipe, scene: str, advance: Advanc
         clicked.residuals,
         "clicks",
         "its clicks",
-        path_key(workspace.load_trajectory(workspace.load_scene(scene))),
+        path_key(workspace.load_trajectory(workspace.load_scene(scene_of(scene)))),
         strayed_m,
         clicked.statements,
         clicked.next_clicks,
@@ -164,7 +167,7 @@ def _said(
 
 def expected_error(context: Context, scene: str, placement: Placement) -> str:
     """The expected error of the keypoints over a scene, in mm and px."""
-    recorded = context.workspace.load_scene(scene)
+    recorded = context.workspace.load_scene(scene_of(scene))
     points = transform(placement.scene_from_object, placement.points_object)
     trajectory = context.workspace.load_trajectory(recorded)
     covariance = placement.covariance_in_scene
@@ -246,11 +249,11 @@ def _region(
     from rpl_data.segment.segment import grown_regions
 
     workspace, voxel_m = context.workspace, context.recipe.reconstruct.voxel_m
-    recorded = workspace.load_scene(scene)
+    recorded = workspace.load_scene(scene_of(scene))
     trajectory = workspace.load_trajectory(recorded)
     frames = [frame for frame in posed_frames(recorded, trajectory) if frame.depth is not None]
     chosen = frames[:: max(1, -(-len(frames) // FUSED_FRAMES))]
-    sphere = sphere_of(alone, scene)
+    [sphere] = spheres_of(alone, scene_of(scene))
     mesh = fuse_surface(
         recorded,
         trajectory,

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from rpl_data.types import Click, FrameLabel, InstanceLabel, Intrinsics, Rle
+from rpl_data.types.instances import placed_as
 
 SLIP_PX = 4
 """Distance from the outline at which a click on the background lands."""
@@ -52,6 +53,7 @@ def click(
     noise_px: float,
     rng: np.random.Generator,
     mistakes: Mistakes = NO_MISTAKES,
+    instance: str = "",
 ) -> list[Click]:
     """Make the clicks of a scene: each keypoint in well-spread frames among those that show it.
 
@@ -61,15 +63,18 @@ def click(
     Args:
         labels: the true labels of the scene's frames.
         noise_px: standard deviation of a click, per axis.
+        instance: which instance of the object is clicked.
         mistakes: drawn from random numbers of their own, so that all other clicks stay the same.
     """
-    own = {label.frame: one for label in labels for one in label.instances if one.object == object_name}
+    key = object_name, instance
+    own = {label.frame: i for label in labels for i in label.instances if (i.object, i.instance) == key}
+    place = placed_as(labels[0].scene, instance)
     sightings = _clear_sightings(own, intrinsics, margin_px=4 * noise_px + 1)
     clicks = []
     for keypoint, seen in sorted(sightings.items()):
         for pick in _spread(rng, len(seen), clicks_per_keypoint):
             u, v = (seen[pick].uv_px + noise_px * rng.standard_normal(2)).tolist()
-            clicks.append(Click(object_name, keypoint, labels[0].scene, seen[pick].frame, u, v))
+            clicks.append(Click(object_name, keypoint, place, seen[pick].frame, u, v))
     return _mistaken(clicks, own, mistakes, rng.spawn(1)[0])
 
 

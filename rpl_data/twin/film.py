@@ -40,7 +40,8 @@ class Film:
     """A video that can be rendered frame by frame.
 
     Attributes:
-        objects: the objects of this scene, in the spec's order.
+        objects: the objects of this scene, in the spec's order, one per instance.
+        instances: names of the instances: the first of an object has none, the others are 2, 3, ...
         table_from_camera: one pose per frame, in the middle of its exposure.
         twists: velocity of the camera at those moments.
         table_from_imager: pose of the camera when it took the depth image of each frame.
@@ -49,6 +50,7 @@ class Film:
     spec: TwinSpec
     number: int
     objects: tuple[TwinObject, ...]
+    instances: tuple[str, ...]
     scene: TwinScene
     table_from_camera: Float64[np.ndarray, "n 4 4"]
     twists: tuple[Twist, ...]
@@ -141,6 +143,7 @@ class Film:
             visib_fract=min(1.0, float(visible.sum() / full.sum())),
             truncated=not bool(inside_image(intrinsics, surface_px).all()),
             quality=1.0,
+            instance=self.instances[number],
         )
 
     def _visibility(
@@ -160,9 +163,11 @@ def film(spec: TwinSpec, number: int) -> Film:
         DataError: the spec names an object that does not exist.
     """
     cast = spec.casts[number].objects
-    objects = tuple(build(thing) for thing in spec.things if thing.name in cast)
+    shown = [(thing, k) for thing in spec.things for k in range(cast.count(thing.name))]
+    objects = tuple(build(thing) for thing, _ in shown)
+    instances = tuple("" if k == 0 else str(k + 1) for _, k in shown)
     before = Counter(name for earlier in spec.casts[:number] for name in earlier.objects)
-    turns = [before[one.model.name] for one in objects]
+    turns = [before[thing.name] + k for thing, k in shown]
     rng = np.random.default_rng([spec.seed, number, 0])
     scene = compose(objects, rng=rng, number=number, turns=turns, clutter=spec.clutter, plain=spec.plain_room)
     times_s = spec.times_s(number)
@@ -178,7 +183,7 @@ def film(spec: TwinSpec, number: int) -> Film:
     )
     now, earlier, later, imager = np.split(poses, len(moments_s))
     twists = tuple(twist(*pair, 2 * INSTANT_S) for pair in zip(earlier, later, strict=True))
-    return Film(spec, number, objects, scene, now, twists, imager)
+    return Film(spec, number, objects, instances, scene, now, twists, imager)
 
 
 def _box(mask: Bool[np.ndarray, "height width"]) -> Box:

@@ -22,7 +22,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from rpl_data.clicks.table import clicks_to_csv
+from rpl_data.clicks.table import tables_to_csv
 from rpl_data.files import write_bytes, write_text
 from rpl_data.formats.recordings.camera_file import write_camera
 from rpl_data.formats.recordings.rpl import write_associations, write_poses
@@ -33,6 +33,7 @@ from rpl_data.twin.film import Film, film
 from rpl_data.twin.objects import build
 from rpl_data.twin.spec import TwinSpec
 from rpl_data.types import Click, DataError, FrameLabel, Solution
+from rpl_data.types.instances import placed_as
 from rpl_data.workspace.workspace import Workspace
 
 Progress = Callable[[int, int], None]
@@ -64,9 +65,9 @@ def write_twin(folder: Path, spec: TwinSpec, *, workers: int = 2, progress: Prog
             video = film(spec, number)
             shown = [video.as_shown(label) for label in of_scene]
             _write_lists(partial / scene, video)
-            for row, name in enumerate(one.model.name for one in video.objects):
-                clicks[name] += _clicks(spec, number, name, shown)
-                poses[name][scene] = video.scene_from_object(row)
+            for row, (one, instance) in enumerate(zip(video.objects, video.instances, strict=True)):
+                clicks[one.model.name] += _clicks(spec, number, one.model.name, instance, shown)
+                poses[one.model.name][placed_as(scene, instance)] = video.scene_from_object(row)
         next(labels, None)  # lets the process pool end
         _write_objects(truth, spec, poses)
         write_text(partial / "clicks.csv", _csv(spec, clicks))
@@ -174,7 +175,8 @@ def _write_lists(folder: Path, video: Film) -> None:
     write_poses(folder, times_s, video.scene_from_camera)
 
 
-def _clicks(spec: TwinSpec, number: int, name: str, labels: list[FrameLabel]) -> list[Click]:
+def _clicks(spec: TwinSpec, number: int, name: str, instance: str, labels: list[FrameLabel]) -> list[Click]:
+    several = [int(instance)] if instance else []
     return annotator.click(
         labels,
         name,
@@ -182,14 +184,16 @@ def _clicks(spec: TwinSpec, number: int, name: str, labels: list[FrameLabel]) ->
         clicks_per_keypoint=spec.clicks_per_keypoint,
         noise_px=spec.click_noise_px,
         mistakes=spec.mistakes,
-        rng=np.random.default_rng([spec.seed, number, 2, list(spec.casts[number].objects).index(name)]),
+        rng=np.random.default_rng(
+            [spec.seed, number, 2, list(spec.casts[number].objects).index(name), *several]
+        ),
+        instance=instance,
     )
 
 
 def _csv(spec: TwinSpec, clicks: dict[str, list[Click]]) -> str:
     """Write the clicks on all objects as one table with one heading."""
-    tables = [clicks_to_csv(clicks[thing.name], build(thing).model.keypoints) for thing in spec.things]
-    return tables[0] + "".join(table.split("\n", 1)[1] for table in tables[1:])
+    return tables_to_csv((clicks[thing.name], build(thing).model.keypoints) for thing in spec.things)
 
 
 def _write_objects(truth: Workspace, spec: TwinSpec, poses: Mapping[str, Mapping[str, Transform]]) -> None:

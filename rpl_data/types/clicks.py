@@ -10,7 +10,11 @@ from jaxtyping import Float64
 
 @dataclass(frozen=True)
 class Click:
-    """A mark that a person set: keypoint number `keypoint` of `object`, at (u_px, v_px) of a frame."""
+    """A mark that a person set: keypoint number `keypoint` of `object`, at (u_px, v_px) of a frame.
+
+    Attributes:
+        scene: the scene; with the instance behind a slash where several are told apart (`types.instances`).
+    """
 
     object: str
     keypoint: int

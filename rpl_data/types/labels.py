@@ -13,9 +13,11 @@ from rpl_data.types.images import Box, Rle, SquareBox
 
 @dataclass(frozen=True)
 class InstanceLabel:
-    """One object in one frame.
+    """One instance of an object in one frame.
 
     Attributes:
+        instance: its name where a scene shows several of the object (`types.instances`); empty for the one
+            without a name.
         keypoints_px: projected keypoints, possibly outside the image; NaN where the keypoint has
             no position or lies behind the camera.
         visibility: COCO's v of each keypoint: 0 not labelled, 1 hidden, 2 seen.
@@ -49,6 +51,7 @@ class InstanceLabel:
     corrected_px: float | None = None
     corrected: bool = False
     crowd: bool = False
+    instance: str = ""
 
 
 @dataclass(frozen=True)
@@ -56,6 +59,7 @@ class Correction:
     """What a person changed in a label with another program; the label itself may be made again.
 
     Attributes:
+        instance: as `InstanceLabel.instance`.
         deleted: the instance is not exported.
         crowd: it is exported with `iscrowd`.
         mask: its visible pixels; None where they were not changed.
@@ -69,6 +73,7 @@ class Correction:
     crowd: bool = False
     mask: Rle | None = None
     keypoints: Mapping[str, tuple[float, float, int]] = field(default_factory=dict)
+    instance: str = ""
 
 
 @dataclass(frozen=True)

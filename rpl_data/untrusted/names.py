@@ -12,7 +12,7 @@ MOST_BYTES = 200
 """With a suffix behind it, a name still fits into the 255 bytes that file systems allow."""
 MOST_KEYPOINTS = 200
 
-Kind = Literal["object", "scene", "keypoint"]
+Kind = Literal["object", "scene", "keypoint", "instance"]
 
 
 def checked_name(name: object, kind: Kind, *, where: str = "") -> str:
@@ -27,7 +27,7 @@ def checked_name(name: object, kind: Kind, *, where: str = "") -> str:
         return name
     at = f"{where}: " if where else ""
     raise DataError(
-        f"{at}{f'{name!r:.60}'} cannot be the name of {'an' if kind == 'object' else 'a'} {kind}; choose "
+        f"{at}{f'{name!r:.60}'} cannot be the name of {'an' if kind[0] in 'oi' else 'a'} {kind}; choose "
         f"1 to {MOST_CHARACTERS} printable characters, no / or \\, no dot first, no blank at either end"
     )
 

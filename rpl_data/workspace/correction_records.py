@@ -11,7 +11,7 @@ from rpl_data.untrusted.rle import pixels_of_rle
 
 
 def corrections_to_json(corrections: Sequence[Correction]) -> list[Json]:
-    """Convert corrections, one record per scene, frame and object."""
+    """Convert corrections, one record per scene, frame, object and instance."""
     return [
         {
             "scene": one.scene,
@@ -21,6 +21,7 @@ def corrections_to_json(corrections: Sequence[Correction]) -> list[Json]:
             "crowd": one.crowd,
             "mask": None if one.mask is None else dict(one.mask),
             "keypoints": {name: list(values) for name, values in one.keypoints.items()},
+            **({"instance": one.instance} if one.instance else {}),
         }
         for one in corrections
     ]
@@ -40,6 +41,7 @@ def _correction(data: Json) -> Correction:
         crowd=taken(data, "crowd", flag),
         mask=taken(data, "mask", optional(_mask)),
         keypoints=taken(data, "keypoints", lambda found: {text(k): _keypoint(v) for k, v in found.items()}),
+        instance=text(data.get("instance", "")),
     )
 
 

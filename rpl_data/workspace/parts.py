@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from rpl_data.types import Click, DataError, Recording, Span, Trajectory
+from rpl_data.types.instances import instance_of, placed_as, scene_of
 
 
 @dataclass(frozen=True)
@@ -41,24 +42,36 @@ class Parts:
         return part_name(video, sum(frame > last for last in lasts))
 
     def video_of(self, scene: str) -> str:
-        """Name of the video that a scene was cut from; the scene's own name when it was not cut."""
-        return next((video for video in self.spans if scene in self.scenes_of(video)), scene)
+        """Name of the video that a scene was cut from; the scene's own name when it was not cut.
+
+        An instance's place (`types.instances`) has the video of its scene.
+        """
+        own = scene_of(scene)
+        return next((video for video in self.spans if own in self.scenes_of(video)), own)
 
     def click_in_scene(self, click: Click) -> Click:
         """Copy of the click that names the scene holding its frame, not the video."""
-        return replace(click, scene=self.scene_at(self.video_of(click.scene), click.frame))
+        return replace(click, scene=self._part(click.scene, click.frame))
 
     def click_in_video(self, click: Click) -> Click:
         """Copy of the click that names the video."""
-        return replace(click, scene=self.video_of(click.scene))
+        return replace(click, scene=self._video(click.scene))
 
     def event_in_scene(self, event: Mapping[str, Any]) -> dict[str, Any]:
         """Copy of an event of the click log that names the scenes holding its frames."""
-        return _renamed(event, lambda scene, frame: self.scene_at(self.video_of(scene), frame))
+        return _renamed(event, self._part)
 
     def event_in_video(self, event: Mapping[str, Any]) -> dict[str, Any]:
         """Copy of an event that names videos, as the click log stores it."""
-        return _renamed(event, lambda scene, frame: self.video_of(scene))
+        return _renamed(event, lambda place, frame: self._video(place))
+
+    def _part(self, place: str, frame: int) -> str:
+        """The place in the scene that holds a frame of its video."""
+        return placed_as(self.scene_at(self.video_of(place), frame), instance_of(place))
+
+    def _video(self, place: str) -> str:
+        """The place in the video."""
+        return placed_as(self.video_of(place), instance_of(place))
 
 
 def part_name(video: str, number: int) -> str:

@@ -192,6 +192,7 @@ def _instance_to_json(instance: InstanceLabel) -> Json:
         "truncated": instance.truncated,
         "quality": round(instance.quality, 4),
         "corrected_px": None if instance.corrected_px is None else round(instance.corrected_px, 3),
+        **({"instance": instance.instance} if instance.instance else {}),
     }
 
 
@@ -211,6 +212,7 @@ def _instance_from_json(data: Json) -> InstanceLabel:
         truncated=taken(data, "truncated", flag),
         quality=taken(data, "quality", number),
         corrected_px=optional(number)(data.get("corrected_px")),
+        instance=text(data.get("instance", "")),
     )
     if not len(label.keypoints_px) == len(label.visibility) == len(label.sigma_px):
         raise ValueError("keypoints_px, visible and sigma_px are not equally many")

@@ -41,7 +41,7 @@ def routes_of(client: TestClient) -> Iterator[APIRoute]:
 def test_no_route_takes_a_number_that_is_not_finite(client: TestClient) -> None:
     asked = 0
     for route in routes_of(client):
-        path = route.path.replace(":int", "").format(scene="00", frame=0, name="carton")
+        path = route.path.replace(":int", "").replace(":path", "").format(scene="00", frame=0, name="carton")
         numbers = [p.name for p in route.dependant.query_params if "float" in str(p.field_info.annotation)]
         for name in numbers:
             for value in NO_NUMBERS:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from rpl_data.clicks.log import click_event, keypoints_event, replay
@@ -112,3 +114,29 @@ HEADER = "object,keypoint,scene,frame,u_px,v_px\n"
 def test_a_broken_csv_is_refused(text: str, message: str) -> None:
     with pytest.raises(DataError, match=message):
         clicks_from_csv(text, source="c.csv", object_name="cube", keypoints=NAMES)
+
+
+def test_csv_tells_instances_apart() -> None:
+    other = replace(A, scene="00/2", u_px=40.0)
+    text = clicks_to_csv([A, other], NAMES)
+    assert text.splitlines()[1:] == [
+        "cube,corner,00,3,10.5000,20.2500,",
+        "cube,corner,00,3,40.0000,20.2500,2",
+    ]
+    assert clicks_from_csv(text, source="c.csv", object_name="cube", keypoints=NAMES) == [A, other]
+    without = text.replace(",instance", "").replace(",2\n", "\n").replace(",\n", "\n")
+    with pytest.raises(DataError, match="two instances of the object apart in a column `instance`"):
+        clicks_from_csv(without, source="c.csv", object_name="cube", keypoints=NAMES)
+
+
+@pytest.mark.parametrize(("scene", "instance"), [("00/2", ""), ("00", "a/b"), ("00", "../..")])
+def test_csv_with_names_that_leave_their_scene_is_refused(scene: str, instance: str) -> None:
+    text = f"object,keypoint,scene,frame,u_px,v_px,instance\ncube,0,{scene},1,1,1,{instance}\n"
+    with pytest.raises(DataError, match="c.csv line 2: .* cannot be the name of"):
+        clicks_from_csv(text, source="c.csv", object_name="cube", keypoints=NAMES)
+
+
+def test_instances_are_marked_skipped_and_taken_back_apart() -> None:
+    other = click_event(replace(A, scene="00/2"))
+    state = replay("cube", [a, other, {"op": "skip", "keypoint": 1, "scene": "00/2"}, DELETE_A])
+    assert [click.scene for click in state.clicks] == ["00/2"] and state.skipped == {(1, "00/2")}

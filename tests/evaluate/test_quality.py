@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -195,3 +196,16 @@ def test_a_truth_of_other_names_is_refused_and_one_of_numbers_goes_by_row() -> N
     with pytest.raises(DataError, match=r"matched by name, and d of a, b, c, d is not among a, b, c, x"):
         model_error(model, KeypointModel("cube", ("a", "b", "c", "x"), POINTS))
     assert model_error(model, KeypointModel("cube", tuple("0123"), POINTS)).keypoints_m.max() < 1e-9
+
+
+def test_instances_are_compared_with_the_nearest_truth_whatever_they_are_called() -> None:
+    here, there, mask = np.zeros((4, 2)), np.full((4, 2), 20.0), rectangle(0, 0, 10, 10)
+    one, two = instance(here, mask), replace(instance(there, mask), instance="2")
+    truth = FrameLabel("s", 0, 0.0, (replace(two, instance=""), replace(one, instance="left")))
+    found = label_errors([FrameLabel("s", 0, 0.0, (one, two))], [truth])["cube"]
+    assert [error.mean_px for error in found.instances] == [0.0, 0.0]
+    assert (found.truth_frames, found.missed, found.invented) == (2, 0, 0)
+    found = label_errors([FrameLabel("s", 0, 0.0, (two,))], [truth])["cube"]
+    assert [error.mean_px for error in found.instances] == [0.0] and (found.missed, found.invented) == (1, 0)
+    found = label_errors([FrameLabel("s", 0, 0.0, (one, two, one))], [truth])["cube"]
+    assert (len(found.instances), found.missed, found.invented) == (2, 0, 1)

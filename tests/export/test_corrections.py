@@ -6,7 +6,7 @@ from copy import deepcopy
 import cv2
 import numpy as np
 import pytest
-from labelled_scenes import BOX, CAN, LAST_FRAME, labelled_scene
+from labelled_scenes import BOX, CAN, LAST_FRAME, labelled_scene, two_boxes
 from pycocotools import mask as masks
 
 from rpl_data.export import ExportScene, export_coco
@@ -44,7 +44,8 @@ def ours(data):
     names = {category["id"]: category["name"] for category in data["categories"]}
     found = {}
     for image in data["images"]:
-        own = {names[a["category_id"]]: a for a in data["annotations"] if a["image_id"] == image["id"]}
+        here = [a for a in data["annotations"] if a["image_id"] == image["id"]]
+        own = {(names[a["category_id"]], a.get("instance", "")): a for a in here}
         size = (image["height"], image["width"])
         found[image["scene"], image["frame"]] = OurImage(image["file_name"], size, own)
     return found
@@ -205,3 +206,24 @@ def test_a_file_that_is_damaged_or_not_ours_is_refused(data, spoil, said):
     with pytest.raises(DataError, match=said) as refusal:
         compared(edited, data)
     assert str(refusal.value).startswith("edited.json") and "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize("written", [lambda edited: edited, as_others_write_it])
+def test_an_instance_is_corrected_and_the_other_one_is_not(tmp_path, written):
+    scene = two_boxes(tmp_path / "recording")
+    data = export(scene, tmp_path, [])
+    edited = deepcopy(data)
+    first, second = edited["annotations"][:2]
+    assert ("instance" in first, second["instance"]) == (False, "2")
+    second["keypoints"][3] += 3
+    edited["annotations"] = [second, *edited["annotations"][2:-1]]
+    found = compared(written(edited), data)
+    assert {(one.frame, one.instance): one.deleted for one in found.corrections} == {
+        (1, ""): True,
+        (1, "2"): False,
+        (LAST_FRAME, "2"): True,
+    }
+    kept = corrections_from_json(json.loads(json.dumps(corrections_to_json(found.corrections))))
+    again = export(scene, tmp_path, kept)["annotations"]
+    assert [one.get("instance", "") for one in again] == ["2", *["", "2"] * (LAST_FRAME - 2), ""]
+    assert again[0]["keypoints"] == second["keypoints"]

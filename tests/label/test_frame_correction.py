@@ -101,7 +101,7 @@ def test_a_reference_stands_where_its_neighbours_see_it() -> None:
     film = Filmed({0: SLIGHTLY_OFF})
     film.frames = (replace(film.frames[0], timestamp_s=-5.0), *film.frames[1:])
     film.scene = replace(film.scene, frames=film.frames)  # before a gap: its speed is unknown, taken for 0
-    assert film.corrector().references["cube"][0].frame == 0
+    assert film.corrector().references["cube", ""][0].frame == 0
     assert max(errors_px(film.labels())) < 0.3
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -65,7 +66,7 @@ def label(
     frame = Frame(0, 0.0, Path("c.png"), None if depth_m is None else Path("d.png"))
     scene = Scene("s", intrinsics, 0.001, (frame,))
     trajectory = Trajectory(np.array([0]), np.eye(4)[None])
-    poses = {(0, name): pose for name, (_, pose) in objects.items()}
+    poses = {(0, name, ""): pose for name, (_, pose) in objects.items()}
     items = [item for item, _ in objects.values()]
     read = {0: depth_m}
     (answer,) = label_frames(
@@ -204,6 +205,19 @@ def test_another_object_hides_and_masks_do_not_overlap() -> None:
     assert not (masks[0] & masks[1]).any()
     np.testing.assert_array_equal(masks[0], decoded(far.mask_full) & ~masks[1])
     assert far.mask_full == label({"far": (cube(name="far"), FRONT)})["far"].mask_full
+
+
+def test_an_instance_hides_another_one_as_any_other_object_does() -> None:
+    near = at(0.05, 0, 0.35)
+    other = label({"far": (cube(name="far"), FRONT), "near": (cube(name="near"), near)})
+    frame = Frame(0, 0.0, Path("c.png"), None)
+    items = [replace(cube(), scene_from_object=FRONT), replace(cube(), scene_from_object=near, instance="2")]
+    trajectory = Trajectory(np.array([0]), np.eye(4)[None])
+    scene = Scene("s", CAMERA, 0.001, (frame,))
+    (found,) = label_frames(scene, trajectory, items, [frame], lambda asked: np.zeros((1, 1), np.float32))
+    for one, same in zip(found.instances, other.values(), strict=True):
+        assert one.mask == same.mask and one.visibility.tolist() == same.visibility.tolist()
+    assert [(one.object, one.instance) for one in found.instances] == [("cube", ""), ("cube", "2")]
 
 
 def test_keypoint_behind_another_object_is_hidden() -> None:

@@ -47,6 +47,6 @@ def add_objects(app: FastAPI, session: Session) -> None:
     def result(name: str, checked: bool = True) -> Json:
         return result_payload(session.result(name, checked=checked), session.scenes.names())
 
-    @app.get("/api/objects/{name}/suggestions/{scene}")
+    @app.get("/api/objects/{name}/suggestions/{scene:path}")
     def suggestions(name: str, scene: str) -> list[Json]:
         return [asdict(found) for found in session.suggestions(name, scene)]

@@ -19,7 +19,7 @@ def solid_routes(session: Session) -> APIRouter:
     routes = APIRouter()
     store = SurfaceStore(session.scenes)
 
-    @routes.get("/api/objects/{name}/surfaces/{scene}")
+    @routes.get("/api/objects/{name}/surfaces/{scene:path}")
     def surface(name: str, scene: str) -> Json | None:
         ball = surroundings(session.result(name, checked=False), scene)
         if ball is None:

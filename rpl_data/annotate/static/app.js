@@ -1,6 +1,6 @@
 // The page: loads the workspace, connects the parts, and keeps object, scene and frame in the address bar.
 
-import { get } from "./state/api.js";
+import { get, sceneOf } from "./state/api.js";
 import * as canvas from "./image/canvas.js";
 import * as contact from "./panels/contact.js";
 import * as crop from "./solid/crop.js";
@@ -53,7 +53,7 @@ async function open() {
   const address = new URLSearchParams(location.hash.slice(1));
   change({ workspace });
   const object = workspace.objects.includes(address.get("object")) ? address.get("object") : workspace.objects[0];
-  const scene = workspace.scenes.includes(address.get("scene")) ? address.get("scene") : workspace.scenes[0];
+  const scene = workspace.scenes.includes(sceneOf(address.get("scene") ?? "")) ? address.get("scene") : workspace.scenes[0];
   const index = address.has("frame") ? Number(address.get("frame")) : null;
   if (object === undefined || scene === undefined) throw new Error("this workspace has no object or no scene");
   change({ keypoint: Number(address.get("keypoint") || 0) });

@@ -11,6 +11,8 @@ from jaxtyping import Float32
 
 from rpl_data.geometry import to_quaternion_xyzw
 from rpl_data.types import Click, DataError, DepthImage, Frame, Scene, Trajectory
+from rpl_data.types.instances import instance_of, scene_of
+from rpl_data.untrusted.names import checked_name
 from rpl_data.workspace.workspace import Workspace
 
 SCENES_KEPT = 6
@@ -56,7 +58,14 @@ class SceneStore:
         return self._depth(scene, frame)
 
     def get(self, name: str) -> PosedScene:
-        """Return a scene of the workspace; DataError when it does not exist."""
+        """Return a scene of the workspace; DataError when it does not exist.
+
+        Args:
+            name: of the scene, or of an instance's place in it.
+        """
+        if instance := instance_of(name):
+            checked_name(instance, "instance")
+        name = scene_of(name)
         with self._reading:  # a page requests several things at once; only the first request reads the scene
             return self._scene(name)
 

@@ -103,6 +103,7 @@ def instance_to_coco(
         ],
         "quality": float(instance.quality),
         **({"corrected": True} if instance.corrected else {}),
+        **({"instance": instance.instance} if instance.instance else {}),
     }
 
 
@@ -163,6 +164,7 @@ def instance_from_coco(annotation: Mapping[str, Any], object_name: str) -> Insta
         truncated=annotation["truncated"],
         quality=annotation["quality"],
         corrected=annotation.get("corrected") is True,
+        instance=annotation.get("instance", ""),
     )
 
 

@@ -57,6 +57,7 @@ ANNOTATION_FIELDS: Fields = {
     "truncated": flag,
     "sigma_px": each(optional(number)),
     "quality": number,
+    "instance": text,
 }
 """What the fields of an entry are, where no other check says it."""
 
@@ -168,7 +169,7 @@ def _check_categories(categories: Mapping[int, Json], objects: Any, source: str)
 
 def _check_instance(annotation: Json, image: Json, category: Json, where: str) -> None:
     count = len(category["keypoints"])
-    _check_fields(annotation, ANNOTATION_FIELDS, where)
+    _check_fields({"instance": ""} | annotation, ANNOTATION_FIELDS, where)
     _check_rigid(annotation["camera_from_object"], f"{where}: camera_from_object")
     _check_numbers(annotation["keypoints"], 3 * count, f"{where}: keypoints")
     keypoints = np.array(annotation["keypoints"], dtype=float).reshape(-1, 3)

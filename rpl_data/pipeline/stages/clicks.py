@@ -7,12 +7,13 @@ from pathlib import Path
 
 from rpl_data.clicks.incoming import Incoming, incoming
 from rpl_data.clicks.log import keypoints_event
-from rpl_data.clicks.table import clicks_from_csv, clicks_to_csv, objects_in_csv
+from rpl_data.clicks.table import clicks_from_csv, objects_in_csv, tables_to_csv
 from rpl_data.files import read_text
 from rpl_data.pipeline.context import Context, step
 from rpl_data.pipeline.ledger import Advance, Outcome, Step, stamps
 from rpl_data.pipeline.recipe import ObjectRecipe
 from rpl_data.types import Click, DataError
+from rpl_data.types.instances import scene_of
 from rpl_data.workspace.workspace import Workspace
 
 VERSION = 1
@@ -108,12 +109,12 @@ def _refuse_unknown_frames(workspace: Workspace, clicks: Sequence[Click], path: 
     """Such a click would stop every later solve, and only the annotation page could take it back."""
     known = workspace.scene_names()
     for name in dict.fromkeys(click.scene for click in clicks):
-        if name not in known:
+        if scene_of(name) not in known:
             raise DataError(
-                f"{path} has clicks in scene {name}; the workspace has the scenes {', '.join(known)}; "
-                "use the same names"
+                f"{path} has clicks in scene {scene_of(name)}; the workspace has the scenes "
+                f"{', '.join(known)}; use the same names"
             )
-        scene = workspace.load_scene(name)
+        scene = workspace.load_scene(scene_of(name))
         for click in clicks:
             if click.scene == name:
                 scene.frame(click.frame)
@@ -123,9 +124,7 @@ def clicks_table(workspace: Workspace) -> str:
     """Write the clicks of all objects as CSV with one heading."""
     annotations = [workspace.load_annotation(name) for name in workspace.object_names()]
     in_video = workspace.parts().click_in_video
-    tables = [
-        clicks_to_csv(map(in_video, found.clicks), found.keypoints) for found in annotations if found.clicks
-    ]
+    tables = [(map(in_video, found.clicks), found.keypoints) for found in annotations if found.clicks]
     if not tables:
         raise DataError(f"{workspace.root} has no clicks to export")
-    return tables[0] + "".join(table.split("\n", 1)[1] for table in tables[1:])
+    return tables_to_csv(tables)

@@ -10,6 +10,7 @@ from rpl_data.files import read_json
 from rpl_data.pipeline.context import Context, step
 from rpl_data.pipeline.ledger import Advance, Outcome, Step
 from rpl_data.types import Click, DataError, Span
+from rpl_data.types.instances import places_in
 
 VERSION = 1
 """Increase it when the stage writes something else for the same input: its steps then run again."""
@@ -124,11 +125,18 @@ def _listed(spans: Sequence[Span]) -> str:
 
 
 def _lacking(video: str, span: Span, clicks: Mapping[str, Sequence[Click]]) -> list[str]:
-    """Objects clicked in this video whose clicks in this part of it are too few to place them."""
-    lacking = []
-    for name, of_object in clicks.items():
-        here = {c.keypoint for c in of_object if c.scene == video and span[0] <= c.frame <= span[1]}
-        elsewhere = {c.keypoint for c in of_object if c.scene != video or not span[0] <= c.frame <= span[1]}
-        if any(c.scene == video for c in of_object) and len(here & elsewhere) < FEWEST_KEYPOINTS:
-            lacking.append(name)
-    return lacking
+    """Objects clicked in this video whose clicks in this part of it are too few to place an instance."""
+    return [
+        name
+        for name, of_object in clicks.items()
+        if any(
+            _lacks(place, span, of_object) for place in places_in(video, {click.scene for click in of_object})
+        )
+    ]
+
+
+def _lacks(place: str, span: Span, clicks: Sequence[Click]) -> bool:
+    """Whether an instance has too few clicks in a part of its video."""
+    here = {c.keypoint for c in clicks if c.scene == place and span[0] <= c.frame <= span[1]}
+    elsewhere = {c.keypoint for c in clicks if c.scene != place or not span[0] <= c.frame <= span[1]}
+    return len(here & elsewhere) < FEWEST_KEYPOINTS

@@ -24,6 +24,7 @@ from rpl_data.pipeline.context import Context, posed_frames, step
 from rpl_data.pipeline.given_masks import mask_options, object_masks
 from rpl_data.pipeline.ledger import Advance, Outcome, Step
 from rpl_data.types import FrameLabel
+from rpl_data.types.instances import instance_of, places_in
 from rpl_data.wording import counted
 from rpl_data.workspace.workspace import Workspace
 
@@ -143,7 +144,7 @@ def label_range(
     workspace = Workspace(root)
     scene = workspace.load_scene(name)
     trajectory = workspace.load_trajectory(scene)
-    bodies = [scene_object(workspace, item, name, dots=dots) for item in objects]
+    bodies = [body for item in objects for body in scene_objects(workspace, item, name, dots=dots)]
     frames, read = {frame.index: frame for frame in scene.frames}, workspace.depth_reader(scene)
     look = partial(read_grey, reduce=1)
     corrector = None
@@ -161,12 +162,18 @@ def label_range(
     )
 
 
-def scene_object(workspace: Workspace, object_name: str, scene: str, *, dots: bool = False) -> SceneObject:
-    """Load an object and its pose in a scene; with its points, if masks are to be made of them."""
+def scene_objects(
+    workspace: Workspace, object_name: str, scene: str, *, dots: bool = False
+) -> list[SceneObject]:
+    """Load the instances of an object in a scene; with its points, if masks are to be made of them."""
     solution = workspace.load_placed(object_name)
-    scene_from_object: Transform = solution.scene_from_object[scene]
     mesh = load_mesh(workspace.mesh_file(object_name))
     cloud = load_cloud(workspace.cloud_file(object_name)) if dots else None
-    strayed_m = solution.trajectory_sigma_m.get(scene, 0.0)
-    covariance = solution.covariance_at(scene) - strayed_m**2 * np.eye(3)
-    return SceneObject(solution.model, covariance, mesh, scene_from_object, cloud, strayed_m)
+    found = []
+    for place in places_in(scene, solution.scene_from_object):
+        pose: Transform = solution.scene_from_object[place]
+        strayed_m = solution.trajectory_sigma_m.get(place, 0.0)
+        covariance = solution.covariance_at(place) - strayed_m**2 * np.eye(3)
+        instance = instance_of(place)
+        found.append(SceneObject(solution.model, covariance, mesh, pose, cloud, strayed_m, instance))
+    return found

@@ -13,6 +13,7 @@ from rpl_data.pipeline.placements import standing, with_placements, without_scen
 from rpl_data.pipeline.recipe import ObjectRecipe
 from rpl_data.refine.evidence import Verdict
 from rpl_data.types import PointCloud, Solution
+from rpl_data.types.instances import scene_of
 from rpl_data.workspace.workspace import Workspace
 
 VERSION = 2
@@ -35,7 +36,7 @@ def forget_refined(context: Context) -> None:
 
 def _refine_step(context: Context, item: ObjectRecipe) -> Step:
     workspace, voxel_m = context.workspace, context.recipe.reconstruct.voxel_m
-    scenes = sorted(workspace.load_solution(item.name).scene_from_object)
+    scenes = sorted({scene_of(place) for place in workspace.load_solution(item.name).scene_from_object})
     crop = crop_of(workspace, item)
 
     def run(advance: Advance) -> Outcome:
@@ -81,10 +82,12 @@ def _refine_step(context: Context, item: ObjectRecipe) -> Step:
 def scene_regions(
     workspace: Workspace, solution: Solution, voxel_m: float, crop_m: Box3 | None
 ) -> dict[str, PointCloud]:
-    """The object's surface as each scene saw it, scene frame."""
+    """The object's surface as each scene saw it, scene frame; one per instance."""
     from rpl_data.segment.segment import grown_regions
 
-    surfaces = {name: load_mesh(workspace.surface_file(name)) for name in solution.scene_from_object}
+    surfaces = {
+        place: load_mesh(workspace.surface_file(scene_of(place))) for place in solution.scene_from_object
+    }
     regions = {}
     for name, region in grown_regions(surfaces, solution, voxel_m=voxel_m, crop_m=crop_m).items():
         pose = solution.scene_from_object[name]

@@ -14,6 +14,7 @@ from rpl_data.pipeline.ledger import Advance, Outcome, Step, stamps
 from rpl_data.pipeline.placements import standing
 from rpl_data.pipeline.recipe import ObjectRecipe
 from rpl_data.types import Mesh, Solution
+from rpl_data.types.instances import places_in, scene_of
 from rpl_data.workspace.workspace import Workspace
 
 VIEWS_PER_SCENE = 8
@@ -41,7 +42,13 @@ def _segment_step(context: Context, item: ObjectRecipe) -> Step:
     scene_from_object = workspace.load_solution(item.name).scene_from_object
     # What was registered follows the model, and never changes it: a wrong place would spoil it.
     outside = standing(workspace, item.name)
-    scenes = [s for s in context.placed_scenes() if s in scene_from_object and s not in outside]
+    places = [
+        place
+        for scene in context.placed_scenes()
+        for place in places_in(scene, scene_from_object)
+        if place not in outside
+    ]
+    scenes = list(dict.fromkeys(map(scene_of, places)))
     crop, given = crop_of(workspace, item), given_mesh(workspace, item.name)
     method = context.recipe.segment.method
     parts = workspace.parts()
@@ -54,11 +61,11 @@ def _segment_step(context: Context, item: ObjectRecipe) -> Step:
         from rpl_data.segment.segment import segment_object
 
         solution = workspace.load_placed(item.name)
-        surfaces = {name: load_mesh(workspace.surface_file(name)) for name in scenes}
-        views = [view for name in scenes for view in depth_views(workspace, name, solution)]
+        surfaces = {place: load_mesh(workspace.surface_file(scene_of(place))) for place in places}
+        views = [view for name in places for view in depth_views(workspace, name, solution)]
         segment = METHODS[method]
         if mask_choice and method == "convex":
-            masks = [view for name in scenes for view in mask_views(context, name, solution)]
+            masks = [view for name in places for view in mask_views(context, name, solution)]
             segment = partial(segment_object, mask_views=masks)
         dense = segment(surfaces, solution, voxel_m=voxel_m, crop_m=crop, depth_views=views)
         save_mesh(workspace.mesh_file(item.name), dense.mesh, seen=dense.seen)
@@ -92,21 +99,20 @@ def _segment_step(context: Context, item: ObjectRecipe) -> Step:
     )
 
 
-def depth_views(workspace: Workspace, scene_name: str, solution: Solution) -> list[DepthView]:
+def depth_views(workspace: Workspace, place: str, solution: Solution) -> list[DepthView]:
     """Read some depth images of a scene, spread over its steady frames, as views of an object."""
     from rpl_data.reconstruct.surface import steady_frames
     from rpl_data.segment.free_space import view_of
 
-    scene = workspace.load_scene(scene_name)
+    scene = workspace.load_scene(scene_of(place))
     trajectory, read = workspace.load_trajectory(scene), workspace.depth_reader(scene)
-    pose = solution.scene_from_object[scene_name]
+    pose = solution.scene_from_object[place]
     steady = steady_frames(scene, trajectory, centre_scene=pose[:3, 3])
     frames = [frame for frame in scene.frames if frame.index in steady and frame.depth is not None]
     spread = np.linspace(0, len(frames) - 1, VIEWS_PER_SCENE).astype(int) if frames else np.empty(0, int)
     chosen = [frames[n] for n in np.unique(spread)]
     return [
-        view_of(scene_name, scene.intrinsics, trajectory.at(frame.index), pose, read(frame))
-        for frame in chosen
+        view_of(place, scene.intrinsics, trajectory.at(frame.index), pose, read(frame)) for frame in chosen
     ]
 
 

@@ -12,6 +12,7 @@ from rpl_data.meshes import joined_meshes, save_mesh
 from rpl_data.pipeline.context import Context, posed_frames, step
 from rpl_data.pipeline.ledger import Advance, Outcome, Step
 from rpl_data.types import Frame, Solution
+from rpl_data.types.instances import places_in
 
 VERSION = 2
 """Increase it when the stage writes something else for the same input: its steps then run again."""
@@ -31,7 +32,8 @@ def _surface_step(context: Context, name: str) -> Step:
         scene = workspace.load_scene(name)
         trajectory = workspace.load_trajectory(scene)
         frames = [frame for frame in posed_frames(scene, trajectory) if frame.depth is not None]
-        spheres = joined_spheres([sphere_of(item, name) for item in context.solutions_in(name)])
+        standing = context.solutions_in(name)
+        spheres = joined_spheres([sphere for item in standing for sphere in spheres_of(item, name)])
         meshes = []
         for number, sphere in enumerate(spheres):
             meshes.append(
@@ -69,10 +71,16 @@ def reporting(frames: Sequence[Frame], advance: Advance, done: int, total: int) 
         yield frame
 
 
-def sphere_of(solution: Solution, scene: str) -> Sphere:
-    """Sphere around an object's keypoints in which the surface of a scene is fused, in the scene frame."""
-    model = solution.model
-    return sphere_around(transform(solution.scene_from_object[scene], model.points_object[model.known]))
+def spheres_of(solution: Solution, scene: str) -> list[Sphere]:
+    """Spheres around an object's keypoints in which the surface of a scene is fused, in the scene frame.
+
+    There is one per instance of the object in the scene.
+    """
+    known = solution.model.points_object[solution.model.known]
+    return [
+        sphere_around(transform(solution.scene_from_object[place], known))
+        for place in places_in(scene, solution.scene_from_object)
+    ]
 
 
 def joined_spheres(spheres: Sequence[Sphere]) -> list[Sphere]:

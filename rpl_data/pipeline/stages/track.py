@@ -26,6 +26,7 @@ from rpl_data.types import (
     Scene,
     Trajectory,
 )
+from rpl_data.types.instances import scene_of
 from rpl_data.workspace.workspace import Workspace
 
 VERSION = 3
@@ -81,7 +82,7 @@ def _is_clicked(context: Context, name: str) -> bool:
     """Whether anything was clicked in a recording."""
     workspace = context.workspace
     annotations = [workspace.load_annotation(item) for item in context.object_names]
-    return any(click.scene == name for annotation in annotations for click in annotation.clicks)
+    return any(scene_of(click.scene) == name for annotation in annotations for click in annotation.clicks)
 
 
 @dataclass(frozen=True)
@@ -170,9 +171,9 @@ def clicked_regions(
     errors.
     """
     found = []
-    here = [c for c in clicks if c.scene == scene.name and c.frame in trajectory.frames]
-    for name in dict.fromkeys(click.object for click in here):
-        mine = [click for click in here if click.object == name]
+    here = [c for c in clicks if scene_of(c.scene) == scene.name and c.frame in trajectory.frames]
+    for name in dict.fromkeys((click.object, click.scene) for click in here):
+        mine = [click for click in here if (click.object, click.scene) == name]
         frames = [click.frame for click in mine]
         most = max(sorted(set(frames)), key=frames.count)
         frame = next((f for f in scene.frames if f.index == most and f.depth is not None), None)

@@ -1,6 +1,6 @@
 // Scenes, poses and pictures, fetched when they are first needed.
 
-import { binary, get, objectPath, picturePath, scenePath } from "../state/api.js";
+import { binary, get, objectPath, picturePath, sceneOf, scenePath } from "../state/api.js";
 import { app, change, clicksIn, frame, poses, rowOf, scene } from "../state/store.js";
 
 const MOST_PICTURES = 48;
@@ -49,7 +49,7 @@ async function fetchScene(name) {
 
 // After a build: camera poses may be better now, and a scene may have been cut.
 export async function refreshScenes() {
-  const stays = app.workspace.scenes.includes(app.scene), name = stays ? app.scene : app.workspace.scenes[0];
+  const stays = app.workspace.scenes.includes(sceneOf(app.scene)), name = stays ? app.scene : app.workspace.scenes[0];
   const index = stays ? frame() : 0, [details, poses] = await fetchScene(name);
   Object.assign(app, { scenes: { [name]: details }, poses: { [name]: poses }, suggestions: {} });
   change({ scene: name, row: rowOf(name, index) });

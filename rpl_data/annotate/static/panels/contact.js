@@ -1,6 +1,6 @@
 // The contact sheet: labels on small pictures, one page of a scene at a time; a picture opens its frame.
 
-import { get, post } from "../state/api.js";
+import { get, post, sceneOf } from "../state/api.js";
 import { openScene } from "../image/frames.js";
 import { element, refill } from "./dom.js";
 import { addKeys } from "./keys.js";
@@ -29,8 +29,8 @@ async function follow() {
   const key = `${app.scene}/${app.built}`;
   if (key === asked) return;
   asked = key;
-  if (scene !== app.scene) page = 0;
-  scene = app.scene;
+  if (scene !== sceneOf(app.scene)) page = 0;
+  scene = sceneOf(app.scene);
   await load();
 }
 

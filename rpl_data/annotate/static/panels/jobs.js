@@ -1,6 +1,6 @@
 // Builds: the dense model, the labels, the dataset, the report. They run on the server, even when the page is closed.
 
-import { get, post } from "../state/api.js";
+import { get, post, sceneOf } from "../state/api.js";
 import { openObject } from "./objects.js";
 import * as dense from "../solid/dense.js";
 import { element, refill } from "./dom.js";
@@ -115,6 +115,7 @@ function afterClicks() {
 // With fewer clicks than place a scene, the object may be found there by its shape and colours.
 function findable() {
   if (!app.state || !app.result || app.scene === null || app.result.scene_from_object[app.scene]) return false;
+  if (app.scene !== sceneOf(app.scene)) return false; // which instance would be found is not known
   return Boolean(app.fresh?.segment) && new Set(clicksIn(app.scene).map((c) => c.keypoint)).size < 3;
 }
 

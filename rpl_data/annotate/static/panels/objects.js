@@ -1,15 +1,17 @@
 // Objects: opening one, and adding another.
 
-import { post } from "../state/api.js";
+import { openScene } from "../image/frames.js";
+import { post, sceneOf } from "../state/api.js";
 import { ask } from "./dom.js";
 import * as keypoints from "./keypoints.js";
 import * as log from "../state/log.js";
-import { app, change } from "../state/store.js";
+import { app, change, frame } from "../state/store.js";
 
 export async function openObject(name) {
   change({ state: null, result: null, next: null, dense: null, mask: null, suggestions: {}, keypoint: 0 });
   try {
     await log.load(name);
+    if (app.scene?.includes("/")) await openScene(sceneOf(app.scene), frame()); // an instance is one object's
     keypoints.selectOpen();
   } catch (error) {
     log.alertOnce(error.message);

@@ -2,7 +2,8 @@
 
 import { openScene, suggestions } from "../image/frames.js";
 import { selectOpen } from "./keypoints.js";
-import { app, clicksIn, counted, isSkipped, onChange } from "../state/store.js";
+import { sceneOf } from "../state/api.js";
+import { app, clicksIn, counted, frame, isSkipped, onChange, places } from "../state/store.js";
 import { act, alertOnce } from "../state/log.js";
 import { ask, element, refill } from "./dom.js";
 
@@ -21,6 +22,7 @@ const MEANINGS = {
 };
 
 export function setUp() {
+  document.getElementById("new-instance").addEventListener("click", openAnother);
   onChange(draw, () => [app.workspace, app.state, app.result, app.scene]);
   onChange(suggest, () => [app.state, app.result, app.scene]);
 }
@@ -37,7 +39,7 @@ async function suggest() {
 }
 
 export function step(by) {
-  const names = app.workspace.scenes, at = names.indexOf(app.scene);
+  const names = places(), at = names.indexOf(app.scene);
   return open(names[(at + by + names.length) % names.length]);
 }
 
@@ -47,11 +49,22 @@ async function open(name) {
   selectOpen();
 }
 
+// Mark another instance of the object in this scene, from 2 on, at the same frame.
+async function openAnother() {
+  if (app.scene === null) return;
+  const name = sceneOf(app.scene), taken = places();
+  let number = 2;
+  while (taken.includes(`${name}/${number}`)) number++;
+  await openScene(`${name}/${number}`, frame());
+  selectOpen();
+}
+
 function draw() {
   if (!app.workspace || !app.state) return;
-  const tied = app.workspace.scenes.filter((name) => app.result?.scene_from_object?.[name]).length;
-  document.getElementById("scene-progress").textContent = `${tied} of ${app.workspace.scenes.length} placed`;
-  refill(list, ...app.workspace.scenes.map(row));
+  const all = places();
+  const tied = all.filter((name) => app.result?.scene_from_object?.[name]).length;
+  document.getElementById("scene-progress").textContent = `${tied} of ${all.length} placed`;
+  refill(list, ...all.map(row));
 }
 
 function row(name) {

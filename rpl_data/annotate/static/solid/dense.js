@@ -2,7 +2,7 @@
 
 import { get, objectPath } from "../state/api.js";
 import { apply, invert, multiply } from "../image/camera.js";
-import { app, change, clicksIn, onChange } from "../state/store.js";
+import { app, change, clicksIn, onChange, places } from "../state/store.js";
 
 const clouds = new Map(); // scene -> {key, points, colors}
 let model = null, asked = null, placedFor; // the result it was placed for
@@ -61,7 +61,7 @@ function rows(flat, matrix) {
 // scene in its own frame.
 export function shownScenes() {
   const sceneFromObject = app.result?.scene_from_object || {};
-  const placed = app.workspace.scenes.filter((name) => sceneFromObject[name]);
+  const placed = places().filter((name) => sceneFromObject[name]);
   if (placed.length) return placed.map((name) => ({ name, moved: invert(sceneFromObject[name]) }));
   return clicksIn(app.scene).length ? [{ name: app.scene, moved: null }] : [];
 }

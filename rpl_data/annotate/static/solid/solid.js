@@ -3,7 +3,7 @@
 import { cloud, denseModel, shownScenes } from "./dense.js";
 import { element } from "../panels/dom.js";
 import { addKeys } from "../panels/keys.js";
-import { app, change, keypointTitle, onChange } from "../state/store.js";
+import { app, change, keypointTitle, onChange, places } from "../state/store.js";
 
 export const SCENE_COLORS = ["#0a84d6", "#e08a00", "#12a06a", "#d65aa0", "#8f6bf0", "#d9480f", "#5f9e00", "#00a3a3"];
 const MM = 1000, STILL_PX = 4;
@@ -139,7 +139,7 @@ function surfaces(clouds) {
   const box = cut() || (show.around ? null : nearBox());
   return clouds.filter((scene) => scene.cloud).map(({ name, cloud: { points, colors } }) => {
     const chosen = points.map((p, i) => [p, i]).filter(([p]) => isIn(box, p));
-    const number = app.workspace.scenes.indexOf(name);
+    const number = places().indexOf(name);
     const photo = () => chosen.map(([, i]) => `rgb(${colors[3 * i]},${colors[3 * i + 1]},${colors[3 * i + 2]})`);
     return {
       type: "scatter3d", mode: "markers", name: `scene ${name}`, ...xyz(chosen.map(([p]) => p)), hoverinfo: "skip",

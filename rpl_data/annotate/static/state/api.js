@@ -32,6 +32,9 @@ async function read(answer) {
   throw error;
 }
 
+// The scene of a place: what stands before the slash; behind it stands the instance, where a scene shows several.
+export const sceneOf = (place) => place.split("/")[0];
+
 export const objectPath = (name) => `/api/objects/${encodeURIComponent(name)}`;
-export const scenePath = (name) => `/api/scenes/${encodeURIComponent(name)}`;
+export const scenePath = (place) => `/api/scenes/${encodeURIComponent(sceneOf(place))}`;
 export const picturePath = (sceneName, frame, width) => `${scenePath(sceneName)}/frames/${frame}.jpg?width=${width}`;

@@ -1,5 +1,7 @@
 // The state of the page; panels are redrawn after a change.
 
+import { sceneOf } from "./api.js";
+
 export const app = {
   workspace: null, // {name, scenes, objects}
   scenes: {}, // details by name, once requested
@@ -38,6 +40,13 @@ export function change(part) {
     planned = false;
     for (const listener of listeners) listener();
   });
+}
+
+// The scenes; behind each, the further instances of the object that were marked in it, or are asked for.
+export function places() {
+  const named = [...(app.state?.clicks || []).map((c) => c.scene), ...Object.keys(app.result?.scene_from_object || {}), app.scene];
+  const further = [...new Set(named)].filter((place) => place?.includes("/")).sort();
+  return (app.workspace?.scenes || []).flatMap((name) => [name, ...further.filter((place) => sceneOf(place) === name)]);
 }
 
 export const scene = () => app.scenes[app.scene] || null;
