@@ -93,7 +93,6 @@ def test_two_tabs_show_the_same(page: Page, server: Server) -> None:
 
 
 def test_keypoints_by_keyboard_alone(page: Page, server: Server) -> None:
-    page.keyboard.press("1")
     for key in ("ArrowRight", "ArrowRight", "Shift+ArrowDown", "Enter"):
         page.keyboard.press(key)
     saved(page)
@@ -143,3 +142,16 @@ def test_the_model_is_projected_as_the_library_does(
             points = transform(camera_from_object, solution.model.points_object)
             np.testing.assert_allclose(row, project(scene.intrinsics, points), atol=0.5)
     page.close()
+
+
+def test_another_instance_in_a_scene_is_marked_by_itself(page: Page, server: Server) -> None:
+    place(page, 100.0, 90.0)
+    page.locator("#new-instance").click()
+    expect(page.locator("#scenes li[aria-current=true] .name")).to_have_text("00/2")
+    place(page, 130.0, 100.0)
+    expect(page.locator("#saved")).to_have_text("all saved")
+    marked = Workspace(server.workspace).load_annotation("carton").clicks
+    assert [click.scene for click in marked] == ["00", "00/2"]
+    page.reload()
+    expect(page.locator("#scenes .name").first).to_have_text("00")
+    expect(page.locator("#scenes li[aria-current=true] .name")).to_have_text("00/2")
