@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from rpl_data.geometry import Pixels, Points, Transform, inside_image, transform
+from rpl_data.geometry import Pixels, Points, Transform, inside_image, invert, transform
 from rpl_data.label.masks import MaskPatch, Window, cleaned
 from rpl_data.label.occlusion import FAR_M, DepthPatch, KeypointSurface
 from rpl_data.label.splat import splat
 from rpl_data.raycast import PixelTable, RayScene, depth_along_m
-from rpl_data.types import KeypointModel, Mesh, PointCloud
+from rpl_data.types import KeypointModel, Mesh, PointCloud, Trajectory
 
 MARGIN_PX = 3
 """Margin around the projected region, for filters that look at neighbouring pixels."""
@@ -35,6 +35,8 @@ class SceneObject:
         dots: its points; where they are given, the mask is made of them, as in the paper, not of the mesh.
         strayed_m: how far the camera's poses stray within the scene, standard deviation per axis, besides
             that covariance.
+        path: the camera's poses in the object's own frame, where the object is moved in the scene; then
+            `scene_from_object` is the identity. None where it stands still.
         instance: which of several instances of the object in the scene it is, as `InstanceLabel.instance`.
     """
 
@@ -45,6 +47,14 @@ class SceneObject:
     dots: PointCloud | None = None
     strayed_m: float = 0.0
     instance: str = ""
+    path: Trajectory | None = None
+
+    def camera_from_object(self, trajectory: Trajectory, frame: int) -> Transform:
+        """Its pose in a frame, by the camera's path in the scene, or by its own; DataError without a pose."""
+        if self.path is not None:
+            return invert(self.path.at(frame))
+        by_path: Transform = invert(trajectory.at(frame)) @ self.scene_from_object
+        return by_path
 
     @property
     def key(self) -> tuple[str, str]:

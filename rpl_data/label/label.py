@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 import numpy as np
 from jaxtyping import Int64
 
-from rpl_data.geometry import Pixels, Transform, inside_image, invert, square_box, transform
+from rpl_data.geometry import Pixels, Transform, inside_image, square_box, transform
 from rpl_data.label.alone import Body, ObjectAlone, SceneObject, object_alone
 from rpl_data.label.certainty import quality, sigma_px
 from rpl_data.label.frame_correction import Correction, FrameCorrector
@@ -127,10 +127,9 @@ def _label_frames(
     bodies = [Body.of(item) for item in objects]
     for frame in frames:
         depth_m = None if frame.depth is None else read_depth(frame)
-        camera_from_scene = invert(trajectory.at(frame.index))
         objects_alone = []
         for body in bodies:
-            eq3 = camera_from_scene @ body.item.scene_from_object
+            eq3 = body.item.camera_from_object(trajectory, frame.index)
             alone = object_alone(camera, body, refined.get((frame.index, *body.item.key), eq3))
             if alone is not None:
                 objects_alone.append(alone)

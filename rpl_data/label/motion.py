@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64
@@ -23,6 +23,11 @@ class Motion:
     trajectory: Trajectory
     times_s: Float64[np.ndarray, " n"]
 
+    def _of_path(self, path: Trajectory) -> Motion:
+        """The same times along another path, which may lack frames of this one."""
+        times_s = dict(zip(self.trajectory.frames.tolist(), self.times_s, strict=True))
+        return Motion(path, np.array([times_s.get(k, np.nan) for k in path.frames.tolist()]))
+
     @staticmethod
     def of(scene: Scene, trajectory: Trajectory) -> Motion:
         """The path of a scene."""
@@ -31,6 +36,10 @@ class Motion:
 
     def speed_px_s(self, camera: PixelTable, frame: int, item: SceneObject) -> float:
         """Speed of the middle of an object in the image, from the poses before and after; 0 if unknown."""
+        if item.path is not None:
+            return self._of_path(item.path).speed_px_s(
+                camera, frame, replace(item, path=None, scene_from_object=np.eye(4))
+            )
         row = int(np.searchsorted(self.trajectory.frames, frame))
         middle = np.nanmean(item.model.points_object, axis=0, keepdims=True)
         rows = [k for k in (row - 1, row, row + 1) if 0 <= k < len(self.times_s)]

@@ -61,10 +61,10 @@ def align_print(
             centre = transform(pose, middle)
             information, pull = known.copy(), known @ step_between(pose, prior.camera_from_object, centre)
             for each in prints:
-                of_print = _normal_equations(camera, look, each, pose, centre, level)
+                of_print = print_equations(camera, look, each, pose, centre, level)
                 information, pull = information + of_print[0], pull + of_print[1]
             step = np.linalg.solve(information, pull)
-            pose = _stepped(pose, step, centre)
+            pose = stepped(pose, step, centre)
             if np.abs(step).max() < CONVERGED:
                 break
     return pose
@@ -119,7 +119,7 @@ def _compare(camera: PixelTable, look: Look, found: Print, pose: Transform, leve
     return _Compared(points, uv_px, seen, difference)
 
 
-def _normal_equations(
+def print_equations(
     camera: PixelTable,
     look: Look,
     found: Print,
@@ -150,7 +150,7 @@ def _noise(difference: Float64[np.ndarray, " n"]) -> float:
     return max(1.4826 * float(np.median(np.abs(difference))), LEAST_NOISE)
 
 
-def _stepped(pose: Transform, step: Float64[np.ndarray, "6"], centre: Float64[np.ndarray, "3"]) -> Transform:
+def stepped(pose: Transform, step: Float64[np.ndarray, "6"], centre: Float64[np.ndarray, "3"]) -> Transform:
     """The pose after a turn about the centre and a shift, along the axes of the camera."""
     turn = from_rotvec(step[:3], np.zeros(3))
     turn[:3, 3] = centre + step[3:] - turn[:3, :3] @ centre

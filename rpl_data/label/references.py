@@ -62,8 +62,7 @@ class Sight:
 
     def pose(self, frame: Frame) -> Transform:
         """`camera_from_object` by the trajectory."""
-        by_path: Transform = invert(self.trajectory.at(frame.index)) @ self.body.item.scene_from_object
-        return by_path
+        return self.body.item.camera_from_object(self.trajectory, frame.index)
 
     def speed_px_s(self, frame: Frame) -> float:
         """How fast the object passes through the image."""

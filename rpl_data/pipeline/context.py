@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import astuple, dataclass
 from pathlib import Path
 
@@ -41,7 +41,11 @@ class Context:
     @property
     def scene_sources(self) -> tuple[SceneSource, ...]:
         """Sources of the scenes; the twin's recording when the recipe names none."""
-        return self.recipe.scenes or (SceneSource(self._twin_recording, metres_per_unit=0.001),)
+        twin = self.recipe.twin
+        casts = () if twin is None else zip(twin.scene_names, twin.casts, strict=True)
+        moving = tuple(name for name, cast in casts if cast.moving) or False
+        made = SceneSource(self._twin_recording, metres_per_unit=0.001, moving=moving)
+        return self.recipe.scenes or (made,)
 
     @property
     def objects(self) -> tuple[ObjectRecipe, ...]:
@@ -85,6 +89,11 @@ class Context:
             return ["import"]
         parts, known = self.workspace.parts(), scenes or tuple(self.workspace.scene_names())
         return ["import", *sorted({f"track/{parts.video_of(scene)}" for scene in known})]
+
+    def still_places(self, places: Iterable[str]) -> list[str]:
+        """Those of an object's places in which it stands still while it is filmed, sorted."""
+        moving = self.workspace.parts().moving
+        return sorted(place for place in places if scene_of(place) not in moving)
 
     def solutions_in(self, scene: str) -> list[Solution]:
         """Solutions of the objects that have a pose in a scene."""

@@ -61,6 +61,9 @@ class SceneSource:
         topics: which topics of a ROS bag to use (`{color: ..., depth: ..., poses: /tf}`); found by their
             names when left out, without poses.
         masks: masks that another program made of the objects in these scenes.
+        moving: the objects of these scenes are moved while they are filmed (true, or names of scenes): each
+            frame has its own pose, followed on the object's surface from frames with clicks on at least
+            three keypoints. The object must be filmed standing still in other scenes.
     """
 
     path: Path
@@ -72,6 +75,11 @@ class SceneSource:
     mend: Mend = Mend()
     topics: Topics | None = None
     masks: MaskSource | None = None
+    moving: bool | tuple[str, ...] = False
+
+    def moves(self, scene: str) -> bool:
+        """Whether the objects of a scene are moved."""
+        return self.moving if isinstance(self.moving, bool) else scene in self.moving
 
 
 @dataclass(frozen=True)

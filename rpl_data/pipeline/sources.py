@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -41,13 +42,25 @@ def recordings_of(
             name = checked_name(recording.scene.name, "scene", where=str(source.path))
             if name in found:
                 raise _same_name(name, found[name].scene.source, recording.scene.source)
-            found[name] = recording
+            found[name] = replace(recording, moving=source.moves(name))
+        _refuse_unknown_moving(source, found)
     return list(found.values())
 
 
 def _recorded(source: SceneSource) -> dict[str, Any]:
-    """All that a source says of its recordings: not the masks, which were made of them."""
-    return {name: value for name, value in vars(source).items() if name != "masks"}
+    """All that a source says of its recordings: not the masks, nor whether
+    its objects move.
+    """
+    return {name: value for name, value in vars(source).items() if name not in ("masks", "moving")}
+
+
+def _refuse_unknown_moving(source: SceneSource, there: Collection[str]) -> None:
+    named = () if isinstance(source.moving, bool) else source.moving
+    if unknown := sorted(set(named) - set(there)):
+        raise DataError(
+            f"{source.path}: `moving` names {', '.join(unknown)}; there are {', '.join(there)}; use the same "
+            "names"
+        )
 
 
 def _same_name(name: str, one: str, other: str) -> DataError:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -54,6 +55,7 @@ def click(
     rng: np.random.Generator,
     mistakes: Mistakes = NO_MISTAKES,
     instance: str = "",
+    same_frames: bool = False,
 ) -> list[Click]:
     """Make the clicks of a scene: each keypoint in well-spread frames among those that show it.
 
@@ -64,12 +66,15 @@ def click(
         labels: the true labels of the scene's frames.
         noise_px: standard deviation of a click, per axis.
         instance: which instance of the object is clicked.
+        same_frames: all keypoints are clicked in the same frames, those that show most of them.
         mistakes: drawn from random numbers of their own, so that all other clicks stay the same.
     """
     key = object_name, instance
     own = {label.frame: i for label in labels for i in label.instances if (i.object, i.instance) == key}
     place = placed_as(labels[0].scene, instance)
     sightings = _clear_sightings(own, intrinsics, margin_px=4 * noise_px + 1)
+    if same_frames:
+        sightings = _in_best_frames(sightings, clicks_per_keypoint)
     clicks = []
     for keypoint, seen in sorted(sightings.items()):
         for pick in _spread(rng, len(seen), clicks_per_keypoint):
@@ -90,6 +95,14 @@ def _clear_sightings(
         for keypoint in np.flatnonzero(clear).tolist():
             sightings.setdefault(keypoint, []).append(_Sighting(frame, uv[keypoint]))
     return sightings
+
+
+def _in_best_frames(sightings: dict[int, list[_Sighting]], count: int) -> dict[int, list[_Sighting]]:
+    """What is seen in the frame with most keypoints of each of `count` equal parts of the video."""
+    shown = Counter(one.frame for seen in sightings.values() for one in seen)
+    parts = np.array_split(sorted(shown), count)
+    best = {max(part.tolist(), key=lambda frame: shown[frame]) for part in parts if len(part)}
+    return {keypoint: [one for one in seen if one.frame in best] for keypoint, seen in sightings.items()}
 
 
 def _spread(rng: np.random.Generator, count: int, wanted: int) -> list[int]:

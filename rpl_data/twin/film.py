@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float64, Int64
 from rpl_data.geometry import Transform, box_around, inside_image, invert, project, square_box, transform
 from rpl_data.twin.objects import TwinObject, build
 from rpl_data.twin.renderer import Rendered, Renderer
-from rpl_data.twin.scene import TwinScene, compose
+from rpl_data.twin.scene import TwinScene, carried, compose
 from rpl_data.twin.sensor import PerfectView, measure_color, measure_depth, shifted
 from rpl_data.twin.sensor.motion import Twist, flow_px_s, image_flow_px_s, row_delay_s, twist
 from rpl_data.twin.spec import TwinSpec
@@ -77,8 +77,25 @@ class Film:
         pose: Transform = invert(self.table_from_camera[0]) @ self.scene.table_from_object[number]
         return pose
 
+    @property
+    def moves(self) -> bool:
+        """Whether the first object is carried about."""
+        return self.spec.casts[self.number].moving
+
+    def at(self, frame: int) -> Film:
+        """The video with its objects where they are in a frame."""
+        if not self.moves:
+            return self
+        share = self.times_s[frame] / max(float(self.times_s[-1]), 1e-9)
+        return replace(self, scene=carried(self.scene, share))
+
     def shoot(self, frame: int) -> Shot:
         """Render a frame; the same spec, scene and frame always give the same pixels."""
+        if self.moves:
+            return self.at(frame)._shot(frame)
+        return self._shot(frame)
+
+    def _shot(self, frame: int) -> Shot:
         rng = np.random.default_rng([self.spec.seed, self.number, 1, frame])
         perfect = self.renderer.render(self.table_from_camera[frame])
         older = perfect

@@ -66,6 +66,25 @@ def compose(
     return TwinScene((*things, *furniture), tuple(poses), light, target)
 
 
+def carried(scene: TwinScene, share: float) -> TwinScene:
+    """The scene after a share (0 to 1) of its time: a hand that nobody sees carries its first object.
+
+    It is lifted, taken some centimetres about, tilted and turned, and set down elsewhere.
+    """
+    start = scene.table_from_object[0]
+    turn = Rotation.from_rotvec(
+        [0.35 * np.sin(2 * np.pi * share), 0.25 * np.sin(3 * np.pi * share), 1.2 * np.sin(np.pi * share)]
+    )
+    shift = np.array([0.06 * np.sin(2 * np.pi * share), 0.05 * share, 0.07 * np.sin(np.pi * share)])
+    middle = scene.surfaces[0].vertices.mean(axis=0)
+    move = rigid(turn.as_matrix(), middle + shift - turn.as_matrix() @ middle)
+    return replace(
+        scene,
+        surfaces=(scene.surfaces[0].moved(move), *scene.surfaces[1:]),
+        table_from_object=(move @ start, *scene.table_from_object[1:]),
+    )
+
+
 def _light(rng: np.random.Generator, table: Surface) -> Light:
     """A warm lamp over the table, a window on some side, and the light that the table reflects."""
     turn, rise = rng.uniform(0, 2 * np.pi), rng.uniform(0.25, 0.6)

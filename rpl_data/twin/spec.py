@@ -41,11 +41,13 @@ class Cast:
         objects: their names; a name twice is two instances of that object.
         count: number of such scenes.
         seconds: length of each; the twin's when left out.
+        moving: the first object is carried about and turned while it is filmed.
     """
 
     objects: tuple[str, ...]
     count: int = 1
     seconds: float | None = None
+    moving: bool = False
 
 
 @dataclass(frozen=True)

@@ -67,7 +67,8 @@ def write_twin(folder: Path, spec: TwinSpec, *, workers: int = 2, progress: Prog
             _write_lists(partial / scene, video)
             for row, (one, instance) in enumerate(zip(video.objects, video.instances, strict=True)):
                 clicks[one.model.name] += _clicks(spec, number, one.model.name, instance, shown)
-                poses[one.model.name][placed_as(scene, instance)] = video.scene_from_object(row)
+                if not video.moves:
+                    poses[one.model.name][placed_as(scene, instance)] = video.scene_from_object(row)
         next(labels, None)  # lets the process pool end
         _write_objects(truth, spec, poses)
         write_text(partial / "clicks.csv", _csv(spec, clicks))
@@ -188,6 +189,7 @@ def _clicks(spec: TwinSpec, number: int, name: str, instance: str, labels: list[
             [spec.seed, number, 2, list(spec.casts[number].objects).index(name), *several]
         ),
         instance=instance,
+        same_frames=spec.casts[number].moving,
     )
 
 

@@ -4,6 +4,8 @@ Eq. 2 places an object once per scene. A scene that shows several instances of i
 which share one recording: clicks, solutions and everything by scene name them `00`, `00/2`, `00/bottom`. What
 stands before the slash is the scene, behind it the instance; names of scenes and instances hold no slash.
 Instances of different scenes have nothing to do with one another, whatever they are called.
+
+Where an object is moved while a scene is filmed, each clicked frame is such a place too: `00/@12`, `00/2@12`.
 """
 
 from __future__ import annotations
@@ -11,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 _BETWEEN = "/"
+_AT_FRAME = "@"
 
 
 def placed_as(scene: str, instance: str = "") -> str:
@@ -31,3 +34,19 @@ def instance_of(place: str) -> str:
 def places_in(scene: str, places: Iterable[str]) -> list[str]:
     """Those of the places that lie in a scene, sorted."""
     return sorted(place for place in places if scene_of(place) == scene)
+
+
+def placed_in_frame(place: str, frame: int) -> str:
+    """Name of the place that a moved object has in one frame."""
+    return placed_as(scene_of(place), f"{instance_of(place)}{_AT_FRAME}{frame}")
+
+
+def without_frame(place: str) -> str:
+    """The place without the frame that `placed_in_frame` gave it."""
+    return placed_as(scene_of(place), instance_of(place).partition(_AT_FRAME)[0])
+
+
+def frame_of(place: str) -> int | None:
+    """The frame of a place that `placed_in_frame` named; None for others."""
+    number = instance_of(place).partition(_AT_FRAME)[2]
+    return int(number) if number.isdecimal() else None

@@ -186,6 +186,7 @@ class Recording:
             does not count them as lost by the recorder.
         true_poses: camera_from_object by object name and `Frame.index`, where a dataset provides it: the
             truth for evaluation. No labelling stage receives it.
+        moving: whether the objects are moved while the scene is filmed: each frame has its own pose.
     """
 
     scene: Scene
@@ -194,6 +195,7 @@ class Recording:
     notes: tuple[str, ...] = ()
     left_out: tuple[int, ...] = ()
     true_poses: Mapping[str, Mapping[int, Float64[np.ndarray, "4 4"]]] = field(default_factory=dict)
+    moving: bool = False
 
 
 Span = tuple[int, int]

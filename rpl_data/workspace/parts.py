@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from rpl_data.types import Click, DataError, Recording, Span, Trajectory
-from rpl_data.types.instances import instance_of, placed_as, scene_of
+from rpl_data.types.instances import instance_of, placed_as, placed_in_frame, scene_of, without_frame
 
 
 @dataclass(frozen=True)
@@ -22,9 +22,11 @@ class Parts:
 
     Attributes:
         spans: first and last frame of each part, in order, keyed by video name. A whole video has no entry.
+        moving: videos in which objects are moved: each clicked frame of them is a place of its own.
     """
 
     spans: Mapping[str, tuple[Span, ...]]
+    moving: frozenset[str] = frozenset()
 
     def scenes_of(self, video: str) -> tuple[str, ...]:
         """Names of the scenes that a video was cut into; its own name when it is whole."""
@@ -67,11 +69,15 @@ class Parts:
 
     def _part(self, place: str, frame: int) -> str:
         """The place in the scene that holds a frame of its video."""
-        return placed_as(self.scene_at(self.video_of(place), frame), instance_of(place))
+        video = self.video_of(place)
+        if video in self.moving:
+            return placed_in_frame(self._video(place), frame)
+        return placed_as(self.scene_at(video, frame), instance_of(place))
 
     def _video(self, place: str) -> str:
         """The place in the video."""
-        return placed_as(self.video_of(place), instance_of(place))
+        video = self.video_of(place)
+        return without_frame(place) if video in self.moving else placed_as(video, instance_of(place))
 
 
 def part_name(video: str, number: int) -> str:

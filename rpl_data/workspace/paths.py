@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from rpl_data.types.instances import instance_of, scene_of
 from rpl_data.untrusted.names import checked_name
 
 
@@ -21,10 +22,11 @@ class Paths:
         recording/                    recording rendered from a twin (a synthetic scene), with truth/
         scenes/<scene>/               scene.json  trajectory.txt  given.txt  corrected.txt  drift.json
                                       surface.ply  cache/  images/
+                                      moving.json, where objects are moved
                                       parts.json, when it was cut into scenes/<scene>.1/, <scene>.2/, ...
         objects/<object>/             clicks.jsonl  solution.json  refined.json  placed.json  mesh.ply
                                       cloud.ply  given.ply  grasp.json  symmetry.json
-                                      exported.ply
+                                      exported.ply  paths/<scene>.txt
         labels/<scene>.jsonl          one line per frame
         labels/<scene>.left_out.json  frames that the user excluded from exports
         export/<format>/              coco, coco_truth, ...
@@ -110,6 +112,15 @@ class Paths:
     def parts_file(self, scene: str) -> Path:
         """The spans that a recording was cut into; the file is absent while the recording is whole."""
         return self._scene(scene) / "parts.json"
+
+    def moving_file(self, scene: str) -> Path:
+        """The file that is there where the objects of a scene are moved while it is filmed."""
+        return self._scene(scene) / "moving.json"
+
+    def path_file(self, object_name: str, place: str) -> Path:
+        """The camera's poses in the frame of an object that is moved in a scene, as `trajectory_file`."""
+        name = f"{scene_of(place)}.{instance_of(place)}".rstrip(".")
+        return self._object(object_name) / "paths" / f"{checked_name(name, 'scene')}.txt"
 
     def cache(self, scene: str) -> Path:
         """The folder of decoded depth, which can be deleted and rebuilt at any time."""

@@ -64,6 +64,10 @@ class SceneFiles(Paths):
         write_json(self.scene_file(recording.scene.name), recording_to_json(recording), indent=None)
         if recording.trajectory is not None:
             self.save_trajectory(recording.scene, recording.trajectory)
+        if recording.moving:
+            write_json(self.moving_file(recording.scene.name), True)
+        else:
+            remove(self.moving_file(recording.scene.name))
 
     def load_recording(self, scene: str) -> Recording:
         """Load the recording of a scene, without its trajectory."""
@@ -79,7 +83,9 @@ class SceneFiles(Paths):
 
     def parts(self) -> Parts:
         """Load how the recordings were cut into scenes."""
-        return Parts({path.parent.name: _spans(path) for path in self.root.glob("scenes/*/parts.json")})
+        moving = {path.parent.name for path in self.root.glob("scenes/*/moving.json")}
+        spans = {path.parent.name: _spans(path) for path in self.root.glob("scenes/*/parts.json")}
+        return Parts(spans, frozenset(moving))
 
     def cut_scene(self, video: str, spans: Sequence[Span]) -> None:
         """Cut a recording into one scene per span; a single span makes it whole again.

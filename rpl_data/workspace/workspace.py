@@ -11,9 +11,11 @@ from rpl_data.clicks.log import Annotation, Event, replay
 from rpl_data.files import (
     decoding,
     read_json,
+    read_text,
     refuse_special,
     remove,
     write_json,
+    write_text,
     writing,
 )
 from rpl_data.geometry import Transform
@@ -30,8 +32,10 @@ from rpl_data.types import (
     KeypointModel,
     Mesh,
     Placement,
+    Scene,
     Solution,
     SymmetryRecord,
+    Trajectory,
 )
 from rpl_data.workspace import click_files, records
 from rpl_data.workspace.correction_records import corrections_from_json, corrections_to_json
@@ -40,6 +44,7 @@ from rpl_data.workspace.placement_records import placements_from_json, placement
 from rpl_data.workspace.scene_files import SceneFiles
 from rpl_data.workspace.summary import summary
 from rpl_data.workspace.symmetry_records import symmetry_from_json, symmetry_to_json
+from rpl_data.workspace.trajectory_text import trajectory_from_text, trajectory_to_text
 
 
 @dataclass(frozen=True, init=False, repr=False)
@@ -146,6 +151,16 @@ class Workspace(SceneFiles):
             return None
         with decoding(path, "delete it, and run `rpl symmetry` again"):
             return symmetry_from_json(read_json(path))
+
+    def save_path(self, object_name: str, place: str, scene: Scene, path: Trajectory) -> None:
+        """Write the camera's poses in the frame of an object that is moved in a scene."""
+        write_text(self.path_file(object_name, place), trajectory_to_text(scene, path))
+
+    def load_path(self, object_name: str, place: str, scene: Scene) -> Trajectory:
+        """Load the camera's poses in the frame of an object that is moved in a scene."""
+        path = self.path_file(object_name, place)
+        with decoding(path, "make it again with `rpl label --again true`"):
+            return trajectory_from_text(scene, read_text(path))
 
     # Labels ---------------------------------------------------------------------------------------
 

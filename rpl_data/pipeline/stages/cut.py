@@ -31,6 +31,8 @@ def cut_steps(context: Context) -> list[Step]:
         }
         messages: list[str] = []
         for video in videos:
+            if video in workspace.parts().moving:
+                continue  # depth at the object says nothing of the camera there
             drift = drift_from_json(read_json(workspace.drift_file(video)))
             chosen = choose_cut(video, drift, clicks, max_drift_m=max_drift_mm / 1000)
             workspace.cut_scene(video, chosen.spans)

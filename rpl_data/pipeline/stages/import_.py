@@ -69,6 +69,8 @@ def _options(source: SceneSource) -> Json:
     if source.topics is None:  # then as before there were any: what was imported stays
         del options["topics"]
     del options["masks"]  # which are not read with the recording
+    if not source.moving:
+        del options["moving"]
     return options
 
 

@@ -21,6 +21,7 @@ from rpl_data.label.label import label_frames, sample_frames
 from rpl_data.label.mask_check import MaskCheck
 from rpl_data.meshes import load_cloud, load_mesh
 from rpl_data.pipeline.context import Context, posed_frames, step
+from rpl_data.pipeline.followed import follow_objects, moved_objects
 from rpl_data.pipeline.given_masks import mask_options, object_masks
 from rpl_data.pipeline.ledger import Advance, Outcome, Step
 from rpl_data.types import FrameLabel
@@ -57,6 +58,10 @@ def _label_step(context: Context, video: str) -> Step:
         scene = workspace.load_scene(video)
         given, check = object_masks(context, video), MaskCheck()
         posed = posed_frames(scene, workspace.load_trajectory(scene))
+        followed: list[str] = []
+        if video in parts.moving:
+            found, followed = follow_objects(workspace, video, placed[video], posed, advance)
+            posed = [frame for frame in posed if frame.index in found]
         frames = sample_frames(posed, rate_hz=rate_hz)
         chosen = {
             name: [f.index for f in frames if parts.scene_at(video, f.index) == name] for name in placed
@@ -92,7 +97,7 @@ def _label_step(context: Context, video: str) -> Step:
             "corrected": {item: len(found) for item, found in moved_px.items()},
             **({} if given is None else {"given_masks": check.details()}),
         }
-        return Outcome(total, tuple(lines), details)
+        return Outcome(total, (*followed, *lines), details)
 
     before = [step for item in names for step in (context.placed_by(item), f"segment/{item}")]
     options: Json = {"rate_hz": rate_hz} | {name: context.frames_of(name) for name in placed if name != video}
@@ -144,7 +149,10 @@ def label_range(
     workspace = Workspace(root)
     scene = workspace.load_scene(name)
     trajectory = workspace.load_trajectory(scene)
-    bodies = [body for item in objects for body in scene_objects(workspace, item, name, dots=dots)]
+    if video in workspace.parts().moving:
+        bodies = [body for item in objects for body in moved_objects(workspace, item, name)]
+    else:
+        bodies = [body for item in objects for body in scene_objects(workspace, item, name, dots=dots)]
     frames, read = {frame.index: frame for frame in scene.frames}, workspace.depth_reader(scene)
     look = partial(read_grey, reduce=1)
     corrector = None

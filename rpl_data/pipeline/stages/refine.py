@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict
 
 from rpl_data.geometry import transform
@@ -36,7 +37,8 @@ def forget_refined(context: Context) -> None:
 
 def _refine_step(context: Context, item: ObjectRecipe) -> Step:
     workspace, voxel_m = context.workspace, context.recipe.reconstruct.voxel_m
-    scenes = sorted({scene_of(place) for place in workspace.load_solution(item.name).scene_from_object})
+    places = context.still_places(workspace.load_solution(item.name).scene_from_object)
+    scenes = sorted({scene_of(place) for place in places})
     crop = crop_of(workspace, item)
 
     def run(advance: Advance) -> Outcome:
@@ -50,11 +52,12 @@ def _refine_step(context: Context, item: ObjectRecipe) -> Step:
             return Outcome()
         hold = annotation.known_points is not None
         clicks = joint_clicks(solution, observe(workspace, item.name), hold_points=hold)
-        regions = scene_regions(workspace, solution, voxel_m, crop)
+        regions = scene_regions(workspace, solution, places, voxel_m, crop)
         found = refine_scenes(
             regions, clicks.scenes, clicks.scene_from_object, clicks.points_object, clicks.terms, clicks.costs
         )
-        verdicts = dict(zip(clicks.scenes, found.verdicts, strict=True))
+        judged = dict(zip(clicks.scenes, found.verdicts, strict=True))
+        verdicts = {name: verdict for name, verdict in judged.items() if name in places}
         if found.registered:
             solution = clicks.solved(
                 found.scene_from_object,
@@ -80,13 +83,15 @@ def _refine_step(context: Context, item: ObjectRecipe) -> Step:
 
 
 def scene_regions(
-    workspace: Workspace, solution: Solution, voxel_m: float, crop_m: Box3 | None
+    workspace: Workspace, solution: Solution, places: Sequence[str], voxel_m: float, crop_m: Box3 | None
 ) -> dict[str, PointCloud]:
     """The object's surface as each scene saw it, scene frame; one per instance."""
     from rpl_data.segment.segment import grown_regions
 
     surfaces = {
-        place: load_mesh(workspace.surface_file(scene_of(place))) for place in solution.scene_from_object
+        place: load_mesh(workspace.surface_file(scene_of(place)))
+        for place in places
+        if place in solution.scene_from_object
     }
     regions = {}
     for name, region in grown_regions(surfaces, solution, voxel_m=voxel_m, crop_m=crop_m).items():

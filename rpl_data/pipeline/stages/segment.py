@@ -13,7 +13,7 @@ from rpl_data.pipeline.given_masks import mask_options, object_masks
 from rpl_data.pipeline.ledger import Advance, Outcome, Step, stamps
 from rpl_data.pipeline.placements import standing
 from rpl_data.pipeline.recipe import ObjectRecipe
-from rpl_data.types import Mesh, Solution
+from rpl_data.types import DataError, Mesh, Solution
 from rpl_data.types.instances import places_in, scene_of
 from rpl_data.workspace.workspace import Workspace
 
@@ -44,7 +44,7 @@ def _segment_step(context: Context, item: ObjectRecipe) -> Step:
     outside = standing(workspace, item.name)
     places = [
         place
-        for scene in context.placed_scenes()
+        for scene in context.still_places(context.placed_scenes())
         for place in places_in(scene, scene_from_object)
         if place not in outside
     ]
@@ -60,6 +60,11 @@ def _segment_step(context: Context, item: ObjectRecipe) -> Step:
         from rpl_data.segment import METHODS
         from rpl_data.segment.segment import segment_object
 
+        if not places:
+            raise DataError(
+                f"object {item.name} was only filmed while it was moved, and single frames make no dense "
+                "model: film it standing still, from all sides, in one more scene, and click it there"
+            )
         solution = workspace.load_placed(item.name)
         surfaces = {place: load_mesh(workspace.surface_file(scene_of(place))) for place in places}
         views = [view for name in places for view in depth_views(workspace, name, solution)]

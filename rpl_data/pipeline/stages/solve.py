@@ -158,7 +158,7 @@ def trajectory_sigmas_m(workspace: Workspace, scenes: Iterable[str]) -> dict[str
     parts, found = workspace.parts(), {}
     for scene in scenes:
         file = workspace.drift_file(parts.video_of(scene))
-        if file.exists():
+        if file.exists() and parts.video_of(scene) not in parts.moving:  # there it measures the objects
             drift = drift_from_json(read_json(file))
             strayed_m = float(np.sqrt(max(drift.whole_m**2 - drift.noise_m**2, 0.0)))
             found[scene] = STRAYED_SHARE * strayed_m

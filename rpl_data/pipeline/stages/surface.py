@@ -19,8 +19,8 @@ VERSION = 2
 
 
 def surface_steps(context: Context) -> list[Step]:
-    """Plan the steps that fuse the depth near the objects, one per scene."""
-    return [_surface_step(context, scene) for scene in context.placed_scenes()]
+    """Plan the steps that fuse the depth near the objects, one per scene in which they stand still."""
+    return [_surface_step(context, scene) for scene in context.still_places(context.placed_scenes())]
 
 
 def _surface_step(context: Context, name: str) -> Step:
