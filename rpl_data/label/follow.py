@@ -10,7 +10,7 @@ does not hold is lost; the next one starts from the last that held.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -20,8 +20,8 @@ from rpl_data.geometry import Points, Transform, depth_sigma_m, invert, transfor
 from rpl_data.label.alone import Body, ObjectAlone, object_alone
 from rpl_data.label.masks import MaskPatch, Window
 from rpl_data.label.occlusion import FAR_M, Tolerances, hidden_pixels
-from rpl_data.label.print_alignment import print_equations, step_between, stepped
-from rpl_data.label.prints import BLURS_PX, FEWEST_POINTS, Look, Print, look_at, print_of
+from rpl_data.label.print_alignment import likeness, print_equations, step_between, stepped
+from rpl_data.label.prints import FEWEST_POINTS, Print, look_at, print_of
 from rpl_data.label.references import view_direction
 from rpl_data.raycast import PixelTable
 from rpl_data.types import DepthImage, Frame, GreyImage, ReadDepth
@@ -30,9 +30,16 @@ PREDICTED_RAD, PREDICTED_M = 0.15, 0.03
 """Standard deviation of a predicted pose, per axis."""
 BESIDE_PX = 12
 """Depth is taken from the object's silhouette and so far around it, since it may have moved."""
-MOST_POINTS = 1200
-GATES_M = (0.03, 0.015, 0.008)
-"""Depth points farther than this from the mesh count for little, per blur of the print: coarse to fine."""
+MOST_POINTS = 600
+ROUNDS: tuple[tuple[float, int | None], ...] = (
+    (0.03, None),
+    (0.012, None),
+    (0.008, 0),
+    (0.008, 1),
+    (0.008, 2),
+)
+"""Coarse to fine: how far from the mesh depth points count for little, and with which of its blurs the print
+takes part. A print is laid wrongly where the guess is farther off than it is blurred: depth comes first."""
 STEPS = 6
 """Steps per blur, at most."""
 CONVERGED = 2e-4
@@ -43,12 +50,15 @@ MESH_SIGMA_M = 0.002
 """A mesh that was fused from depth lies about this far from the surface."""
 LEAST_PX = 150
 """An object that shows fewer pixels with depth is too small, or too hidden, to follow."""
-LEAST_NEAR = 0.6
+LEAST_NEAR = 0.75
 """Share of the pixels that nothing hides whose depth must lie within `NEAR_M` of the mesh's."""
 NEAR_M = 0.01
 MOST_THROUGH = 0.15
 """Share of the pixels through which the camera may see what lies behind: edges do that, an absent object does
 it everywhere."""
+LEAST_LIKE = 0.7
+"""Correlation of the print with those of similar views: above 0.9 at right poses, 0.5 to 0.8 at poses ten
+degrees off (measured on a rendered carton)."""
 APART_RAD = np.deg2rad(20.0)
 """A view this far from those of all prints gives a print of its own."""
 FAR_ROWS = 10**9
@@ -92,7 +102,7 @@ def follow(
     starts = [
         row
         for row, frame in enumerate(frames)
-        if frame.index in known and follower.settle(frame, known[frame.index], clicked=True)
+        if frame.index in known and follower.settle(frame, [known[frame.index]], clicked=True)
     ]
     order = sorted(range(len(frames)), key=lambda row: _to_nearest(row, starts)[0])
     for done, row in enumerate(order):
@@ -108,6 +118,26 @@ def follow(
 def _to_nearest(row: int, starts: Sequence[int]) -> tuple[int, int]:
     """How many rows away the nearest start is, and which row it is; far away without any."""
     return min(((abs(row - start), start) for start in starts), default=(FAR_ROWS, row))
+
+
+@dataclass(frozen=True)
+class _Judged:
+    """A pose, and how it fits a frame.
+
+    Attributes:
+        problem: why it does not hold; empty where it does.
+        like: correlation of the print with that of other frames; 0 where there is none to compare.
+        near, through: shares of the object's pixels whose depth is the mesh's, and lies behind it.
+        alone, visible: the object there, and its pixels that nothing hides.
+    """
+
+    camera_from_object: Transform
+    problem: str
+    near: float = 0.0
+    through: float = 1.0
+    like: float = 0.0
+    alone: ObjectAlone | None = None
+    visible: MaskPatch = field(default_factory=lambda: np.zeros((0, 0), bool))
 
 
 @dataclass
@@ -131,25 +161,22 @@ class _Follower:
         if len(before) == 2 and abs(before[0] - before[1]) == abs(before[0] - frame.index):
             last, earlier = (self.found[index] for index in before)
             guesses.insert(0, last @ invert(earlier) @ last)
-        for guess in guesses:
-            if self.settle(frame, guess):
-                return
+        self.settle(frame, guesses)
 
-    def settle(self, frame: Frame, guess: Transform, *, clicked: bool = False) -> bool:
-        """Find the pose from a guess, and keep it where it holds; returns whether it does."""
+    def settle(self, frame: Frame, guesses: Sequence[Transform], *, clicked: bool = False) -> bool:
+        """Find the pose from guesses, and keep the best where it holds; returns whether it does."""
         if frame.depth is None:
             self.lost[frame.index] = "it has no depth image"
             return False
         depth_m, grey = self.read_depth(frame), self.read_grey(frame)
-        pose = self._drawn(guess, depth_m, grey)
-        problem, seen = self._problem(pose, depth_m)
-        if problem:
-            self.lost[frame.index] = problem
+        tried = [self._judged(self._drawn(guess, depth_m, grey), depth_m) for guess in guesses]
+        tried = [self._beside_prints(one, grey) for one in tried]
+        best = max(tried, key=lambda one: one.near - one.through + one.like)
+        if best.problem or best.alone is None:
+            self.lost[frame.index] = best.problem
             return False
-        self.lost.pop(frame.index, None)
-        self.found[frame.index] = pose
-        if seen is not None:
-            self._remember(pose, *seen, grey, new=clicked)
+        self.found[frame.index] = best.camera_from_object
+        self._remember(best.camera_from_object, best.alone, best.visible, grey, new=clicked)
         return True
 
     def _drawn(self, guess: Transform, depth_m: DepthImage, grey: GreyImage) -> Transform:
@@ -157,17 +184,18 @@ class _Follower:
         known = np.diag([PREDICTED_RAD**-2] * 3 + [PREDICTED_M**-2] * 3)
         middle = np.nanmean(self.body.item.model.points_object, axis=0)
         pose = guess
-        for level, gate_m in enumerate(GATES_M[: len(BLURS_PX)]):
+        for gate_m, level in ROUNDS:
             alone = object_alone(self.camera, self.body, pose)
             if alone is None:
                 return pose
             points = self._measured(alone, depth_m)
-            look, prints = self._look(alone, depth_m, grey), self._nearest_prints(pose)
+            look = look_at(grey, alone, self._visible(alone, depth_m))
+            prints = [] if level is None else self._nearest_prints(pose)
             for _ in range(STEPS):
                 centre = transform(pose, middle)
                 information, pull = known.copy(), known @ step_between(pose, guess, centre)
                 terms = [_depth_equations(self.body, points, pose, centre, gate_m)]
-                terms += [print_equations(self.camera, look, one, pose, centre, level) for one in prints]
+                terms += [print_equations(self.camera, look, one, pose, centre, level or 0) for one in prints]
                 for more, towards in terms:
                     information, pull = information + more, pull + towards
                 step = np.linalg.solve(information, pull)
@@ -193,9 +221,6 @@ class _Follower:
         directions = self.camera.directions[rows, columns][row, column].astype(np.float64)
         return directions * patch[row, column, None].astype(np.float64)
 
-    def _look(self, alone: ObjectAlone, depth_m: DepthImage, grey: GreyImage) -> Look:
-        return look_at(grey, alone, self._visible(alone, depth_m))
-
     def _visible(self, alone: ObjectAlone, depth_m: DepthImage) -> MaskPatch:
         nothing = np.full_like(alone.depth_m, FAR_M)
         hidden = hidden_pixels(alone.depth_m, nothing, depth_m[alone.window], Tolerances())
@@ -206,23 +231,38 @@ class _Follower:
         view = view_direction(pose)
         return [one for _, one in sorted(self.prints, key=lambda kept: -float(kept[0] @ view))[:PRINTS]]
 
-    def _problem(
-        self, pose: Transform, depth_m: DepthImage
-    ) -> tuple[str, tuple[ObjectAlone, MaskPatch] | None]:
-        """Why a pose does not hold, empty where it does; and what is seen of the object there."""
+    def _judged(self, pose: Transform, depth_m: DepthImage) -> _Judged:
+        """Whether a pose holds."""
         alone = object_alone(self.camera, self.body, pose)
         if alone is None:
-            return "the object left the image", None
+            return _Judged(pose, "the object left the image")
         visible, measured = self._visible(alone, depth_m), depth_m[alone.window]
         compared = visible & (measured > 0) & (alone.depth_m < FAR_M)
         if np.count_nonzero(compared) < LEAST_PX:
-            return "too few of its pixels are seen with depth: it is too far, hidden, or out of view", None
+            return _Judged(
+                pose, "too few of its pixels are seen with depth: it is too far, hidden, or out of view"
+            )
         behind_m = measured[compared] - alone.depth_m[compared]
         through = float((behind_m > Tolerances().depth_at_m(alone.depth_m[compared])).mean())
         near = float((np.abs(behind_m) < NEAR_M).mean())
+        problem = ""
         if through > MOST_THROUGH or near < LEAST_NEAR:
-            return "its depth does not fit the object's shape where it should be", None
-        return "", (alone, visible)
+            problem = "depth does not show the object's shape where it should be"
+        return _Judged(pose, problem, near, through, 0.0, alone, visible)
+
+    def _beside_prints(self, judged: _Judged, grey: GreyImage) -> _Judged:
+        """A pose that depth allows, beside what other frames show printed on the object."""
+        pose, prints = judged.camera_from_object, self._nearest_prints(judged.camera_from_object)
+        if judged.problem or judged.alone is None:
+            return judged
+        look = look_at(grey, judged.alone, judged.visible)
+        like = [likeness(self.camera, look, one, pose) for one in prints]
+        found = [one for one in like if np.isfinite(one)]
+        if not found:
+            return judged
+        unlike = max(found) < LEAST_LIKE
+        problem = "what is printed on the object is not found where it should be" if unlike else ""
+        return replace(judged, like=max(found), problem=problem)
 
     def _remember(
         self, pose: Transform, alone: ObjectAlone, visible: MaskPatch, grey: GreyImage, *, new: bool

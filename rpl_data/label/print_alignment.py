@@ -91,6 +91,19 @@ def disagreements(
     return squared / (1 + squared), seen
 
 
+def likeness(camera: PixelTable, look: Look, found: Print, pose: Transform) -> float:
+    """Correlation of a print with the frame at a pose, -1 to 1; NaN where too little of it is seen."""
+    points = transform(pose, found.points)
+    uv_px = project(camera.intrinsics, points)
+    seen = look.sees(uv_px, points[:, 2])
+    if np.count_nonzero(seen) < FEWEST_POINTS // 2:
+        return float("nan")
+    here, there = look.at(look.levels[-1][0], uv_px[seen]), found.brightness[-1][seen]
+    if min(here.std(), there.std()) < LEAST_SPREAD:
+        return float("nan")
+    return float(np.corrcoef(here, there)[0, 1])
+
+
 @dataclass(frozen=True)
 class _Compared:
     """A print beside a frame: its points there, where they project, and how much brightness differs."""
