@@ -17,7 +17,7 @@ from rpl_data.clicks.log import Annotation, Event
 from rpl_data.json_arrays import Json, numbers, rows_to_json
 from rpl_data.overlay import keypoint_color
 from rpl_data.types import ClickResidual, Solution, Statement
-from rpl_data.types.instances import places_in
+from rpl_data.types.instances import frame_of, places_in
 from rpl_data.types.keypoint_names import keypoint_titles
 
 
@@ -119,9 +119,16 @@ def result_payload(result: Result, scenes: Sequence[str]) -> Json:
 
 
 def places_of(annotation: Annotation, scenes: Sequence[str]) -> list[str]:
-    """The scenes, each followed by the places of further instances that were clicked in it."""
-    clicked = {click.scene for click in annotation.clicks}
-    return [place for scene in scenes for place in sorted({scene, *places_in(scene, clicked)})]
+    """The scenes, each followed by the places of further instances that were clicked in it.
+
+    Of a scene in which the object is moved, the clicked frames alone.
+    """
+    clicked, found = {click.scene for click in annotation.clicks}, []
+    for scene in scenes:
+        there = places_in(scene, clicked)
+        moved = any(frame_of(place) is not None for place in there)
+        found += there if moved else sorted({scene, *there})
+    return found
 
 
 def _sigmas_mm(solution: Solution) -> list[float | None]:

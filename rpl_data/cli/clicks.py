@@ -58,7 +58,8 @@ def clicks_import(file: Path, workspace: Path = HERE, proposed: bool = False, re
     Example: rpl clicks import corrected.csv --workspace my-workspace
 
     Args:
-        file: columns object,keypoint,scene,frame,u_px,v_px; a keypoint by name, or by number from 0.
+        file: columns object,keypoint,scene,frame,u_px,v_px; a keypoint by name, or by
+            number from 0; also `instance`, where a scene shows several of an object.
         workspace: a folder made by `rpl build` or `rpl import`.
         proposed: the clicks are a program's (`rpl predict poses --clicks`): what a person decided
             stays, and they only fill in keypoints that were neither clicked in that scene nor declared not

@@ -48,9 +48,7 @@ def recordings_of(
 
 
 def _recorded(source: SceneSource) -> dict[str, Any]:
-    """All that a source says of its recordings: not the masks, nor whether
-    its objects move.
-    """
+    """All that a source says of its recordings: neither masks, nor whether objects move."""
     return {name: value for name, value in vars(source).items() if name not in ("masks", "moving")}
 
 

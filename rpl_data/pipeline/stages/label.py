@@ -90,7 +90,8 @@ def _label_step(context: Context, video: str) -> Step:
         workspace.save_labels(video, counted())
         notes = [] if given is None else [f"scene {video}: {line}" for line in given.notes]
         lines = [*notes, *check.lines(video)]
-        lines += [corrected_line(video, item, moved_px[item], counts[item]) for item in sorted(moved_px)]
+        path = "the path that was followed" if followed else "the camera path"
+        lines += [corrected_line(video, item, moved_px[item], counts[item], path) for item in sorted(moved_px)]
         details = {
             "instances": {item: counts[item] for item in names},
             "posed": len(posed),
@@ -119,12 +120,12 @@ def _label_step(context: Context, video: str) -> Step:
     )
 
 
-def corrected_line(video: str, item: str, moved_px: Sequence[float], labels: int) -> str:
+def corrected_line(video: str, item: str, moved_px: Sequence[float], labels: int, path: str) -> str:
     """Says how many labels of an object were corrected in their frames, and by how much."""
     return (
         f"scene {video}: {item} is corrected in {len(moved_px)} of {counted(labels, 'frame')} by what is "
         f"printed on it, by {np.median(moved_px):.1f} px (median), {max(moved_px):.1f} px at most; the other "
-        "labels follow the camera path"
+        f"labels keep to {path}"
     )
 
 

@@ -65,7 +65,11 @@ export function rowOf(sceneName, index) {
 }
 
 export const clicksIn = (sceneName, frameIndex) =>
-  (app.state?.clicks || []).filter((c) => c.scene === sceneName && (frameIndex == null || c.frame === frameIndex));
+  (app.state?.clicks || []).filter((c) => isIn(c, sceneName) && (frameIndex == null || c.frame === frameIndex));
+
+// Where the object is moved while it is filmed, each clicked frame is a place of its own: 00/@12, 00/2@12.
+const isIn = (click, place) =>
+  click.scene === place || click.scene === `${place}${place.includes("/") ? "" : "/"}@${click.frame}`;
 
 export const residualOf = (click) =>
   app.result?.clicks.find((r) => r.keypoint === click.keypoint && r.scene === click.scene && r.frame === click.frame);
