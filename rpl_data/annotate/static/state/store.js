@@ -69,7 +69,7 @@ export const clicksIn = (sceneName, frameIndex) =>
 
 // Where the object is moved while it is filmed, each clicked frame is a place of its own: 00/@12, 00/2@12.
 const isIn = (click, place) =>
-  click.scene === place || click.scene === `${place}${place.includes("/") ? "" : "/"}@${click.frame}`;
+  click.scene === place || click.scene === `${place}${place?.includes("/") ? "" : "/"}@${click.frame}`;
 
 export const residualOf = (click) =>
   app.result?.clicks.find((r) => r.keypoint === click.keypoint && r.scene === click.scene && r.frame === click.frame);
