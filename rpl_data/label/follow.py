@@ -288,17 +288,13 @@ def _depth_equations(
     offset_m = points - transform(pose, nearest.points)
     before_m = (offset_m * normals).sum(axis=1)
     sigma_m = np.hypot(np.asarray(depth_sigma_m(points[:, 2])), MESH_SIGMA_M)
-    scale_m = np.maximum(gate_m, 3 * sigma_m)
-    weight = 1 / (1 + ((offset_m**2).sum(axis=1) / scale_m**2)) ** 2 / sigma_m**2
-    surface = points - offset_m - centre
-    rows = np.hstack([np.cross(surface, normals), normals])
+    weight = 1 / (1 + (offset_m**2).sum(axis=1) / np.maximum(gate_m, 3 * sigma_m) ** 2) ** 2 / sigma_m**2
+    rows = np.hstack([np.cross(points - offset_m - centre, normals), normals])
     weighted = rows * weight[:, None]
     return INDEPENDENT * weighted.T @ rows, INDEPENDENT * weighted.T @ before_m
 
 
 def _widened(window: Window, shape: tuple[int, ...]) -> Window:
-    rows, columns = window
-    return (
-        slice(max(rows.start - BESIDE_PX, 0), min(rows.stop + BESIDE_PX, shape[0])),
-        slice(max(columns.start - BESIDE_PX, 0), min(columns.stop + BESIDE_PX, shape[1])),
-    )
+    low = [max(side.start - BESIDE_PX, 0) for side in window]
+    high = [min(side.stop + BESIDE_PX, size) for side, size in zip(window, shape, strict=True)]
+    return slice(low[0], high[0]), slice(low[1], high[1])

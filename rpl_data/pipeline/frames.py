@@ -14,6 +14,7 @@ from rpl_data.pipeline.context import Context
 from rpl_data.pipeline.recipe import FrameChoice
 from rpl_data.pipeline.symmetry import frame_change
 from rpl_data.types import DataError, FrameLabel, KeypointModel
+from rpl_data.types.instances import scene_of
 from rpl_data.workspace.workspace import Workspace
 
 ALIKE_DEG = 15.0
@@ -88,7 +89,8 @@ def _support_normals(context: Context, name: str) -> list[Float64[np.ndarray, "3
     from rpl_data.place.things import things_on_support
 
     workspace, normals = context.workspace, []
-    for scene, pose in workspace.load_placed(name).scene_from_object.items():
+    for place, pose in workspace.load_placed(name).scene_from_object.items():
+        scene = scene_of(place)
         if not workspace.surface_file(scene).exists():
             continue
         surface = thinned(oriented_points(load_mesh(workspace.surface_file(scene))), voxel_m=SURFACE_M)
