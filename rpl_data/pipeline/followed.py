@@ -20,7 +20,7 @@ from rpl_data.wording import counted
 from rpl_data.workspace.workspace import Workspace
 
 FOLLOWED_M = 0.003
-"""Standard deviation per axis of the keypoints of an object that was drawn to its mesh in a frame: the position
+"""Standard deviation per axis of the keypoints of an object drawn to its mesh in a frame: the position
 of a rendered carton was off by 1.4 mm, that of a kettle with a poorer mesh by 3.9 mm."""
 NAMED = 6
 """Lost frames named per line."""
