@@ -79,10 +79,12 @@ def _label_step(context: Context, video: str) -> Step:
             for done, label in enumerate(labels(), start=1):
                 advance(done, total)
                 counts.update(instance.object for instance in label.instances)
+                shown = Counter(instance.object for instance in label.instances)
                 for instance in label.instances:
                     if instance.corrected_px is not None:
                         moved_px.setdefault(instance.object, []).append(instance.corrected_px)
-                    if given is not None and instance.object in given.keys:
+                    # Which of several instances a given mask is of is not known.
+                    if given is not None and instance.object in given.keys and shown[instance.object] == 1:
                         mask = given.mask(instance.object, label.frame, scene)
                         check.add(instance.object, label.frame, instance.mask, mask)
                 yield label
@@ -91,7 +93,9 @@ def _label_step(context: Context, video: str) -> Step:
         notes = [] if given is None else [f"scene {video}: {line}" for line in given.notes]
         lines = [*notes, *check.lines(video)]
         path = "the path that was followed" if followed else "the camera path"
-        lines += [corrected_line(video, item, moved_px[item], counts[item], path) for item in sorted(moved_px)]
+        lines += [
+            corrected_line(video, item, moved_px[item], counts[item], path) for item in sorted(moved_px)
+        ]
         details = {
             "instances": {item: counts[item] for item in names},
             "posed": len(posed),

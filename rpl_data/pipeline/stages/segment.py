@@ -131,7 +131,9 @@ def mask_views(context: Context, scene_name: str, solution: Solution) -> list[Ma
     name = solution.model.name
     if given is None or name not in given.keys:
         return []
-    scene = workspace.load_scene(scene_name)
+    if len(places_in(scene_of(scene_name), solution.scene_from_object)) > 1:
+        return []  # which of several instances a mask is of is not known
+    scene = workspace.load_scene(scene_of(scene_name))
     trajectory, read = workspace.load_trajectory(scene), workspace.depth_reader(scene)
     pose = solution.scene_from_object[scene_name]
     posed = posed_frames(scene, trajectory)
