@@ -87,7 +87,7 @@ def described(event: Event | None, keypoints: tuple[str, ...]) -> str | None:
 def result_payload(result: Result, scenes: Sequence[str]) -> Json:
     """Describe the solution of a revision, how well it fits each scene and click, and what to do next."""
     revision, live = result.revision, result.live
-    solution = live.solution
+    solution, places = live.solution, places_of(revision.annotation, scenes)
     return {
         "revision": revision.number,
         "problem": live.problem,
@@ -110,11 +110,7 @@ def result_payload(result: Result, scenes: Sequence[str]) -> Json:
         ],
         "grasp": None if result.grasp is None else numbers(result.grasp, 7),
         "grasp_problem": result.grasp_problem,
-        "next": asdict(
-            next_step(
-                revision.annotation, live, places_of(revision.annotation, scenes), result.rough_scenes()
-            )
-        ),
+        "next": asdict(next_step(revision.annotation, live, places, result.rough_scenes())),
     }
 
 

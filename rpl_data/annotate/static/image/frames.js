@@ -36,8 +36,10 @@ export async function suggestions(name) {
 export async function ensureScene(name) {
   if (app.poses[name]) return;
   const [details, poses] = await fetchScene(name);
-  app.scenes[name] = details;
-  app.poses[name] = poses;
+  for (const place of [name, sceneOf(name)]) {
+    app.scenes[place] = details;
+    app.poses[place] = poses;
+  }
 }
 
 async function fetchScene(name) {
@@ -51,7 +53,7 @@ async function fetchScene(name) {
 export async function refreshScenes() {
   const stays = app.workspace.scenes.includes(sceneOf(app.scene)), name = stays ? app.scene : app.workspace.scenes[0];
   const index = stays ? frame() : 0, [details, poses] = await fetchScene(name);
-  Object.assign(app, { scenes: { [name]: details }, poses: { [name]: poses }, suggestions: {} });
+  Object.assign(app, { scenes: { [name]: details, [sceneOf(name)]: details }, poses: { [name]: poses, [sceneOf(name)]: poses }, suggestions: {} });
   change({ scene: name, row: rowOf(name, index) });
 }
 

@@ -4,7 +4,7 @@ import { apply, multiply, poseAt } from "../image/camera.js";
 import { ensureScene } from "../image/frames.js";
 import { addToggle, addTraces, SCENE_COLORS, xyz } from "./solid.js";
 import { shownScenes } from "./dense.js";
-import { app, change } from "../state/store.js";
+import { app, change, places } from "../state/store.js";
 
 const MOST = 300; // points per scene
 const loading = new Set();
@@ -19,7 +19,7 @@ function traces() {
   const scenes = shownScenes();
   for (const { name } of scenes) if (!app.poses[name]) load(name);
   return scenes.filter(({ name }) => app.poses[name]).flatMap(({ name, moved }) => {
-    const { index, table } = app.poses[name], color = SCENE_COLORS[app.workspace.scenes.indexOf(name) % SCENE_COLORS.length];
+    const { index, table } = app.poses[name], color = SCENE_COLORS[places().indexOf(name) % SCENE_COLORS.length];
     const centre = (row) => { const [x, y, z] = table.subarray(8 * row + 1, 8 * row + 4); return moved ? apply(moved, [x, y, z]) : [x, y, z]; };
     const count = Math.min(MOST, index.length), rows = Array.from({ length: count }, (_, i) => Math.round((i * (index.length - 1)) / Math.max(1, count - 1)));
     const path = { type: "scatter3d", mode: "lines", name: `camera ${name}`, showlegend: false, ...xyz(rows.map(centre)), line: { color, width: 4 }, hoverinfo: "skip" };
