@@ -135,19 +135,28 @@ def run_one(
 
 def _parsed(parser: ArgumentParser, arguments: Sequence[str] | None) -> Any:
     given = sys.argv[1:] if arguments is None else list(arguments)
-    return parser.instantiate(parser.parse_args(with_switches(parser, given)))
+    return parser.instantiate(parser.parse_args(as_spelt(parser, given)))
 
 
-def with_switches(parser: ArgumentParser, arguments: Sequence[str]) -> list[str]:
-    """Arguments in which `--again` alone, of an option that is true or false, stands for `--again true`."""
+def as_spelt(parser: ArgumentParser, arguments: Sequence[str]) -> list[str]:
+    """Arguments as the parser knows them.
+
+    `--again` alone, of an option that is true or false, stands for `--again true`; `--min-quality` for
+    `--min_quality`.
+    """
     told: list[str] = []
     for number, word in enumerate(arguments):
-        told.append(word)
-        following = arguments[number + 1] if number + 1 < len(arguments) else ""
         below = next((action.choices for action in parser._actions if action.dest == "subcommand"), None)
         if isinstance(below, Mapping) and word in below:
             parser = below[word]
-        action = parser._option_string_actions.get(word)
+        known = parser._option_string_actions
+        name, is_one, value = word.partition("=")
+        underscored = "--" + name[2:].replace("-", "_")
+        if name.startswith("--") and name not in known and underscored in known:
+            word = underscored + is_one + value
+        told.append(word)
+        following = arguments[number + 1] if number + 1 < len(arguments) else ""
+        action = known.get(word)
         if action is not None and action.metavar == SWITCH and following.lower() not in SWITCHED:
             told.append("true")
     return told

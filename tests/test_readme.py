@@ -12,7 +12,6 @@ from typing import Any
 import pytest
 
 from rpl_data.cli.main import COMMANDS
-from rpl_data.pipeline.build import STAGES
 from training.commands import PROGRAMS
 from training.commands import program_of as function_of
 from training.reproduce.__main__ import COMMANDS as EXPERIMENTS
@@ -46,7 +45,7 @@ def test_bash_blocks_run(line: str) -> None:
 def test_console_blocks_parse(line: str) -> None:
     from jsonargparse import auto_parser
 
-    from rpl_data.command_line import parser_of, with_switches
+    from rpl_data.command_line import as_spelt, parser_of
 
     words = shlex.split(line)
     if words[0] == "pip":
@@ -59,7 +58,7 @@ def test_console_blocks_parse(line: str) -> None:
     else:
         parser = auto_parser(program)
     parser.exit_on_error = False
-    parsed = parser.parse_args(with_switches(parser, with_preset_files(arguments)))
+    parsed = parser.parse_args(as_spelt(parser, with_preset_files(arguments)))
     assert not isinstance(program, dict) or parsed.subcommand in program
 
 
@@ -83,8 +82,3 @@ def test_links_lead_somewhere() -> None:
     )
     assert named
     assert all((ROOT / name).exists() for name in [*named, "LICENSE", "CHANGELOG.md"])
-
-
-def test_stage_table_is_the_build() -> None:
-    rows = re.findall(r"^\| `(\w+)` \|", README, re.M)
-    assert rows == list(STAGES)

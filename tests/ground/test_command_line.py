@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from rpl_data.cli.main import COMMANDS, main
-from rpl_data.command_line import one_line, parser_of, with_switches
+from rpl_data.command_line import as_spelt, one_line, parser_of
 from rpl_data.pipeline.recipe_file import load_recipe
 
 
@@ -62,13 +62,15 @@ def test_the_recipe_in_the_help_is_one(tmp_path, capsys: pytest.CaptureFixture[s
         (["solve", "--again", "false"], ["solve", "--again", "false"]),
         (["solve", "--again", "--workspace", "ws"], ["solve", "--again", "true", "--workspace", "ws"]),
         (["register", "--auto", "cube", "00"], ["register", "--auto", "true", "cube", "00"]),
+        (["export", "--min-quality", "0.5"], ["export", "--min_quality", "0.5"]),
+        (["export", "--min-quality=0.5"], ["export", "--min_quality=0.5"]),
         (["build", "my.yaml", "--again", "solve"], ["build", "my.yaml", "--again", "solve"]),
         (["clicks", "import", "a.csv", "--proposed"], ["clicks", "import", "a.csv", "--proposed", "true"]),
     ],
 )
-def test_a_switch_needs_no_value(arguments: list[str], expected: list[str]) -> None:
+def test_switches_need_no_value_and_dashes_will_do(arguments: list[str], expected: list[str]) -> None:
     parser = parser_of(COMMANDS, program="rpl", description="")
-    assert with_switches(parser, arguments) == expected
+    assert as_spelt(parser, arguments) == expected
 
 
 def test_a_shell_completes_commands_and_options(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
