@@ -26,8 +26,9 @@ SURE = 0.9
 MOST_FRAMES, MOST_IN_STRETCH = 24, 12
 """Frames that are aligned to one another: of a whole recording, however long it is, and of a stretch."""
 
-EXPLAINED = 0.5
-"""A constant fault that leaves more than this share of the drift does not explain it."""
+EXPLAINED = 0.2
+"""A constant fault that leaves more than this share of the drift does not explain it, unless what it leaves
+is surely within the limit."""
 
 
 def drift_findings(
@@ -70,8 +71,9 @@ def explains(
 ) -> bool:
     """Whether constant faults explain what the images say of the poses, so that drift is not needed.
 
-    They do where the poses of each stretch fit its images under the corrected geometry, or at least twice as
-    well as under the given one. Within a stretch, frames are near in time and have drifted little.
+    They do where the poses of each stretch surely fit its images under the corrected geometry, or at least
+    five times as well as under the given one: a gross fault with drift beside it is mended first. Within a
+    stretch, frames are near in time and have drifted little.
 
     Args:
         corrected: the geometry after the corrections.
@@ -83,7 +85,7 @@ def explains(
         rows = slice(first, first + len(frames))
         first += len(frames)
         left = _in_stretch(scene, frames, _rows_of(corrected, rows), depths_m[rows])
-        if left.sure_beyond(MAX_DRIFT_MM / 1000) < SURE:
+        if 1 - left.sure_beyond(MAX_DRIFT_MM / 1000) >= SURE:
             continue
         before = _in_stretch(scene, frames, _rows_of(given, rows), depths_m[rows])
         if left.whole_m > EXPLAINED * before.whole_m:
