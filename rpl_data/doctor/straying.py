@@ -14,12 +14,14 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float32
 
-from rpl_data.doctor.consistency import Geometry
+from rpl_data.doctor.consistency import Geometry, choose_pairs, differences
 from rpl_data.doctor.findings import Finding
 from rpl_data.drift.drift import MAX_DRIFT_MM, Drift, cut, measure_drift
 from rpl_data.geometry import rays
 from rpl_data.images import read_grey
 from rpl_data.types import DataError, DepthImage, Frame, Intrinsics, ReadDepth, Scene, Trajectory
+
+Depths = Float32[np.ndarray, "n height width"]
 
 SURE = 0.9
 
@@ -40,7 +42,7 @@ def drift_findings(
         read_depth: reads a depth image; all 0 where it is damaged.
         advance: called with the number of images read and of all images.
     """
-    drift = _drift(scene, trajectory, read_depth, MOST_FRAMES, advance)
+    drift, _ = _drift(scene, trajectory, read_depth, MOST_FRAMES, advance)
     said = (
         f"over the recording the poses drift by {1000 * drift.whole_m:.0f} mm, beyond the "
         f"{1000 * drift.noise_m:.0f} mm that neighbouring depth images differ by"
@@ -67,13 +69,13 @@ def explains(
     *,
     scene: Scene,
     stretches: tuple[tuple[Frame, ...], ...],
-    depths_m: Float32[np.ndarray, "n height width"],
+    depths_m: Depths,
 ) -> bool:
     """Whether constant faults explain what the images say of the poses, so that drift is not needed.
 
     They do where the poses of each stretch surely fit its images under the corrected geometry, or at least
-    five times as well as under the given one: a gross fault with drift beside it is mended first. Within a
-    stretch, frames are near in time and have drifted little.
+    five times as well as under the given one (a gross fault with drift beside it is mended first), and where
+    depth agrees no better on the path by the images. Frames of a stretch are near in time and drift little.
 
     Args:
         corrected: the geometry after the corrections.
@@ -84,13 +86,27 @@ def explains(
     for frames in stretches:
         rows = slice(first, first + len(frames))
         first += len(frames)
-        left = _in_stretch(scene, frames, _rows_of(corrected, rows), depths_m[rows])
+        left, _ = _in_stretch(scene, frames, _rows_of(corrected, rows), depths_m[rows])
         if 1 - left.sure_beyond(MAX_DRIFT_MM / 1000) >= SURE:
             continue
-        before = _in_stretch(scene, frames, _rows_of(given, rows), depths_m[rows])
-        if left.whole_m > EXPLAINED * before.whole_m:
+        before, path = _in_stretch(scene, frames, _rows_of(given, rows), depths_m[rows])
+        if path is None or left.whole_m <= EXPLAINED * before.whole_m:
+            continue
+        if _agrees_better(path, frames, _rows_of(given, rows), _rows_of(corrected, rows), depths_m[rows]):
             return False
     return True
+
+
+def _agrees_better(
+    path: Trajectory, frames: tuple[Frame, ...], given: Geometry, corrected: Geometry, depths_m: Depths
+) -> bool:
+    """Whether depth agrees better on the path, all else as given, than under the corrected geometry."""
+    used = np.flatnonzero(np.isin([frame.index for frame in frames], path.frames))
+    compared = choose_pairs(depths_m[used], [(0, len(used))])
+    by_images = differences(compared, replace(given, scene_from_camera=path.scene_from_camera))
+    by_fault = differences(compared, replace(corrected, scene_from_camera=corrected.scene_from_camera[used]))
+    both = np.isfinite(by_images) & np.isfinite(by_fault)
+    return bool(both.any() and by_images[both].mean() < by_fault[both].mean())
 
 
 def _rows_of(geometry: Geometry, rows: slice) -> Geometry:
@@ -101,9 +117,9 @@ def _in_stretch(
     scene: Scene,
     frames: tuple[Frame, ...],
     geometry: Geometry,
-    depths_m: Float32[np.ndarray, "n height width"],
-) -> Drift:
-    """Drift of the poses within a stretch under some geometry."""
+    depths_m: Depths,
+) -> tuple[Drift, Trajectory | None]:
+    """Drift of the poses within a stretch under some geometry, and the path by the images."""
     posed = np.isfinite(geometry.scene_from_camera).all(axis=(1, 2))
     indices = np.array([frame.index for frame in frames], dtype=np.int64)
     depth_of = dict(zip(indices.tolist(), depths_m, strict=True))
@@ -132,15 +148,16 @@ def _drift(
     read_depth: ReadDepth,
     most: int,
     advance: Callable[[int, int], None],
-) -> Drift:
-    """Drift by depth, and by the relative poses of `most` frames as their images give them."""
+) -> tuple[Drift, Trajectory | None]:
+    """Drift by depth and by the path that the images of `most` frames give, and that path."""
     posed = set(trajectory.frames.tolist())
     frames = [frame for frame in scene.frames if frame.index in posed and frame.depth is not None]
     rows = np.unique(np.linspace(0, len(frames) - 1, min(most, len(frames))).round().astype(int))
     corrected = _path_by_images(scene, trajectory, [frames[row] for row in rows.tolist()], read_depth)
-    return measure_drift(
+    drift = measure_drift(
         scene, trajectory, read_depth, corrected=corrected, most_frames=most, advance=advance
     )
+    return drift, corrected
 
 
 def _path_by_images(
