@@ -139,7 +139,8 @@ def _ray_lengths(camera: Intrinsics) -> Float32[np.ndarray, "height width"]:
     """Length of each pixel's ray to the plane at depth 1."""
     v, u = np.mgrid[: camera.height, : camera.width]
     directions = rays(camera, np.column_stack([u.ravel(), v.ravel()]).astype(float))
-    return np.linalg.norm(directions, axis=1).reshape(camera.height, camera.width).astype(np.float32)
+    lengths: Float32[np.ndarray, " pixels"] = np.linalg.norm(directions, axis=1).astype(np.float32)
+    return lengths.reshape(camera.height, camera.width)
 
 
 def _drift(
