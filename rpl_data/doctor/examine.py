@@ -84,8 +84,9 @@ def examine(recording: Recording, *, progress: Callable[[int, int], None] | None
         facts.append(judged.said)
         lag, found = decide_what_lags(aligned, lag, judged.found)
         if not lag.whole:
-            registered = replace(scene, registered=scene.registered and not misplaced)
-            said, found = _with_drift(registered, trajectory, sample, judged, found, progress)
+            said, found = _with_drift(
+                scene, trajectory, sample, judged, found, progress, by_images=not misplaced
+            )
             facts += said
         found = timing.pose_jumps(scene, trajectory) + found
     findings += lag_findings(lag) + misplaced + _after_mending(misplaced, found)
@@ -180,12 +181,21 @@ def _with_drift(
     judged: _Judged,
     found: list[Finding],
     progress: Callable[[int, int], None] | None,
+    *,
+    by_images: bool,
 ) -> tuple[list[str], list[Finding]]:
-    """Measure drift unless constant faults explain it; a path that surely drifts explains their findings."""
+    """Measure drift unless constant faults explain it; a path that surely drifts explains their findings.
+
+    Args:
+        by_images: whether colour and depth lie on one another, so that a path can be computed from both.
+    """
     frames = [scene.frames[at] for at in sample.positions]
     stretches_read = tuple(tuple(frames[first:behind]) for first, behind in sample.runs)
-    if any(finding.sure >= SURE for finding in found) and explains(
-        judged.corrected, judged.given, scene=scene, stretches=stretches_read, depths_m=sample.depths_m
+    if any(finding.sure >= SURE for finding in found) and (
+        not by_images
+        or explains(
+            judged.corrected, judged.given, scene=scene, stretches=stretches_read, depths_m=sample.depths_m
+        )
     ):
         return [], found
 
@@ -195,7 +205,9 @@ def _with_drift(
         except DataError:  # already a finding
             return np.zeros((scene.intrinsics.height, scene.intrinsics.width), np.float32)
 
-    said, strays = drift_findings(scene, trajectory, depth_m, progress or (lambda done, total: None))
+    said, strays = drift_findings(
+        scene, trajectory, depth_m, progress or (lambda done, total: None), by_images=by_images
+    )
     return [said], strays or found
 
 

@@ -34,15 +34,24 @@ is surely within the limit."""
 
 
 def drift_findings(
-    scene: Scene, trajectory: Trajectory, read_depth: ReadDepth, advance: Callable[[int, int], None]
+    scene: Scene,
+    trajectory: Trajectory,
+    read_depth: ReadDepth,
+    advance: Callable[[int, int], None],
+    *,
+    by_images: bool,
 ) -> tuple[str, list[Finding]]:
     """Measure how far the poses drift over a recording: what to say of it, and a finding if it is too far.
 
     Args:
         read_depth: reads a depth image; all 0 where it is damaged.
         advance: called with the number of images read and of all images.
+        by_images: compare the poses with a path computed from colour and depth, too.
     """
-    drift, _ = _drift(scene, trajectory, read_depth, MOST_FRAMES, advance)
+    if by_images:
+        drift, _ = _drift(scene, trajectory, read_depth, MOST_FRAMES, advance)
+    else:
+        drift = measure_drift(scene, trajectory, read_depth, advance=advance)
     said = (
         f"over the recording the poses drift by {1000 * drift.whole_m:.0f} mm, beyond the "
         f"{1000 * drift.noise_m:.0f} mm that neighbouring depth images differ by"
@@ -171,9 +180,11 @@ def _path_by_images(
     readable: dict[int, tuple[np.ndarray, DepthImage]] = {}
     for frame in frames:
         try:
-            readable[frame.index] = read_grey(frame, reduce=REDUCE), read_depth(frame)
+            grey, depth_m = read_grey(frame, reduce=REDUCE), read_depth(frame)
         except DataError:  # already a finding where it was examined; the drift is measured without it
             continue
+        if depth_m.any():
+            readable[frame.index] = grey, depth_m
     used = [frame for frame in frames if frame.index in readable]
     if len(used) < 2:
         return None
