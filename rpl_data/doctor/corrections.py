@@ -79,15 +79,18 @@ class Correction:
     enough: float = MUCH_BETTER_SHARE
 
 
-def faults(compared: ComparedImages, geometry: Geometry, *, most: int = 3) -> list[Finding]:
-    """Find what is wrong with the geometry of a recording, the worst fault first."""
+def faults(compared: ComparedImages, geometry: Geometry, *, most: int = 3) -> tuple[list[Finding], Geometry]:
+    """Find what is wrong with the geometry of a recording, the worst fault first; and what corrects it all.
+
+    The search ends where a kind of fault would be named twice: what one factor leaves is no second factor.
+    """
     findings: list[Finding] = []
     now = differences(compared, geometry)
     while len(findings) < most:
         tried = [(found, differences(compared, found.geometry)) for found in _corrections(compared, geometry)]
         best, then = min(tried, key=lambda pair: _mean(now, pair[1]))
         sure = max(_sure(now, then, best.enough), min(best.sure, _sure(now, then, BETTER_SHARE)))
-        if sure < SURE:
+        if sure < SURE or best.kind in {finding.kind for finding in findings}:
             break
         share = f"depth images then agree {_mean(now, now) / _mean(now, then):.1f} times better"
         others = [pair for pair in tried if pair[0].kind != best.kind]
@@ -98,7 +101,7 @@ def faults(compared: ComparedImages, geometry: Geometry, *, most: int = 3) -> li
             todo += f"; hardly worse: {next_best.what}, and then {next_best.todo}"
         findings.append(Finding(best.kind, f"{best.what} ({share})", min(sure, clear), todo, best.mend))
         geometry, now = best.geometry, then
-    return findings
+    return findings, geometry
 
 
 def _mean(now: Float64[np.ndarray, " pairs"], then: Float64[np.ndarray, " pairs"]) -> float:

@@ -16,8 +16,8 @@ from rpl_data.doctor.depth_unit import by_the_numbers, with_turned_bits
 from rpl_data.doctor.edges import FrameEdges, edges_of
 from rpl_data.doctor.findings import Diagnosis, Finding
 from rpl_data.doctor.pairing import SURE, decide_what_lags, lag_findings, lag_of, misregistered
+from rpl_data.doctor.straying import drift_findings, explains
 from rpl_data.doctor.tags import orientation_tags
-from rpl_data.drift.drift import MAX_DRIFT_MM, cut, measure_drift
 from rpl_data.images import read_color, read_depth_m
 from rpl_data.types import DataError, DepthImage, Frame, Recording, Scene, Trajectory
 from rpl_data.wording import counted
@@ -70,7 +70,7 @@ def examine(recording: Recording, *, progress: Callable[[int, int], None] | None
     aligned = align(dict(zip(sample.positions, sample.edges, strict=True)))
     unjudged = [] if _shows_alignment(aligned) else ["lag and registration (too few common edges)"]
     facts.append(_alignment_fact(aligned))
-    lag = lag_of(aligned)
+    lag, misplaced = lag_of(aligned), misregistered(scene, aligned)
     why = _why_unjudged(scene, trajectory, sample)
     found: list[Finding] = []
     if trajectory is None or why:
@@ -80,15 +80,15 @@ def examine(recording: Recording, *, progress: Callable[[int, int], None] | None
         )
         found = by_the_numbers(scene, sample.depths_m)
     else:
-        said, found = _geometry(scene, trajectory, sample, lag.whole)
-        facts.append(said)
-        lag, found = decide_what_lags(aligned, lag, found)
-        if not lag.whole and all(finding.sure < SURE for finding in found):
-            said, strays = _drift(scene, trajectory, progress)
-            facts.append(said)
-            found = strays or found  # a path that surely strays explains what is less sure
+        judged = _geometry(scene, trajectory, sample, lag.whole)
+        facts.append(judged.said)
+        lag, found = decide_what_lags(aligned, lag, judged.found)
+        if not lag.whole:
+            said, found = _with_drift(
+                scene, trajectory, sample, judged, found, progress, by_images=not misplaced
+            )
+            facts += said
         found = timing.pose_jumps(scene, trajectory) + found
-    misplaced = misregistered(scene, aligned)
     findings += lag_findings(lag) + misplaced + _after_mending(misplaced, found)
     return Diagnosis(scene.name, tuple(facts), tuple(findings), tuple(unjudged))
 
@@ -117,6 +117,9 @@ def _read_sample(scene: Scene, progress: Callable[[int, int], None] | None) -> t
     for stretch in chosen:
         first = len(positions)
         for at in stretch:
+            done += 1
+            if progress is not None:
+                progress(done, total)
             try:
                 color, depth_m = read_color(scene.frames[at]), read_depth_m(scene, scene.frames[at])
             except DataError as error:
@@ -126,9 +129,6 @@ def _read_sample(scene: Scene, progress: Callable[[int, int], None] | None) -> t
             depths.append(depth_m)
             edges.append(edges_of(color, depth_m))
             sharpness.append(image_faults.sharpness(color))
-            done += 1
-            if progress is not None:
-                progress(done, total)
         runs.append((first, len(positions)))
     size = (0, scene.intrinsics.height, scene.intrinsics.width)
     stack = np.stack(depths) if depths else np.zeros(size, np.float32)
@@ -144,17 +144,71 @@ def _repeats(scene: Scene, sample: _Sample) -> list[int]:
 # Judging ------------------------------------------------------------------------------------------
 
 
-def _geometry(scene: Scene, trajectory: Trajectory, sample: _Sample, lag: int) -> tuple[str, list[Finding]]:
+@dataclass(frozen=True)
+class _Judged:
+    """What the depth images say of the geometry as recorded.
+
+    Attributes:
+        said: how well they agree under it, as a fact.
+        found: its constant faults.
+        given, corrected: the geometry, and as those faults correct it.
+    """
+
+    said: str
+    found: list[Finding]
+    given: Geometry
+    corrected: Geometry
+
+
+def _geometry(scene: Scene, trajectory: Trajectory, sample: _Sample, lag: int) -> _Judged:
     """Judge poses, depth unit and intrinsics, given that depth is `lag` frames late."""
     poses = _poses_of(scene, trajectory, sample)  # the depth image of frame t is at t + lag, its pose at t
     poses = shifted(poses, sample.runs, -lag)
     compared = choose_pairs(sample.depths_m, sample.runs)
-    geometry = Geometry(scene.intrinsics, poses)
-    fit = _agreement(compared, geometry)
-    found = with_turned_bits(scene, sample.depths_m, faults(compared, geometry))
+    given = Geometry(scene.intrinsics, poses)
+    fit = _agreement(compared, given)
+    found, corrected = faults(compared, given)
+    said = f"depth images agree to {fit:.1%} of the depth under the given poses"
     if not np.isfinite(fit):
-        return "no two depth images show the same place under the given poses", found
-    return f"depth images agree to {fit:.1%} of the depth under the given poses", found
+        said = "no two depth images show the same place under the given poses"
+    return _Judged(said, with_turned_bits(scene, sample.depths_m, found), given, corrected)
+
+
+def _with_drift(
+    scene: Scene,
+    trajectory: Trajectory,
+    sample: _Sample,
+    judged: _Judged,
+    found: list[Finding],
+    progress: Callable[[int, int], None] | None,
+    *,
+    by_images: bool,
+) -> tuple[list[str], list[Finding]]:
+    """Measure drift unless constant faults explain it; a path that surely drifts explains their findings.
+
+    Args:
+        by_images: whether colour and depth lie on one another, so that a path can be computed from both.
+    """
+    frames = [scene.frames[at] for at in sample.positions]
+    stretches_read = tuple(tuple(frames[first:behind]) for first, behind in sample.runs)
+    if any(finding.sure >= SURE for finding in found) and (
+        not by_images
+        or explains(
+            judged.corrected, judged.given, scene=scene, stretches=stretches_read, depths_m=sample.depths_m
+        )
+    ):
+        return [], found
+
+    def depth_m(frame: Frame) -> DepthImage:
+        try:
+            return read_depth_m(scene, frame)
+        except DataError:  # already a finding
+            return np.zeros((scene.intrinsics.height, scene.intrinsics.width), np.float32)
+
+    said, strays = drift_findings(
+        scene, trajectory, depth_m, progress or (lambda done, total: None), by_images=by_images
+    )
+    return [said], strays or found
 
 
 def _after_mending(misplaced: list[Finding], found: list[Finding]) -> list[Finding]:
@@ -174,38 +228,6 @@ def _why_unjudged(scene: Scene, trajectory: Trajectory | None, sample: _Sample) 
         return "no poses"
     poses = _poses_of(scene, trajectory, sample)
     return "the camera hardly moves" if _still(poses, sample.runs) else ""
-
-
-def _drift(
-    scene: Scene, trajectory: Trajectory, progress: Callable[[int, int], None] | None
-) -> tuple[str, list[Finding]]:
-    """Measure how far the poses drift from the start to the end."""
-
-    def depth_m(frame: Frame) -> DepthImage:
-        try:
-            return read_depth_m(scene, frame)
-        except DataError:  # already a finding
-            return np.zeros((scene.intrinsics.height, scene.intrinsics.width), np.float32)
-
-    drift = measure_drift(scene, trajectory, depth_m, advance=progress or (lambda done, total: None))
-    said = (
-        f"over the recording the poses drift by {1000 * drift.whole_m:.0f} mm, beyond the "
-        f"{1000 * drift.noise_m:.0f} mm that neighbouring depth images differ by"
-    )
-    sure = drift.sure_beyond(MAX_DRIFT_MM / 1000)
-    if sure < SURE:
-        return said, []
-    spans = cut(drift, max_drift_m=MAX_DRIFT_MM / 1000)
-    what = f"the poses drift by {1000 * drift.whole_m:.0f} mm over the recording, and so would labels"
-    todo = "too fast for cutting to mend it: record again, more slowly, or have the camera tracked"
-    if spans is not None:
-        todo = (
-            f"`rpl build` cuts the recording into {len(spans)} scenes when each has clicks on 4 keypoints "
-            "(frames "
-            f"{', '.join(f'{first} to {last}' for first, last in spans)}); the limit is "
-            f"`reconstruct: {{max_drift_mm: {MAX_DRIFT_MM:.0f}}}`"
-        )
-    return said, [Finding("drift", what, sure, todo)]
 
 
 def _agreement(compared: ComparedImages, geometry: Geometry) -> float:

@@ -161,6 +161,15 @@ def test_poses_that_stray_are_found(sound: Recording) -> None:
     assert "`rpl build` cuts the recording into" in finding.todo
 
 
+def test_poses_that_stray_as_a_wrong_unit_would_are_drift(sound: Recording) -> None:
+    """They move a quarter too far and turn 3 degrees too far: a factor of the depth mends only the former."""
+    poses = poses_of(sound).copy()
+    poses[:, :3, 3] = poses[0, :3, 3] + 1.25 * (poses[:, :3, 3] - poses[0, :3, 3])
+    turns = Rotation.from_rotvec(np.linspace(0, np.deg2rad(3), FRAMES)[:, None] * [0.0, 1.0, 0.0])
+    poses[:, :3, :3] = poses[:, :3, :3] @ turns.as_matrix()
+    assert kinds(examine(with_poses(sound, poses))) == ["drift"]
+
+
 def test_two_faults_are_found_one_after_the_other(sound: Recording) -> None:
     found = examine(with_unit(with_poses(sound, invert(poses_of(sound))), 5))
     assert sorted(kinds(found)) == ["depth scale", "pose convention"]
@@ -242,7 +251,10 @@ def test_without_poses_it_says_what_was_not_judged(sound: Recording) -> None:
 def test_a_broken_image_is_counted(sound: Recording, tmp_path: Path) -> None:
     (tmp_path / "half.png").write_bytes(b"\x89PNG")
     frames = [replace(f, depth=tmp_path / "half.png") if f.index == 5 else f for f in sound.scene.frames]
-    assert kinds(examine(with_frames(sound, frames))) == ["unreadable"]
+    said: list[tuple[int, int]] = []
+    found = examine(with_frames(sound, frames), progress=lambda done, total: said.append((done, total)))
+    assert kinds(found) == ["unreadable"]
+    assert (FRAMES, FRAMES) in said  # progress reaches its total all the same
 
 
 def test_a_long_recording_is_looked_at_in_two_places() -> None:

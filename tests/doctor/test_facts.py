@@ -38,7 +38,7 @@ def compared(depths_mm: np.ndarray) -> ComparedImages:
 
 
 def judged(depths_mm: np.ndarray, camera: Intrinsics = CAMERA) -> list[Finding]:
-    return faults(compared(depths_mm), Geometry(camera, POSES), most=1)
+    return faults(compared(depths_mm), Geometry(camera, POSES), most=1)[0]
 
 
 def test_depth_along_the_ray_is_no_other_focal_length(depths_mm: np.ndarray) -> None:
@@ -63,7 +63,7 @@ def test_the_unit_by_the_poses_has_its_remedy(depths_mm: np.ndarray, factor: flo
 
 def test_a_scale_that_no_unit_of_depth_explains_may_be_that_of_the_poses(depths_mm: np.ndarray) -> None:
     """As of COLMAP's poses: 2.7 times the world, and between the steps of a coarse search."""
-    (found,) = faults(compared(depths_mm / 2.7), Geometry(CAMERA, POSES))
+    (found,), _ = faults(compared(depths_mm / 2.7), Geometry(CAMERA, POSES))
     assert (found.kind, found.mend) == ("depth scale", None) and found.sure >= 0.9
     assert "mend: {pose_factor: 0.36" in found.todo and "mend: {depth_factor: 2.7" in found.todo
 
