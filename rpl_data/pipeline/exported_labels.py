@@ -8,7 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from rpl_data.export import ExportScene, ExportSummary, export_coco
+from rpl_data.export.card import dataset_card
 from rpl_data.export.corrections import Corrector
+from rpl_data.files import write_text
 from rpl_data.json_arrays import Json
 from rpl_data.pipeline.choice import recipe_splits, splits_like, videos_with
 from rpl_data.pipeline.context import Context, truth_workspace
@@ -39,8 +41,24 @@ def export_labels(context: Context) -> ExportSummary:
             f"all {counted(tally.frames, 'labelled frame')} would be left out, since a label in each has a "
             f"quality below {least:g}: check the clicks and the trajectories, or lower `export.min_quality`"
         ) from error
+    _write_card(context, summary, models)
     messages = (*summary.messages, *tally.messages(least), *corrector.messages())
     return replace(summary, low_quality=dict(tally.low), messages=messages)
+
+
+def _write_card(context: Context, summary: ExportSummary, models: Sequence[KeypointModel]) -> None:
+    """Put the dataset's card beside its files."""
+    scenes = [scene for split in summary.scenes.values() for scene in split]
+    counted_objects = {name for counts in summary.instances.values() for name in counts}
+    card = dataset_card(
+        context.recipe.name,
+        licence=context.recipe.export.license,
+        summary=summary,
+        models=[model for model in models if model.name in counted_objects],
+        cameras={scene: context.workspace.load_scene(scene).intrinsics for scene in sorted(set(scenes))},
+        min_quality=context.recipe.export.min_quality,
+    )
+    write_text(context.export_folder("coco") / "README.md", card)
 
 
 def export_truth(context: Context) -> ExportSummary:

@@ -244,6 +244,7 @@ class ExportRecipe:
         images: `copy` puts copies of the images into `coco`, and links to these into the other formats, so
             that no program that writes into an export can change the recording; they take no space where the
             file system can clone files. `link` never takes space, but such a program changes the recording.
+        license: under which the dataset may be used, for its card (`export/coco/README.md`).
     """
 
     formats: tuple[str, ...] = ("coco",)
@@ -251,6 +252,7 @@ class ExportRecipe:
     color: ColorFormat = "recorded"
     frame: FrameChoice = "keypoints"
     images: Images = "copy"
+    license: str | None = None
 
 
 @dataclass(frozen=True)

@@ -85,6 +85,7 @@ def _export_step(context: Context, name: str) -> Step:
         "min_quality": context.recipe.export.min_quality,
         **({} if context.recipe.export.frame == "keypoints" else {"frame": context.recipe.export.frame}),
         "images": context.recipe.export.images,
+        **({"license": context.recipe.export.license} if context.recipe.export.license else {}),
     }
     return step(
         "export",
