@@ -47,6 +47,12 @@ def _keypoints(values: Any) -> None:
             raise ValueError(f"{category}: {error}") from error
 
 
+def _instance(value: Any) -> None:
+    """Rule: the name of an instance, empty where a scene shows only one."""
+    if not isinstance(value, str):
+        raise ValueError("expected a text, which may be empty")
+
+
 def _check_split(findings: Findings, split: str, names: list[str], keypoints: Json, seen: set[int]) -> None:
     file = f"{split}/metadata.jsonl"
     listed = set()
@@ -77,7 +83,10 @@ def _check_objects(
     if not findings.fields(objects, {**rules, "category": category}, file, record):
         return
     count = len(objects["id"])
-    for column in (*COLUMNS, "category"):
+    named = "instance" in objects  # not in folders of before
+    if named and not findings.fields(objects, {"instance": each(_instance)}, file, record):
+        return
+    for column in (*COLUMNS, "category", *(["instance"] if named else [])):
         findings.equal(file, record, column, len(objects[column]), count, "the number of instances")
     for marks, number in zip(objects["keypoints"], objects["category"], strict=False):
         if number < len(names) and isinstance(keypoints.get(names[number]), list):
