@@ -116,6 +116,16 @@ def test_another_reader_opens_the_result(tmp_path: Path) -> None:
     assert all(coco.annToMask(a).sum() == a["area"] for a in coco.loadAnns(coco.getAnnIds()))
 
 
+def test_each_image_keeps_the_unit_of_its_depth(tmp_path: Path) -> None:
+    export(tmp_path / "a", recording=tmp_path / "ra")
+    made = labelled_scene(tmp_path / "rb", "shelf", seed=7)
+    finer = replace(made, scene=replace(made.scene, metres_per_unit=0.0002))
+    export_coco(tmp_path / "b", [finer], [BOX, CAN], split=SplitRule(0, 0.0))
+    merge_datasets(tmp_path / "out", [tmp_path / "a", tmp_path / "b"])
+    found = {i["scene"]: i["metres_per_unit"] for i in read_coco(tmp_path / "out/train.json")["images"]}
+    assert found == {"desk": 0.001, "shelf": 0.0002}
+
+
 def test_our_own_datasets_open_the_result(tmp_path: Path) -> None:
     from rpl_data.torch import InstanceDataset, KeypointDataset
 

@@ -35,7 +35,12 @@ NOTHING_CONTRADICTS = {
     ),
     "okt": (r"keypoints\.txt: : word", r"scales_#\.txt: : cut"),  # another name; a number of fewer digits
     "huggingface": (r"timestamp_s: no number",),
-    "webdataset": (r"tar: : missing", r"timestamp_s: no number", r"sigma_px: null"),
+    "webdataset": (
+        r"tar: : missing",
+        r"metres_per_unit: dropped",
+        r"timestamp_s: no number",
+        r"sigma_px: null",
+    ),
     "assets": (r"keypoints_m\..*: (null|dropped)", r"albedo\.png: : half"),
 }
 """Damage that leaves another sound export: nothing else in it says what was there before."""

@@ -80,6 +80,7 @@ def _check_split(findings: Findings, file: str, seen: Mapping[str, set[int]]) ->
         if check_image(findings, image, file, record):
             images[image["id"]] = image
             _note_id(findings, seen["image"], image["id"], file, record)
+    _check_units(findings, images, file)
     for row, annotation in enumerate(data["annotations"]):
         record = _record("annotation", annotation, row)
         image = images.get(annotation.get("image_id")) if isinstance(annotation, dict) else None
@@ -100,6 +101,15 @@ def _check_split(findings: Findings, file: str, seen: Mapping[str, set[int]]) ->
         _check_files(findings, image, file)
     names = (image[key] for image in images.values() for key in ("file_name", "depth_file_name"))
     return {name for name in names if name is not None}
+
+
+def _check_units(findings: Findings, images: Mapping[int, Json], file: str) -> None:
+    """All depth images of a file have a unit, or, as earlier versions wrote it, none has."""
+    with_depth = [image for image in images.values() if image["depth_file_name"] is not None]
+    without = [image for image in with_depth if "metres_per_unit" not in image]
+    if len(without) < len(with_depth):
+        for image in without:
+            findings.add(file, f"image {image['id']}", "metres_per_unit", "missing, though others say it")
 
 
 def _record(kind: str, entry: Any, row: int) -> str:

@@ -74,10 +74,10 @@ def _check_objects(
     rules: Rules = {column: each(ANNOTATION_RULES[column]) for column in COLUMNS}
     category = each(one_of(range(len(names)), "the index of a category")) if names else each(at_least(0))
     record = f"{record}, objects"
-    if not findings.fields(objects, {**rules, "category": category}, file, record):
+    if not findings.fields(objects, {**rules, "category": category, "instance": each(text)}, file, record):
         return
     count = len(objects["id"])
-    for column in (*COLUMNS, "category"):
+    for column in (*COLUMNS, "category", "instance"):
         findings.equal(file, record, column, len(objects[column]), count, "the number of instances")
     for marks, number in zip(objects["keypoints"], objects["category"], strict=False):
         if number < len(names) and isinstance(keypoints.get(names[number]), list):

@@ -35,7 +35,7 @@ from rpl_data.types import DataError
 
 Export = Callable[[Context], ExportSummary | DialectSummary]
 
-VERSION = 3
+VERSION = 4
 """Increase it when the stage writes something else for the same input: its steps then run again."""
 
 
