@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from rpl_data.export.dialect import DialectSummary, splits_of
+from rpl_data.export.dialect import DialectSummary, training_split
 from rpl_data.export.folder import replacing
 from rpl_data.export.views import (
     View,
@@ -57,7 +57,7 @@ def export_foundationpose(folder: Path, coco: Path, metres_per_unit: Mapping[str
             would lead the reader astray, or the folder cannot be written.
     """
     refuse_rgb_in(folder)
-    train = next(splits_of(coco))
+    train = training_split(coco)
     lines: list[str] = []
     count, names = 0, {}
     with replacing(folder) as building:

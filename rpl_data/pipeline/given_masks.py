@@ -52,7 +52,11 @@ class ObjectMasks:
 def mask_source(context: Context, video: str) -> MaskSource | None:
     """Where the recipe has masks of a recording; None where it has none."""
     read_from = context.workspace.load_scene(video).source
-    sources = [source for source in context.scene_sources if str(source.path) in read_from]
+    sources = [
+        source
+        for source in context.scene_sources
+        if str(source.path) in read_from and (source.names is None or video in source.names)
+    ]
     if len(context.scene_sources) == 1:
         sources = list(context.scene_sources)
     nearest = max(sources, key=lambda source: len(str(source.path)), default=None)

@@ -29,9 +29,14 @@ def looks_like_coco(folder: Path) -> bool:
     return any((folder / f"{name}.json").is_file() for name in SPLITS)
 
 
+def holds_exports(folder: Path) -> bool:
+    """Whether a folder has one per dialect: `export` itself, or a choice of `rpl export --object ...`."""
+    return folder.name == "export" or (folder.parent.name == "export" and folder.name.startswith("only_"))
+
+
 def looks_like_coco_per_object(folder: Path) -> bool:
-    """Whether a folder has one COCO folder per object; `export` has one per dialect."""
-    return folder.name != "export" and any(
+    """Whether a folder has one COCO folder per object."""
+    return not holds_exports(folder) and any(
         looks_like_coco(path) for path in folder.glob("*") if path.is_dir()
     )
 
