@@ -72,8 +72,8 @@ def exports_at(path: Path, dialect: str | None = None) -> list[tuple[Path, str |
         if dialect not in CHECKS:
             raise DataError(f"unknown export {dialect!r}; expected one of {', '.join(CHECKS)}")
         return [(path, dialect)]
-    if (found := dialect_of(path)) is not None:
-        return [(path, found)]
+    if (known := dialect_of(path)) is not None:
+        return [(path, known)]
     if not holds_exports(path) or not path.is_dir():
         return []
     found: list[tuple[Path, str | None]] = []
