@@ -124,5 +124,12 @@ def _write_object(
         )
         write_text(folder / "cam_in_ob" / f"{name}.txt", rows_of(view.object_from_camera))
     write_text(folder / "K.txt", rows_of(views[0].camera.matrix))
-    chosen = [f"{view.image['scene']}/{view.image['frame']:06d}" for view in views]
+    chosen = [_source(view) for view in views]
     write_text(folder / "select_frames.yml", yaml.safe_dump({"frames": chosen}))
+
+
+def _source(view: View) -> str:
+    """Where a view is from; an image with several instances gives several views."""
+    instance = view.annotation.get("instance")
+    frame = f"{view.image['scene']}/{view.image['frame']:06d}"
+    return f"{frame}_instance_{instance}" if instance else frame
