@@ -33,6 +33,13 @@ def number(value: Any) -> float:
     return float(value)
 
 
+def positive(value: Any) -> float:
+    """A number above 0; ValueError for another one."""
+    if number(value) <= 0:
+        raise ValueError(f"expected a number above 0, found {value}")
+    return float(value)
+
+
 def whole(value: Any) -> int:
     """A whole number; ValueError for anything else."""
     if not isinstance(value, int) or isinstance(value, bool) or abs(value) >= 2**63:

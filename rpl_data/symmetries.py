@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from rpl_data.geometry import Transform, from_rotvec, invert, rigid, transform
+from rpl_data.geometry import Transform, from_rotvec, invert, rigid, rotation_angle_rad, transform
 from rpl_data.json_arrays import Json, each, matrix_from_json, number, numbers, taken
-from rpl_data.types import Symmetries, SymmetryAxis, Turns
+from rpl_data.types import DataError, Symmetries, SymmetryAxis, Turns
 
 BOP_STEP = 0.01
 """Largest deviation between two steps of a continuous symmetry, as a part of the object's diameter."""
@@ -48,15 +48,54 @@ def turn(axis: SymmetryAxis, angle_rad: float) -> Transform:
     return rigid(turned[:3, :3], point - turned[:3, :3] @ point)
 
 
+SAME_TURN_DEG = 10.0
+"""Axes are found to a degree or two; different turns of up to 12 about one axis are 30 degrees apart."""
+MOST_TURNS = 60
+"""Of solids without an axis of full rotation, the icosahedron has most."""
+
+
 def symmetries_of(turns: Sequence[Turns]) -> Symmetries:
-    """What leaves an object looking the same, from the equal turns about its axes."""
-    discrete = [
-        tuple(numbers(turn(one.axis, 2 * math.pi * step / one.turns)))
+    """What leaves an object looking the same, from the equal turns about its axes.
+
+    Turns about several axes are listed with all that follow from them: what looks the same after one turn and
+    after another does so after both.
+
+    Raises:
+        DataError: ever more turns follow, which no object has.
+    """
+    given = [
+        turn(one.axis, 2 * math.pi * step / one.turns)
         for one in turns
-        for step in range(1, one.turns or 1)
         if one.turns
+        for step in range(1, one.turns)
     ]
-    return Symmetries(tuple(discrete), tuple(one.axis for one in turns if one.turns is None))
+    most = max((one.turns or 1 for one in turns), default=1)
+    same_rad = min(math.radians(SAME_TURN_DEG), 0.4 * 2 * math.pi / most)
+    discrete = _with_products(given, same_rad=same_rad, most=max(MOST_TURNS, 2 * most))
+    return Symmetries(
+        tuple(tuple(numbers(one)) for one in discrete),
+        tuple(one.axis for one in turns if one.turns is None),
+    )
+
+
+def _with_products(given: Sequence[Transform], *, same_rad: float, most: int) -> list[Transform]:
+    """The transforms and all their products but the identity, those given first.
+
+    Two whose rotations differ by less than `same_rad` are one.
+    """
+    found = [np.eye(4)]
+    for one in found:  # which grows meanwhile
+        for by in given:
+            made = by @ one
+            if all(rotation_angle_rad(made[:3, :3].T @ other[:3, :3]) > same_rad for other in found):
+                found.append(made)
+        if len(found) > most:
+            raise DataError(
+                f"symmetry: turns about these axes would make an object look the same in more than {most} "
+                "poses, so some axis is wrong: correct `symmetry` in the recipe, or confirm fewer axes by "
+                "`rpl symmetry`"
+            )
+    return found[1:]
 
 
 def moved_turns(turns: Sequence[Turns], other_from_object: Transform) -> tuple[Turns, ...]:

@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[1]
 LAYERS = [
     {"version", "wording"},
     {"types"},
-    {"command_line", "files", "geometry"},
+    {"command_line", "directions", "files", "geometry"},
     {"json_arrays", "orientation", "registered", "untrusted"},
     {"images", "meshes", "raycast", "overlay", "drift", "symmetries"},
     {"formats", "clicks", "pose", "reconstruct", "workspace"},

@@ -26,6 +26,7 @@ def evaluate_pose(
     split: str = "test",
     crops: Crops = "detected",
     methods: list[Method] = ["epnp", "consensus"],  # noqa: B006
+    depth: bool = False,
     metres_per_unit: float | None = None,
     bop: bool = False,
     out: Path | None = None,
@@ -45,10 +46,11 @@ def evaluate_pose(
         split: train, val or test.
         crops: `given` takes the labels' boxes, `detected` the detector's.
         methods: of PnP. Only ransac and consensus use depth.
-        metres_per_unit: of the export's depth images (0.001 for millimetres). When given, poses use the depth
-            at the keypoints too.
+        depth: poses use the depth at the keypoints too.
+        metres_per_unit: of the depth images (0.001 for millimetres), for an export that does not say it; then
+            poses use depth.
         bop: also score as the BOP benchmark does (VSD, MSSD, MSPD and their average recall; VSD needs
-            metres_per_unit), with the areas under the curves of ADD and ADD-S up to 0.1 m and COCO's keypoint
+            depth images), with the areas under the curves of ADD and ADD-S up to 0.1 m and COCO's keypoint
             precision, and write the poses as its CSV files, <method>_rpl-<split>.csv, into --out.
         out: folder for the figures; nothing is written when left out.
         threads: processor threads of torch; None leaves the number to torch.
@@ -75,6 +77,7 @@ def evaluate_pose(
             crops=crops,
             methods=methods,
             truth=truth,
+            use_depth=depth,
             metres_per_unit=metres_per_unit,
             unreadable=unreadable,
         )
@@ -138,7 +141,7 @@ def benchmark_line(found: Mapping[str, Any]) -> str:
 
     recalls = f"VSD {shown('recall_vsd')}, MSSD {shown('recall_mssd')}, MSPD {shown('recall_mspd')}"
     areas = f"AUC of ADD {shown('auc_add')}, of ADD-S {shown('auc_adds')}"
-    without = "" if found["recall_vsd"] is not None else " (VSD needs --metres_per_unit)"
+    without = "" if found["recall_vsd"] is not None else " (VSD needs depth images in a known unit)"
     return f"AR {shown('average_recall')} ({recalls}){without}, {areas}, OKS AP {shown('oks_ap')}"
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from rpl_data.export.checks import CHECKS, check_export, dialect_of
+from rpl_data.export.checks import CHECKS, check_export, dialect_of, holds_exports
 from rpl_data.formats.recordings.ros.wanted import Topics
 from rpl_data.pipeline.recipe_file import load_recipe
 from rpl_data.pipeline.sources import recordings_of
@@ -58,11 +58,11 @@ def recordings_at(
     )
 
 
-def exports_at(path: Path, dialect: str | None = None) -> list[tuple[Path, str]]:
+def exports_at(path: Path, dialect: str | None = None) -> list[tuple[Path, str | None]]:
     """The export at a path, or those in the `export` folder of a workspace, each with its format.
 
     Args:
-        path: any path; empty comes back where it is no export.
+        path: any path; empty comes back where it is no export. The format of one that no check knows is None.
         dialect: what the folder is; guessed when left out.
 
     Raises:
@@ -72,15 +72,17 @@ def exports_at(path: Path, dialect: str | None = None) -> list[tuple[Path, str]]
         if dialect not in CHECKS:
             raise DataError(f"unknown export {dialect!r}; expected one of {', '.join(CHECKS)}")
         return [(path, dialect)]
-    if (found := dialect_of(path)) is not None:
-        return [(path, found)]
-    if path.name != "export" or not path.is_dir():
+    if (known := dialect_of(path)) is not None:
+        return [(path, known)]
+    if not holds_exports(path) or not path.is_dir():
         return []
-    folders = sorted(folder for folder in path.iterdir() if folder.is_dir())
-    return [(folder, name) for folder in folders if (name := dialect_of(folder)) is not None]
+    found: list[tuple[Path, str | None]] = []
+    for folder in sorted(folder for folder in path.iterdir() if folder.is_dir()):
+        found += exports_at(folder) if holds_exports(folder) else [(folder, dialect_of(folder))]
+    return found
 
 
-def print_faults(exports: Sequence[tuple[Path, str]]) -> None:
+def print_faults(exports: Sequence[tuple[Path, str | None]]) -> None:
     """Check exports and print what is wrong with them.
 
     Raises:
@@ -88,6 +90,9 @@ def print_faults(exports: Sequence[tuple[Path, str]]) -> None:
     """
     wrong = {}
     for folder, dialect in exports:
+        if dialect is None:
+            print(f"{folder}: not checked, since no check knows its format")
+            continue
         faults = check_export(folder, dialect)
         print(f"{folder}: {dialect}: {counted(len(faults), 'fault') if faults else 'no fault was found'}")
         for fault in faults[:MOST_LINES]:

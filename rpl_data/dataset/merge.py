@@ -192,9 +192,10 @@ class _Merge:
                 most_residual_m=self.most_residual_m,
                 where=where,
             )
-            self.spool.objects[row] = joined_object(self.spool.objects[row], same)
+            self.spool.objects[row], more = joined_object(self.spool.objects[row], entry, same)
             ids[category["id"]] = (row + 1, same)
             self.lines.append(_said(name, self.owner[name], source, same))
+            self.lines += [f"{where}: {line}" for line in more]
         return ids
 
     def messages(self) -> list[str]:
@@ -214,7 +215,7 @@ def _said(name: str, owner: Source, source: Source, same: SameObject) -> str:
         f"{name}: poses of {source.given} are converted to the object frame of {owner.given} by "
         f"{same.shared} keypoints, which agree to {1000 * same.residual_m:.1f} mm (root mean square, at most "
         f"{1000 * same.most_m:.1f} mm; the labels state {1000 * same.expected_m:.1f} mm per axis); keypoints "
-        "are projected anew from one model; mesh, symmetries and grasp are those of the first"
+        "are projected anew from one model; mesh and grasp are those of the first"
     )
 
 

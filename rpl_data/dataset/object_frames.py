@@ -15,9 +15,11 @@ import numpy as np
 from jaxtyping import Float64
 
 from rpl_data.formats.datasets.coco import intrinsics_from_coco
+from rpl_data.formats.datasets.coco_objects import symmetries_of_entry, symmetries_of_object
 from rpl_data.geometry import Transform, fit_rigid, invert, is_collinear, project, transform
 from rpl_data.json_arrays import Json, matrix_from_json, numbers, rows_from_json, rows_to_json
-from rpl_data.types import DataError
+from rpl_data.symmetries import moved_symmetries
+from rpl_data.types import DataError, Symmetries
 
 MOST_SIGMAS = 3.0
 """Residual, in multiples of what the labels state of themselves, up to which two models are the same.
@@ -159,6 +161,22 @@ def moved_annotation(annotation: Json, same: SameObject, image: Json) -> Json:
     return moved
 
 
-def joined_object(ours: tuple[Json, Json], same: SameObject) -> tuple[Json, Json]:
-    """The entries of the object, with the keypoints that it lacked."""
-    return ours[0], ours[1] | {"points_object": rows_to_json(same.points_object)}
+def joined_object(
+    ours: tuple[Json, Json], theirs: tuple[Json, Json], same: SameObject
+) -> tuple[tuple[Json, Json], list[str]]:
+    """The entries of the object, with the keypoints and symmetries that it lacked; and what to say."""
+    described = ours[1] | {"points_object": rows_to_json(same.points_object)}
+    lines = []
+    own, other = symmetries_of_object(ours[1]), symmetries_of_object(theirs[1])
+    if other != Symmetries() and own == Symmetries():
+        described |= symmetries_of_entry(moved_symmetries(other, same.ours_from_theirs))
+        lines.append("only one of them says how it is symmetric; that holds for all")
+    elif _counts(own) != _counts(other) and other != Symmetries():
+        lines.append("they say otherwise how it is symmetric; what the first says holds")
+    if ours[1]["mesh"] is None and theirs[1]["mesh"] is not None:
+        lines.append("only the later one has a mesh, which is left out: name that source first")
+    return (ours[0], described), lines
+
+
+def _counts(symmetries: Symmetries) -> tuple[int, int]:
+    return len(symmetries.discrete), len(symmetries.continuous)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 from rpl_data.export.split import SplitName
@@ -13,6 +13,7 @@ from rpl_data.files import opened, read_json
 from rpl_data.formats.datasets.coco import read_coco
 from rpl_data.json_arrays import Json
 from rpl_data.types import DataError
+from rpl_data.untrusted.names import checked_name
 from rpl_data.workspace.workspace import Workspace
 
 SPLITS: tuple[SplitName, ...] = ("train", "val", "test")
@@ -73,11 +74,13 @@ def parts_of(source: Source) -> Iterator[Part]:
     """Read the splits; one is in memory at a time.
 
     Raises:
-        DataError: a file is damaged, or the splits disagree about their objects.
+        DataError: a file is damaged or names what lies outside the dataset, or the splits disagree about
+            their objects.
     """
     first: list[tuple[Json, Json]] | None = None
     for name in source.splits:
         data = read_coco(source.folder / f"{name}.json")
+        _check_names(data, source.folder / f"{name}.json")
         described = {item["category_id"]: item for item in data["rpl"]["objects"]}
         objects = [(each, described[each["id"]]) for each in sorted(data["categories"], key=_by_id)]
         if first is not None and objects != first:
@@ -90,6 +93,23 @@ def parts_of(source: Source) -> Iterator[Part]:
         for entry in (*data["annotations"], *data.get("crowds", ())):
             annotations.setdefault(entry["image_id"], []).append(entry)
         yield Part(name, objects, data["images"], annotations)
+
+
+def _check_names(data: Json, file: Path) -> None:
+    """DataError where a name leads out of the dataset's folder, or out of one that is written of it."""
+    for category in data["categories"]:
+        checked_name(category["name"], "object", where=str(file))
+    named = [item["mesh"] for item in data["rpl"]["objects"]]
+    for image in data["images"]:
+        checked_name(image["scene"], "scene", where=f"{file}: image {image['id']}")
+        named += [image["file_name"], image["depth_file_name"]]
+    for name in filter(None, named):
+        path = PurePosixPath(name)
+        if path.is_absolute() or ".." in path.parts:
+            raise DataError(
+                f"{file}: {name!r:.80} lies outside the dataset; expected names relative to its folder; "
+                "export the dataset again"
+            )
 
 
 def _by_id(category: Json) -> int:

@@ -10,13 +10,10 @@ import numpy as np
 from jaxtyping import Float64
 
 from rpl_data.dataset.source import Source, content_hash, parts_of, recorded_hash, source_at
+from rpl_data.directions import COVERED_DEG, gaps_deg
 from rpl_data.geometry import invert
 from rpl_data.json_arrays import Json, matrix_from_json
 
-DIRECTIONS = 400
-"""Directions spread evenly over a sphere, about 10 degrees apart."""
-NEAR_DEG = 15.0
-"""A direction counts as seen when a view is nearer."""
 QUANTILES = (("least", 0), ("p10", 10), ("median", 50), ("p90", 90), ("most", 100))
 
 
@@ -115,17 +112,10 @@ def _coverage(tally: _Tally) -> Json | None:
     """How much of the sphere of viewing directions is covered; None of nothing."""
     if not tally.towards:
         return None
-    number = np.arange(DIRECTIONS) + 0.5
-    z, turn = 1 - 2 * number / DIRECTIONS, number * np.pi * (1 + 5**0.5)  # a Fibonacci lattice
-    sphere = np.column_stack([np.sqrt(1 - z**2) * np.cos(turn), np.sqrt(1 - z**2) * np.sin(turn), z])
-    nearest = np.full(DIRECTIONS, -1.0)
-    views = np.array(tally.towards)
-    for start in range(0, len(views), 4096):
-        nearest = np.maximum(nearest, (sphere @ views[start : start + 4096].T).max(axis=1))
-    angle_deg = np.degrees(np.arccos(np.clip(nearest, -1, 1)))
+    found_deg = gaps_deg(np.array(tally.towards))
     return {
-        "covered": round(float((angle_deg <= NEAR_DEG).mean()), 4),
-        "widest_gap_deg": round(float(angle_deg.max()), 1),
+        "covered": round(float((found_deg <= COVERED_DEG).mean()), 4),
+        "widest_gap_deg": round(float(found_deg.max()), 1),
     }
 
 

@@ -23,7 +23,7 @@ from jaxtyping import Float64
 from rpl_data.export.bop import write_scene
 from rpl_data.export.bop_instances import Silhouettes
 from rpl_data.export.color_images import ColorFormat
-from rpl_data.export.dialect import DialectSummary, Split, splits_of
+from rpl_data.export.dialect import DialectSummary, Split, training_split
 from rpl_data.export.folder import replacing
 from rpl_data.files import write_json
 from rpl_data.formats.datasets.coco import objects_from_coco
@@ -59,7 +59,7 @@ def export_bop_onboarding(
         DataError: an object is in no training image, a lens has distortion, which the layout cannot hold, or
             the folder cannot be written.
     """
-    train = next(splits_of(coco))
+    train = training_split(coco)
     whole = Silhouettes(coco, objects_from_coco(train.data))
     lines, names, count = [], {}, 0
     with replacing(folder) as building:
@@ -67,8 +67,8 @@ def export_bop_onboarding(
             sides = opposite_sides(_videos(train, category["id"]))
             if not sides:
                 raise DataError(
-                    f"no training image shows {category['name']}, so it has no onboarding video; label more "
-                    "frames (`label.rate`), or give more scenes to training (`split`)"
+                    f"no training image shows one {category['name']}, so it has no onboarding video; label "
+                    "more frames (`label.rate`), or give more scenes to training (`split`)"
                 )
             if len(sides) == 1:
                 lines.append(f"{category['name']}: no training scene shows it the other way round: no _down")

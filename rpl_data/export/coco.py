@@ -228,6 +228,7 @@ def _image(
         scene_from_camera=item.trajectory.at(frame.index),
         file_name=name,
         depth_file_name=depth_name,
+        metres_per_unit=scene.metres_per_unit,
     )
 
 

@@ -47,6 +47,21 @@ class Split:
         return images
 
 
+def training_split(coco: Path) -> Split:
+    """Read the split that trains.
+
+    Raises:
+        DataError: there is none.
+    """
+    split = next(splits_of(coco))
+    if split.name != "train":
+        raise DataError(
+            f"{coco} has no training images, and this format takes no others; give scenes to training "
+            "(`split`), or leave out `--split`"
+        )
+    return split
+
+
 def splits_of(coco: Path) -> Iterator[Split]:
     """Read the splits of an exported folder in the order train, val, test; one is in memory at a time.
 

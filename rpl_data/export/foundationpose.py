@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from rpl_data.export.dialect import DialectSummary, splits_of
+from rpl_data.export.dialect import DialectSummary, training_split
 from rpl_data.export.folder import replacing
 from rpl_data.export.views import (
     View,
@@ -57,7 +57,7 @@ def export_foundationpose(folder: Path, coco: Path, metres_per_unit: Mapping[str
             would lead the reader astray, or the folder cannot be written.
     """
     refuse_rgb_in(folder)
-    train = next(splits_of(coco))
+    train = training_split(coco)
     lines: list[str] = []
     count, names = 0, {}
     with replacing(folder) as building:
@@ -124,5 +124,12 @@ def _write_object(
         )
         write_text(folder / "cam_in_ob" / f"{name}.txt", rows_of(view.object_from_camera))
     write_text(folder / "K.txt", rows_of(views[0].camera.matrix))
-    chosen = [f"{view.image['scene']}/{view.image['frame']:06d}" for view in views]
+    chosen = [_source(view) for view in views]
     write_text(folder / "select_frames.yml", yaml.safe_dump({"frames": chosen}))
+
+
+def _source(view: View) -> str:
+    """Where a view is from; an image with several instances gives several views."""
+    instance = view.annotation.get("instance")
+    frame = f"{view.image['scene']}/{view.image['frame']:06d}"
+    return f"{frame}_instance_{instance}" if instance else frame

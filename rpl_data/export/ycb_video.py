@@ -12,7 +12,9 @@
                              textured.obj   with its texture
 
 Layout: the toolbox https://github.com/yuxng/YCB_Video_toolbox and the loader of
-https://github.com/j96w/DenseFusion. `vertmap`, the object coordinates of each pixel, is not written.
+https://github.com/j96w/DenseFusion. `vertmap`, the object coordinates of each pixel, is not written. That
+loader has the two cameras of YCB-Video, 640 x 480 px, and lists of its own written into it: give it
+`intrinsic_matrix` of the meta files and the lists here.
 """
 
 from __future__ import annotations
@@ -59,6 +61,7 @@ def export_ycb_video(folder: Path, coco: Path, metres_per_unit: Mapping[str, flo
     sequences = {scene: f"{number:04d}" for number, scene in enumerate(sorted(metres_per_unit))}
     images: dict[str, int] = {}
     left_out: Counter[str] = Counter()
+    empty: set[str] = set()
     instances = 0
     with replacing(folder) as building:
         for split in splits_of(coco):
@@ -73,13 +76,20 @@ def export_ycb_video(folder: Path, coco: Path, metres_per_unit: Mapping[str, flo
                     continue
                 refuse_lens(image, "YCB-Video's layout")
                 names.append(f"{sequences[image['scene']]}/{image['frame'] + 1:06d}")
+                if not mine:
+                    empty.add(names[-1])
                 _write_frame(building / "data" / names[-1], coco, image, mine, objects, metres_per_unit)
                 instances += len(mine)
-            _write_list(building, split.name, names)
+            _write_list(building, split.name, [name for name in names if name not in empty])
             images[split.name] = len(names)
         _write_list(building, "classes", [item.model.name for item in objects])
         without_mesh = _write_models(building / "models", coco, objects)
     lines = [f"{counted(count, 'image')} left out, {why}" for why, count in left_out.items() if count]
+    if empty:
+        lines.append(
+            f"{counted(len(empty), 'image')} without an object: in data/, but in no list, since readers "
+            "draw an object of each image that is listed"
+        )
     return DialectSummary(images, instances, (*lines, *without_mesh))
 
 

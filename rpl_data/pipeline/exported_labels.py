@@ -100,7 +100,7 @@ def _export_coco(
         scenes.append(ExportScene(scene, workspace.load_trajectory(scene), moved))
     models = [moved_model(labels.load_placed(item).model, frames.get(item)) for item in objects]
     meshes = {
-        item: exported_mesh(labels, item, frames.get(item))
+        item: exported_mesh(workspace, labels, item, frames.get(item))
         for item in objects
         if labels.mesh_file(item).exists()
     }

@@ -147,11 +147,14 @@ def frames_for(context: Context, labels: Workspace) -> dict[str, Transform]:
     return found
 
 
-def exported_mesh(labels: Workspace, name: str, frame: Transform | None) -> Path:
-    """The mesh of an object in the frame of its exports, written where that is not its own."""
+def exported_mesh(workspace: Workspace, labels: Workspace, name: str, frame: Transform | None) -> Path:
+    """The mesh of an object in the frame of its exports, written into `workspace` where that is not its own.
+
+    `labels` may be a truth that somebody else keeps; nothing is written there.
+    """
     if frame is None:
         return labels.mesh_file(name)
     mesh = labels.mesh(name)
     moved = replace(mesh, vertices=transform(frame, mesh.vertices))
-    save_mesh(labels.exported_mesh_file(name), moved)
-    return labels.exported_mesh_file(name)
+    save_mesh(workspace.exported_mesh_file(name), moved)
+    return workspace.exported_mesh_file(name)

@@ -13,7 +13,9 @@ from rpl_data.json_arrays import Json
 from rpl_data.pipeline.context import Context
 from rpl_data.pipeline.ledger import stamps
 from rpl_data.pipeline.recipe import MaskSource
-from rpl_data.types import DataError, Scene
+from rpl_data.types import DataError, Scene, Solution
+from rpl_data.types.instances import instance_of, without_frame
+from rpl_data.workspace.parts import Parts
 from rpl_data.workspace.workspace import Workspace
 
 AROUND_PX = 5
@@ -52,7 +54,11 @@ class ObjectMasks:
 def mask_source(context: Context, video: str) -> MaskSource | None:
     """Where the recipe has masks of a recording; None where it has none."""
     read_from = context.workspace.load_scene(video).source
-    sources = [source for source in context.scene_sources if str(source.path) in read_from]
+    sources = [
+        source
+        for source in context.scene_sources
+        if str(source.path) in read_from and (source.names is None or video in source.names)
+    ]
     if len(context.scene_sources) == 1:
         sources = list(context.scene_sources)
     nearest = max(sources, key=lambda source: len(str(source.path)), default=None)
@@ -102,6 +108,12 @@ def object_masks(context: Context, video: str) -> ObjectMasks | None:
         return ObjectMasks(masks, keys, masks.notes)
     keys, lines = _keys_by_clicks(workspace, video, masks, names)
     return ObjectMasks(masks, keys, (*masks.notes, *lines))
+
+
+def instances_in(solution: Solution, video: str, parts: Parts) -> set[str]:
+    """Names of an object's instances in a recording; of a moved one without the clicked frames."""
+    places = (place for place in solution.scene_from_object if parts.video_of(place) == video)
+    return {instance_of(without_frame(place) if video in parts.moving else place) for place in places}
 
 
 def _keys_by_clicks(

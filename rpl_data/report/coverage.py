@@ -6,28 +6,15 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float64
-from scipy.spatial import cKDTree
 
+from rpl_data.directions import COVERED_DEG, Directions, coverage
 from rpl_data.overlay import keypoint_color
 from rpl_data.report.html import chip, section, text
 
-Directions = Float64[np.ndarray, "_ 3"]
-"""Unit vectors from an object to the camera, object frame."""
-
-WITHIN_DEG = 15.0
-"""A direction is covered when a view lies within this angle of it."""
 RADIUS = 100
 """Of a half, in units of the picture."""
 MOST_DOTS = 1500
 """Per object; more would hide one another."""
-
-
-def coverage(views: Directions) -> float:
-    """Share of all directions that lie within `WITHIN_DEG` of a view, 0 to 1."""
-    if not len(views):
-        return 0.0
-    chord = 2 * np.sin(np.deg2rad(WITHIN_DEG) / 2)
-    return float((cKDTree(views).query(_sphere(2000))[0] < chord).mean())
 
 
 def coverage_section(views: Mapping[str, Mapping[str, Directions]]) -> str:
@@ -52,7 +39,9 @@ def _object_part(name: str, by_scene: Mapping[str, Directions]) -> str:
         chip(keypoint_color(number, len(by_scene)), f"scene {scene}: {len(views)}")
         for number, (scene, views) in enumerate(by_scene.items())
     )
-    words = f"{len(together)} views; {share:.0%} of all directions lie within {WITHIN_DEG:.0f} degrees of one"
+    words = (
+        f"{len(together)} views; {share:.0%} of all directions lie within {COVERED_DEG:.0f} degrees of one"
+    )
     return (
         f'<h3>{text(name)}</h3><p class="note">{text(words)}</p>'
         f'<div class="chips">{chips}</div>{_picture(list(by_scene.values()), together)}'
@@ -94,12 +83,3 @@ def _axes_around(direction: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "3 
     first = np.cross(np.eye(3)[np.abs(third).argmin()], third)
     first /= np.linalg.norm(first)
     return np.array([first, np.cross(third, first), third])
-
-
-def _sphere(count: int) -> Directions:
-    """Directions spread evenly, on a Fibonacci spiral."""
-    number = np.arange(count) + 0.5
-    z = 1 - 2 * number / count
-    turn = np.pi * (1 + np.sqrt(5)) * number
-    across = np.sqrt(1 - z**2)
-    return np.column_stack([across * np.cos(turn), across * np.sin(turn), z])

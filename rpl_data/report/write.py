@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 import yaml
 
+from rpl_data.directions import Directions, coverage
 from rpl_data.files import read_text, write_text
 from rpl_data.meshes import load_mesh
 from rpl_data.report.clicks import click_section, distance_table
 from rpl_data.report.counts import SceneReport, summarise_scene
-from rpl_data.report.coverage import Directions, coverage, coverage_section
+from rpl_data.report.coverage import coverage_section
 from rpl_data.report.html import Cell, folded, number, page, section, table, text
 from rpl_data.report.next_steps import next_steps, next_steps_list
 from rpl_data.report.pictures import contact_sheet, frames_per_scene, legends

@@ -15,6 +15,7 @@ from jaxtyping import Float64
 from rpl_data.solve.explanations import contradiction
 from rpl_data.solve.refit import Fit, unknowns_covariance
 from rpl_data.types import Click, Statement
+from rpl_data.types.instances import frame_of, without_frame
 from rpl_data.wording import counted
 
 SLIP_PX = 15.0
@@ -45,9 +46,12 @@ def unjudged(fit: Fit, clicks: Sequence[Click], keypoints: Sequence[str]) -> Ite
     if not weak:
         return
     worst = clicks[weak[0]]
+    more = f"click keypoint {keypoints[worst.keypoint]} in scene {worst.scene} again, in another frame than "
+    more += str(worst.frame)
+    if frame_of(worst.scene) is not None:  # an object that is moved has another pose in another frame
+        more = f"click more keypoints in frame {worst.frame} of scene {without_frame(worst.scene)}"
     text = (
         f"{counted(len(weak), 'click')} of {len(clicks)} cannot be judged: no other click would show a "
-        f"slip of {SLIP_PX:.0f} px there; click keypoint {keypoints[worst.keypoint]} in scene {worst.scene} "
-        f"again, in another frame than {worst.frame}, to check the weakest of them"
+        f"slip of {SLIP_PX:.0f} px there; {more}, to check the weakest of them"
     )
     yield Statement("unjudged", tuple(clicks[n] for n in weak), text)

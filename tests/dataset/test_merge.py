@@ -15,10 +15,11 @@ from rpl_data.dataset import merge_datasets
 from rpl_data.dataset.written import Written
 from rpl_data.export import ExportScene, export_coco
 from rpl_data.export.split import SplitRule
-from rpl_data.formats.datasets.coco import read_coco
+from rpl_data.formats.datasets.coco import objects_from_coco, read_coco
 from rpl_data.geometry import from_rotvec, invert, project, transform
 from rpl_data.json_arrays import Json, matrix_from_json, rows_from_json
-from rpl_data.types import DataError, FrameLabel, KeypointModel
+from rpl_data.symmetries import moved_symmetries, symmetries_of
+from rpl_data.types import DataError, FrameLabel, KeypointModel, SymmetryAxis, Turns
 
 TURN = from_rotvec(np.array([0.4, -1.1, 2.0]), np.array([0.02, -0.05, 0.3]))
 """From the object frame of one workspace to that of another."""
@@ -114,6 +115,30 @@ def test_another_reader_opens_the_result(tmp_path: Path) -> None:
         assert (tmp_path / "out" / image["file_name"]).is_file()
         assert (tmp_path / "out" / image["depth_file_name"]).is_file()
     assert all(coco.annToMask(a).sum() == a["area"] for a in coco.loadAnns(coco.getAnnIds()))
+
+
+def test_each_image_keeps_the_unit_of_its_depth(tmp_path: Path) -> None:
+    export(tmp_path / "a", recording=tmp_path / "ra")
+    made = labelled_scene(tmp_path / "rb", "shelf", seed=7)
+    finer = replace(made, scene=replace(made.scene, metres_per_unit=0.0002))
+    export_coco(tmp_path / "b", [finer], [BOX, CAN], split=SplitRule(0, 0.0))
+    merge_datasets(tmp_path / "out", [tmp_path / "a", tmp_path / "b"])
+    found = {i["scene"]: i["metres_per_unit"] for i in read_coco(tmp_path / "out/train.json")["images"]}
+    assert found == {"desk": 0.001, "shelf": 0.0002}
+
+
+def test_symmetries_that_one_source_knows_come_into_the_frame_of_the_first(tmp_path: Path) -> None:
+    first = export(tmp_path / "a", recording=tmp_path / "ra")
+    second = export(tmp_path / "b", recording=tmp_path / "rb", other=True, seed=7)
+    data = json.loads((second / "train.json").read_text())
+    half = Turns(SymmetryAxis((0.0, 0.0, 1.0), (0.01, 0.0, 0.0)), 2)
+    in_theirs = moved_symmetries(symmetries_of([half]), TURN)
+    data["rpl"]["objects"][1]["symmetries"] = [list(one) for one in in_theirs.discrete]
+    (second / "train.json").write_text(json.dumps(data))
+    written = merge_datasets(tmp_path / "out", [first, second])
+    can = objects_from_coco(read_coco(tmp_path / "out/train.json"))[1]
+    np.testing.assert_allclose(can.symmetries.discrete, symmetries_of([half]).discrete, atol=1e-8)
+    assert any("only one of them says how it is symmetric" in line for line in written.messages)
 
 
 def test_our_own_datasets_open_the_result(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
-from labelled_scenes import BOX, CAN, labelled_scene
+from labelled_scenes import BOX, CAN, exported, labelled_scene
 from pycocotools.coco import COCO
 
 from rpl_data.dataset import Wanted, dataset_stats, filter_dataset, split_dataset
@@ -25,6 +25,25 @@ def three_scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
     scenes = [ExportScene(each.scene, each.trajectory, each.labels) for each in made]
     export_coco(root / "coco", scenes, [BOX, CAN], split=SplitRule(("z",), 0.0))
     return root / "coco"
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("scene", "../../outside"),
+        ("file_name", "../ra/desk/c1.png"),
+        ("depth_file_name", "/etc/hostname"),
+    ],
+)
+def test_a_dataset_of_others_reaches_nothing_outside(tmp_path: Path, key: str, value: str) -> None:
+    folder = exported(tmp_path)
+    data = json.loads((folder / "train.json").read_text())
+    data["images"][1][key] = value
+    (folder / "train.json").write_text(json.dumps(data))
+    with pytest.raises(DataError, match="outside the dataset|cannot be the name of a scene"):
+        filter_dataset(tmp_path / "work/deep/out", folder, Wanted())
+    assert {path.name for path in tmp_path.iterdir()} <= {"recording", "coco", "work"}
+    assert not (tmp_path / "work/outside").exists() and not (tmp_path / "work/deep/out").exists()
 
 
 def test_chosen_objects_are_numbered_anew(three_scenes: Path, tmp_path: Path) -> None:

@@ -12,8 +12,9 @@ from labelled_scenes import BOX, CAN, labelled_scene
 
 from rpl_data.export import export_assets, export_coco
 from rpl_data.export.split import SplitRule
+from rpl_data.export.texture import save_textured, with_two_triangles_per_edge
 from rpl_data.meshes import load_mesh, save_mesh
-from rpl_data.types import Mesh
+from rpl_data.types import DataError, Mesh
 
 RED, GREEN = (200, 30, 30), (30, 180, 60)
 
@@ -61,3 +62,28 @@ def test_millimetres_and_facts(assets: Path) -> None:
     facts = json.loads((assets / "box.json").read_text())
     assert facts["closed"] and facts["open_edges"] == 0 and list(facts["keypoints_m"]) == list(BOX.keypoints)
     np.testing.assert_allclose(facts["size_m"], 0.1, rtol=0.02)
+
+
+def test_edges_of_three_triangles_have_a_texture_too(tmp_path: Path) -> None:
+    """Built meshes have some such edges; Open3D cuts no chart there."""
+    fin = Mesh(
+        np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1]]) / 10.0,
+        np.array([[0, 1, 2], [1, 0, 3], [0, 1, 4]]),
+        np.array([RED] * 5, np.uint8),
+    )
+    detached = with_two_triangles_per_edge(fin)
+    np.testing.assert_array_equal(detached.vertices[detached.triangles], fin.vertices[fin.triangles])
+    assert detached.colors is not None and len(detached.colors) == len(detached.vertices)
+    save_textured(fin, [tmp_path / "fin_m.glb"])
+    assert len(load_glb_triangles(tmp_path / "fin_m.glb")) == 3
+
+
+def load_glb_triangles(path: Path) -> np.ndarray:
+    return np.asarray(o3d.io.read_triangle_mesh(str(path)).triangles)
+
+
+def test_a_surface_without_charts_is_a_data_error(tmp_path: Path) -> None:
+    """A triangle without area, as a damaged mesh has it."""
+    flat = Mesh(np.zeros((3, 3)), np.array([[0, 1, 2]]), None)
+    with pytest.raises(DataError, match="charts"):
+        save_textured(flat, [tmp_path / "flat_m.glb"])

@@ -35,7 +35,12 @@ NOTHING_CONTRADICTS = {
     ),
     "okt": (r"keypoints\.txt: : word", r"scales_#\.txt: : cut"),  # another name; a number of fewer digits
     "huggingface": (r"timestamp_s: no number",),
-    "webdataset": (r"tar: : missing", r"timestamp_s: no number", r"sigma_px: null"),
+    "webdataset": (
+        r"tar: : missing",
+        r"metres_per_unit: dropped",
+        r"timestamp_s: no number",
+        r"sigma_px: null",
+    ),
     "assets": (r"keypoints_m\..*: (null|dropped)", r"albedo\.png: : half"),
 }
 """Damage that leaves another sound export: nothing else in it says what was there before."""
@@ -85,6 +90,15 @@ def test_a_built_workspace_gives_no_alarm_and_a_damaged_one_is_named(
     assert f"{coco}: coco: no fault was found" in capsys.readouterr().out
     write_dialects(tmp_path / "export", coco, {name: 0.001 for name in tiny_workspace.labelled_scene_names()})
     assert main(["check", str(tmp_path / "export")]) == 0
+    chosen = tmp_path / "export/only_object-box"  # as `rpl export --object box` writes it
+    shutil.copytree(coco, chosen / "coco")
+    shutil.copytree(tmp_path / "export/yolo", chosen / "yolo")
+    (tmp_path / "export/linemod").mkdir()
+    capsys.readouterr()
+    assert main(["check", str(tmp_path / "export")]) == 0
+    said = capsys.readouterr().out
+    assert f"{chosen}/yolo: yolo: no fault" in said and f"{chosen}/coco: coco: no fault" in said
+    assert f"{tmp_path}/export/linemod: not checked" in said
     mask = next((tmp_path / "export/bop").rglob("mask_visib/*.png"))
     cv2.imwrite(str(mask), np.zeros_like(cv2.imread(str(mask), -1)))
     capsys.readouterr()
@@ -112,6 +126,14 @@ def test_folders_of_what_others_check_already(exports: Path, tmp_path: Path) -> 
         "names.json",
         "onboarding_static/obj_000001_up/mask/000001_000000.png",
     ]
+
+
+def test_names_without_numbers_are_faults(exports: Path, tmp_path: Path) -> None:
+    shutil.copytree(exports / "bop", tmp_path / "bop")
+    shutil.copy(tmp_path / "bop/models/obj_000001.ply", tmp_path / "bop/models/mug.ply")
+    shutil.copytree(tmp_path / "bop/train/000001", tmp_path / "bop/test/000001_old")
+    said = [str(fault) for fault in check_export(tmp_path / "bop", "bop")]
+    assert any("models/mug.ply" in fault for fault in said)
 
 
 def test_what_is_no_export_is_refused_or_left_to_the_doctor(

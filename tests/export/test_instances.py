@@ -6,7 +6,15 @@ from dataclasses import replace
 import pytest
 from labelled_scenes import BOX, LAST_FRAME, two_boxes
 
-from rpl_data.export import export_bop, export_bundlesdf, export_coco, export_huggingface, export_yolo
+from rpl_data.export import (
+    export_bop,
+    export_bundlesdf,
+    export_coco,
+    export_foundationpose,
+    export_huggingface,
+    export_yolo,
+)
+from rpl_data.export.checks import check_export
 from rpl_data.export.split import SplitRule
 from rpl_data.formats.datasets.coco import labels_from_coco, read_coco
 from rpl_data.formats.recordings.bop import read_bop
@@ -65,6 +73,8 @@ def test_the_others_carry_both(coco, tmp_path):
         place.name: len(list((place / "masks").iterdir())) for place in (tmp_path / "bundle/box").iterdir()
     }
     assert videos == {f"{name}{end}": LAST_FRAME for name in SCENES for end in ("", "_instance_2")}
+    export_foundationpose(tmp_path / "views", coco, dict.fromkeys(SCENES, 0.001))
+    assert check_export(tmp_path / "views", "foundationpose") == []
     assert export_yolo(tmp_path / "yolo", coco).instances == 2 * LAST_FRAME * len(SCENES)
     export_huggingface(tmp_path / "hf", coco)
     last = json.loads((tmp_path / "hf/test/metadata.jsonl").read_text().splitlines()[-1])

@@ -159,3 +159,42 @@ def test_coco_of_another_size_is_refused(tmp_path: Path) -> None:
     masks = open_masks(file, "coco", scene(["000005"]), alone=False)
     with pytest.raises(DataError, match="61 x 40 px; expected 60 x 40"):
         masks.at(0)
+
+
+@pytest.mark.parametrize("first", [0, 2])
+def test_masks_counted_from_another_number_are_refused(tmp_path: Path, first: int) -> None:
+    """As many masks as frames, one off: by their names, all but one would fit."""
+    for number in range(first, first + 4):
+        with_palette(tmp_path / f"{number:05d}.png")
+    with pytest.raises(DataError, match="0000[02] to 0000[35] where the frames have 00001 to 00004"):
+        open_masks(tmp_path, "png", scene(["00001", "00002", "00003", "00004"]))
+
+
+def coco_images(path: Path, images: list[dict[str, object]]) -> Path:
+    """A file in which the mask of image n is n columns wide."""
+    for number, image in enumerate(images, start=1):
+        image |= {"id": number, "height": SIZE[0], "width": SIZE[1]}
+    masks = [
+        {"id": n, "image_id": n, "category_id": 1, "segmentation": [[0, 0, n, 0, n, 9, 0, 9]]}
+        for n in range(1, len(images) + 1)
+    ]
+    categories = [{"id": 1, "name": "cup"}]
+    path.write_text(json.dumps({"images": images, "annotations": masks, "categories": categories}))
+    return path
+
+
+def test_coco_of_several_scenes_gives_this_one_its_own(tmp_path: Path) -> None:
+    names = [f"images/{folder}/000001.png" for folder in ("shelf", "desk", "floor")]
+    file = coco_images(tmp_path / "m.json", [{"file_name": name} for name in names])
+    masks = open_masks(file, "coco", scene(["000001"])).at(0)
+    assert masks is not None and masks["cup"].any(axis=0).sum() == 2
+    with pytest.raises(DataError, match="two images are called 000001"):
+        open_masks(file, "coco", scene(["000001"], name="sofa"))
+
+
+def test_coco_of_our_own_exports_says_the_frame(tmp_path: Path) -> None:
+    """They call images by frame, which here is one less than what the recording calls them."""
+    images = [{"file_name": f"images/desk/{n:06d}.png", "scene": "desk", "frame": n} for n in (0, 1)]
+    file = coco_images(tmp_path / "m.json", [dict(image) for image in images])
+    found = open_masks(file, "coco", scene(["000001", "000002"]))
+    assert [found.readers[n]()["cup"].any(axis=0).sum() for n in (0, 1)] == [1, 2]

@@ -49,6 +49,12 @@ def test_what_cannot_be_chosen_is_refused(
     ):
         with pytest.raises(DataError, match=message):
             export_chosen(context, "coco", choice)
+    for name in ("yolo", "coco"):
+        with pytest.raises(DataError, match=f"{name} has no such choice"):
+            export_chosen(context, name, ExportChoice(color="png"))
+    for name in ("bop_onboarding", "foundationpose"):
+        with pytest.raises(DataError, match="no training images"):
+            export_chosen(context, name, ExportChoice(split="val"))
     assert main(["export", "--split", "val", "--workspace", str(tiny_workspace.root)]) == 1
     assert "add `--format`" in capsys.readouterr().err
 

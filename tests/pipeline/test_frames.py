@@ -9,16 +9,16 @@ import pytest
 from built_once import moved_copy
 
 from rpl_data.formats.datasets.coco import intrinsics_from_coco, objects_from_coco, read_coco
-from rpl_data.geometry import project, transform
+from rpl_data.geometry import from_rotvec, project, transform
 from rpl_data.json_arrays import matrix_from_json
-from rpl_data.meshes import load_mesh
+from rpl_data.meshes import load_mesh, save_mesh
 from rpl_data.pipeline.build import context_of
-from rpl_data.pipeline.frames import boxed_frame, common_direction, frame_of_keypoints
+from rpl_data.pipeline.frames import boxed_frame, common_direction, exported_mesh, frame_of_keypoints
 from rpl_data.pipeline.recipe import AxisRecipe
 from rpl_data.pipeline.stages.export import EXPORTS
 from rpl_data.raycast import RayScene, render_depth_m
 from rpl_data.symmetries import symmetry_transforms
-from rpl_data.types import DataError, KeypointModel
+from rpl_data.types import DataError, KeypointModel, Mesh
 from rpl_data.workspace.workspace import Workspace
 
 POINTS = np.array([[1.0, 1.0, 1.0], [1.0, 3.0, 1.0], [0.0, 2.0, 1.0], [np.nan] * 3, [1.0, 2.0, 1.0]])
@@ -94,3 +94,14 @@ def test_another_frame_moves_nothing_in_the_image(tiny_workspace, tmp_path):
         if frame != names[:3]:
             vertices = load_mesh(place.export("coco") / item.mesh).vertices
             np.testing.assert_allclose(vertices.min(axis=0), -vertices.max(axis=0), atol=1e-9)
+
+
+def test_meshes_in_another_frame_are_not_written_to_the_truth(tmp_path):
+    """It may be somebody's recording."""
+    own, truth = Workspace(tmp_path / "own"), Workspace(tmp_path / "truth")
+    save_mesh(truth.mesh_file("cup"), Mesh(np.eye(3), np.array([[0, 1, 2]])))
+    before = sorted((tmp_path / "truth").rglob("*"))
+    shift = from_rotvec(np.zeros(3), np.array([0.0, 0.0, 1.0]))
+    path = exported_mesh(own, truth, "cup", shift)
+    assert sorted((tmp_path / "truth").rglob("*")) == before
+    np.testing.assert_allclose(load_mesh(path).vertices, np.eye(3) + [0, 0, 1], atol=1e-6)

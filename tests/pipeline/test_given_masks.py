@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -13,9 +14,10 @@ from pycocotools import mask as coco_masks
 
 from rpl_data.cli.main import main
 from rpl_data.pipeline.build import context_of
-from rpl_data.pipeline.given_masks import object_masks
+from rpl_data.pipeline.given_masks import instances_in, object_masks
 from rpl_data.pipeline.recipe_file import load_recipe, recipe_to_yaml
 from rpl_data.types import DataError
+from rpl_data.workspace.parts import Parts
 from rpl_data.workspace.workspace import Workspace
 
 
@@ -87,3 +89,14 @@ def test_an_object_that_is_none_is_said(with_masks: Callable[[str], Path]) -> No
     context = context_of(Workspace(with_masks("path: masks, objects: {cup: 7}") / "ws"))
     with pytest.raises(DataError, match="names cup, which is no object of the recipe; it has carton"):
         object_masks(context, context.workspace.video_names()[0])
+
+
+def test_frames_in_which_a_moved_object_was_clicked_are_one_instance(plain_build: Path) -> None:
+    solution = Workspace(plain_build / "ws").load_placed("carton")
+    (one, *others) = sorted(solution.scene_from_object)
+    poses = {name: solution.scene_from_object[name] for name in others}
+    moved = dict.fromkeys((f"{one}/@4", f"{one}/@9"), solution.scene_from_object[one])
+    parts = Parts({}, frozenset({one}))
+    assert instances_in(replace(solution, scene_from_object=poses | moved), one, parts) == {""}
+    both = {one: solution.scene_from_object[one], f"{one}/2": solution.scene_from_object[one]}
+    assert instances_in(replace(solution, scene_from_object=poses | both), one, Parts({})) == {"", "2"}

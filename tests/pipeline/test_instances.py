@@ -70,6 +70,8 @@ def test_a_carried_object_is_followed_or_lost_and_never_labelled_wrongly(built: 
     assert len(labels) >= 2 and max(error.mean_px for error in found.instances) < 4
     said = " ".join(Ledger(built.stages_file).of_stage("label")["02"].outcome.messages)
     assert f"followed through {'all' if len(labels) == 6 else len(labels)}" in said
+    said = " ".join(one.text for one in built.load_solution("carton").statements)
+    assert "@" not in said and "in another frame than" not in said
     (row,) = compare_workspaces(built, Workspace(built.truth))
     assert row.invented == 0
 

@@ -62,6 +62,30 @@ def test_the_recipe_says_none_or_axes_of_any_length():
             recipe_turns(dataclasses.replace(CUP, symmetry=(wrong,)))
 
 
+def test_turns_about_two_axes_bring_all_that_follow_from_them() -> None:
+    """A square prism from two of its axes, one of them found two degrees off: eight poses, each closed."""
+    tilted = (float(np.cos(0.035)), float(np.sin(0.035)), 0.0)
+    axes = (
+        Turns(SymmetryAxis((0.0, 0.0, 1.0), (0.0, 0.0, 0.0)), 4),
+        Turns(SymmetryAxis(tilted, (0.0,) * 3), 2),
+    )
+    found = np.array([np.eye(4), *np.reshape(symmetries_of(axes).discrete, (-1, 4, 4))])
+    assert len(found) == 8
+    for one in found:
+        for other in found:
+            traces = np.einsum("nij,ij->n", found[:, :3, :3], (one @ other)[:3, :3])
+            assert traces.max() > 1 + 2 * np.cos(np.deg2rad(5))
+    cube = [Turns(SymmetryAxis(axis, (0.0,) * 3), 4) for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))]
+    assert len(symmetries_of(cube).discrete) == 23
+
+
+def test_axes_that_contradict_one_another_are_refused() -> None:
+    near = (float(np.cos(0.7)), float(np.sin(0.7)), 0.0)
+    turns = [Turns(SymmetryAxis(axis, (0.0,) * 3), 5) for axis in ((1.0, 0.0, 0.0), near)]
+    with pytest.raises(DataError, match="some axis is wrong"):
+        symmetries_of(turns)
+
+
 def test_frames_change_by_the_keypoints_both_models_have():
     moved = from_rotvec(np.array([0.1, 0.2, 0.3]), np.array([0.4, 0.5, 0.6]))
     points = np.vstack([POINTS[:3], [[0.0, 0.0, 0.1]]])

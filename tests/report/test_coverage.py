@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from rpl_data.report.coverage import RADIUS, _positions, _sphere, coverage, coverage_section
+from rpl_data.directions import coverage, gaps_deg, spread_directions
+from rpl_data.report.coverage import RADIUS, _positions, coverage_section
 from rpl_data.report.next_steps import next_steps
 
 
@@ -13,12 +14,12 @@ def test_one_view_covers_a_cap() -> None:
     up = np.array([[0.0, 0.0, 1.0]])
     assert abs(coverage(up) - (1 - np.cos(np.deg2rad(15))) / 2) < 0.002
     assert abs(coverage(np.concatenate([up, -up])) - 2 * coverage(up)) < 0.002
-    assert coverage(_sphere(500)) == 1 and coverage(np.zeros((0, 3))) == 0
+    assert coverage(spread_directions(500)) == 1 and coverage(np.zeros((0, 3))) == 0
 
 
 def test_equal_shares_of_the_sphere_get_equal_areas() -> None:
     """As many evenly spread directions fall into the inner half of a disc's area as into the outer half."""
-    at = _positions(_sphere(4000))
+    at = _positions(spread_directions(4000))
     left = at[at[:, 0] < 0] + [RADIUS + 10, 0]
     radius = np.linalg.norm(left, axis=1) / RADIUS
     assert radius.max() <= 1 + 1e-9 and len(left) == 2000
@@ -26,7 +27,7 @@ def test_equal_shares_of_the_sphere_get_equal_areas() -> None:
 
 
 def test_the_section_names_objects_safely_and_draws_each_view() -> None:
-    views = {"<b>cup</b>": {"00": _sphere(7), "01": _sphere(5)}}
+    views = {"<b>cup</b>": {"00": spread_directions(7), "01": spread_directions(5)}}
     shown = coverage_section(views)
     assert shown.count("<circle") == 12 + 2 and "&lt;b&gt;cup" in shown and "<b>cup" not in shown
     assert coverage_section({}) == ""
@@ -35,3 +36,9 @@ def test_the_section_names_objects_safely_and_draws_each_view() -> None:
 def test_advice_follows_what_is_missing() -> None:
     said = " ".join(next_steps([], [], {"cup": 0.1, "kettle": 0.9}))
     assert "3 more scenes" in said and "Record cup turned over" in said and "kettle" not in said
+
+
+def test_one_view_leaves_the_far_side_open() -> None:
+    up = np.array([[0.0, 0.0, 1.0]])
+    np.testing.assert_allclose(np.sort(gaps_deg(up))[[0, -1]], [0, 180], atol=3)
+    np.testing.assert_allclose(np.median(gaps_deg(up)), 90, atol=0.5)

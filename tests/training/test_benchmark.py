@@ -16,6 +16,7 @@ from rpl_data.formats.datasets.coco import instance_from_coco, read_coco, write_
 from rpl_data.meshes import save_mesh
 from rpl_data.pose.benchmark import EVALUATED_TRIANGLES
 from rpl_data.pose.errors import INFINITE, pose_errors
+from rpl_data.types import DataError
 from training.pose.benchmark import Benchmark
 from training.pose.pipeline import SeenKeypoints
 from training.pose.scores import Judged
@@ -57,13 +58,34 @@ def perfect(coco_json: Path) -> list[Judged]:
 
 def test_what_is_perfect_scores_one(truth: Path) -> None:
     judged = perfect(truth)
-    benchmark = Benchmark(truth, metres_per_unit=0.001)
+    benchmark = Benchmark(truth, metres_per_unit=None)
     found = benchmark.score(judged)
     assert (found.average_recall, found.recall_vsd, found.recall_mssd, found.recall_mspd) == (1, 1, 1, 1)
     assert (found.auc_add, found.auc_adds, found.oks_ap, found.oks_ap50) == pytest.approx((1, 1, 1, 1))
     poses = list(benchmark.results(judged))
     assert [(pose.scene, pose.image, pose.object) for pose in poses] == [(1, n, 1) for n in range(1, 6)]
     assert poses[0].score == pytest.approx(0.9)
+
+
+def test_a_unit_that_contradicts_the_file_is_refused(truth: Path) -> None:
+    with pytest.raises(DataError, match=r"0\.001 m, says the file; metres_per_unit is 0\.0002"):
+        Benchmark(truth, metres_per_unit=0.0002).score(perfect(truth))
+
+
+def without_units(coco_json: Path) -> Path:
+    """The file as earlier versions wrote it."""
+    data = read_coco(coco_json)
+    for image in data["images"]:
+        del image["metres_per_unit"]
+    older = coco_json.with_name("older.json")
+    write_coco(older, data)
+    return older
+
+
+def test_older_exports_need_the_unit_said(truth: Path) -> None:
+    older = without_units(truth)
+    assert Benchmark(older, metres_per_unit=None).score(perfect(older)).recall_vsd is None
+    assert Benchmark(older, metres_per_unit=0.001).score(perfect(older)).recall_vsd == 1
 
 
 def test_a_miss_counts_in_each_figure(truth: Path) -> None:
@@ -76,7 +98,7 @@ def test_a_miss_counts_in_each_figure(truth: Path) -> None:
     moved[0, 3] += 0.03
     errors = pose_errors(moved, judged[1].pose, CORNERS, centre_object=np.zeros(3))
     judged[1] = replace(judged[1], pose=moved, errors=errors)
-    benchmark = Benchmark(truth, metres_per_unit=None)
+    benchmark = Benchmark(without_units(truth), metres_per_unit=None)
     found = benchmark.score(judged)
     assert found.average_recall is None and found.recall_vsd is None
     assert found.recall_mssd == pytest.approx((3 + 0.8) / 5)  # below 0.15 and what follows

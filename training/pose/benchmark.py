@@ -11,7 +11,7 @@ import numpy as np
 
 from rpl_data.files import read_json
 from rpl_data.formats.datasets.bop_results import PoseResult
-from rpl_data.formats.datasets.coco import intrinsics_from_coco, objects_from_coco, read_coco
+from rpl_data.formats.datasets.coco import depth_unit_m, intrinsics_from_coco, objects_from_coco, read_coco
 from rpl_data.json_arrays import Json, matrix_from_json
 from rpl_data.meshes import load_mesh
 from rpl_data.pose.average_recall import PIXELS, SHARES, Answers, add_auc, average_recall
@@ -73,11 +73,16 @@ class Benchmark:
 
         Args:
             coco_json: the split that was judged.
-            metres_per_unit: of its depth images; without it there is no VSD.
+            metres_per_unit: of the depth images of an export that does not say it. Without depth, or its
+                unit, there is no VSD.
             least_visible: what was judged shows at least this share of itself.
         """
-        self._folder, self._unit = coco_json.parent, metres_per_unit
+        self._folder, self._told_m = coco_json.parent, metres_per_unit
         data = read_coco(coco_json)
+        self._has_depth = all(
+            image["depth_file_name"] is not None and (metres_per_unit or image.get("metres_per_unit"))
+            for image in data["images"]
+        )
         self._images = {image["file_name"]: image for image in data["images"]}
         self._objects = {item.model.name: item for item in objects_from_coco(data)}
         self._numbers = {item["name"]: int(item["id"]) for item in data["categories"]}
@@ -94,7 +99,7 @@ class Benchmark:
         shown = list(self._shown(judged))
         errors = [self._errors(each) for each in shown]
         surfaces = None
-        if self._unit is not None:
+        if self._has_depth:
             surfaces = float(np.mean([_recall_vsd(shown, errors, tau) for tau in range(len(VSD_TAUS))]))
         mssd = average_recall(_answers(shown, [[e.mssd for e in row] for row in errors]), SHARES)
         mspd = average_recall(_answers(shown, [[e.mspd_px for e in row] for row in errors]), PIXELS)
@@ -135,9 +140,10 @@ class Benchmark:
         if first.pose is None:
             return []
         depth = None
-        if self._unit is not None:
+        if self._has_depth:
+            unit_m = depth_unit_m(shown.image, self._told_m)
             like = np.empty((shown.image["height"], shown.image["width"], 3), np.uint8)
-            depth = read_depth_like(self._folder / str(shown.image["depth_file_name"]), self._unit, like=like)
+            depth = read_depth_like(self._folder / str(shown.image["depth_file_name"]), unit_m, like=like)
         model, camera = self._model(first.object), intrinsics_from_coco(shown.image)
         return [
             benchmark_errors(

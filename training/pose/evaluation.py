@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from rpl_data.formats.datasets.coco import (
+    depth_unit_m,
     instance_from_coco,
     intrinsics_from_coco,
     objects_from_coco,
@@ -69,6 +70,7 @@ def evaluate(
     crops: Crops,
     methods: Sequence[Method],
     truth: Mapping[str, TrueObject],
+    use_depth: bool = False,
     metres_per_unit: float | None = None,
     least_visible: float = 0.1,
     unreadable: Counter[str] | None = None,
@@ -82,7 +84,8 @@ def evaluate(
         crops: the true boxes, or what the detector finds.
         methods: methods of PnP.
         truth: what `true_objects` read.
-        metres_per_unit: unit of the export's depth images; None leaves depth unused.
+        use_depth: poses use the depth at the keypoints, too; also when metres_per_unit is given.
+        metres_per_unit: unit of the depth images of an export that does not say it.
         least_visible: instances that show a smaller share of themselves are left out.
         unreadable: counts the images that cannot be read, by message; they are left out. Without it the first
             of them is a DataError.
@@ -112,8 +115,9 @@ def evaluate(
         squares = {label.object: _square(label) for label in labels} if crops == "given" else None
         seen = {each.object: each for each in pipeline.see(pixels, squares)}
         depth = None
-        if metres_per_unit is not None:
-            depth = read_depth_like(_depth_file(coco_json.parent, image), metres_per_unit, like=pixels)
+        if use_depth or metres_per_unit is not None:
+            depth_file = _depth_file(coco_json.parent, image)
+            depth = read_depth_like(depth_file, depth_unit_m(image, metres_per_unit), like=pixels)
         for label, method in product(labels, methods):
             name = label.object
             solved = None
@@ -178,7 +182,7 @@ def _judged(
 
 def _depth_file(folder: Path, image: Mapping[str, Any]) -> Path:
     if image["depth_file_name"] is None:
-        raise DataError(f"{folder / image['file_name']} has no depth image; evaluate without metres_per_unit")
+        raise DataError(f"{folder / image['file_name']} has no depth image; evaluate without depth")
     return folder / str(image["depth_file_name"])
 
 

@@ -20,6 +20,7 @@ from rpl_data.export.checks.bop import (
 from rpl_data.export.checks.coco import (
     check_coco,
     check_coco_per_object,
+    holds_exports,
     looks_like_coco,
     looks_like_coco_per_object,
 )
@@ -37,7 +38,7 @@ from rpl_data.export.checks.webdataset import check_webdataset, looks_like_webda
 from rpl_data.export.checks.yolo import check_yolo, looks_like_yolo
 from rpl_data.types import DataError
 
-__all__ = ["CHECKS", "Fault", "check_export", "dialect_of"]
+__all__ = ["CHECKS", "Fault", "check_export", "dialect_of", "holds_exports"]
 
 
 @dataclass(frozen=True)

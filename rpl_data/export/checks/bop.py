@@ -71,7 +71,9 @@ def check_bop(findings: Findings) -> None:
             scenes[split, folder.name] = check_scene(findings, f"{split}/{folder.name}")
     if not scenes:
         findings.add("", "", "", f"no scene in any of {', '.join(SPLITS)}")
-    tests = {int(name): scene for (split, name), scene in scenes.items() if split == "test"}
+    tests = {
+        int(name): scene for (split, name), scene in scenes.items() if split == "test" and name.isdecimal()
+    }
     for file, more in TARGETS.items():
         if tests or (findings.folder / file).exists():
             _check_targets(findings, file, more, tests)
@@ -88,7 +90,8 @@ def _check_models(findings: Findings, kind: str) -> dict[str, Any]:
             findings.fields(entry, given, file, f"object {number}")
             _check_model(findings, kind, int(number), entry)
     for path in sorted(folder.glob("*.ply")):
-        if str(int(path.stem.removeprefix("obj_"))) not in info:
+        number = path.stem.removeprefix("obj_")
+        if not number.isdecimal() or str(int(number)) not in info:
             findings.add(file, "", path.stem, f"missing, though there is {kind}/{path.name}")
     return info
 

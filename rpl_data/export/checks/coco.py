@@ -29,9 +29,14 @@ def looks_like_coco(folder: Path) -> bool:
     return any((folder / f"{name}.json").is_file() for name in SPLITS)
 
 
+def holds_exports(folder: Path) -> bool:
+    """Whether a folder has one per dialect: `export` itself, or a choice of `rpl export --object ...`."""
+    return folder.name == "export" or (folder.parent.name == "export" and folder.name.startswith("only_"))
+
+
 def looks_like_coco_per_object(folder: Path) -> bool:
-    """Whether a folder has one COCO folder per object; `export` has one per dialect."""
-    return folder.name != "export" and any(
+    """Whether a folder has one COCO folder per object."""
+    return not holds_exports(folder) and any(
         looks_like_coco(path) for path in folder.glob("*") if path.is_dir()
     )
 
@@ -80,6 +85,7 @@ def _check_split(findings: Findings, file: str, seen: Mapping[str, set[int]]) ->
         if check_image(findings, image, file, record):
             images[image["id"]] = image
             _note_id(findings, seen["image"], image["id"], file, record)
+    _check_units(findings, images, file)
     for row, annotation in enumerate(data["annotations"]):
         record = _record("annotation", annotation, row)
         image = images.get(annotation.get("image_id")) if isinstance(annotation, dict) else None
@@ -100,6 +106,15 @@ def _check_split(findings: Findings, file: str, seen: Mapping[str, set[int]]) ->
         _check_files(findings, image, file)
     names = (image[key] for image in images.values() for key in ("file_name", "depth_file_name"))
     return {name for name in names if name is not None}
+
+
+def _check_units(findings: Findings, images: Mapping[int, Json], file: str) -> None:
+    """All depth images of a file have a unit, or, as earlier versions wrote it, none has."""
+    with_depth = [image for image in images.values() if image["depth_file_name"] is not None]
+    without = [image for image in with_depth if "metres_per_unit" not in image]
+    if len(without) < len(with_depth):
+        for image in without:
+            findings.add(file, f"image {image['id']}", "metres_per_unit", "missing, though others say it")
 
 
 def _record(kind: str, entry: Any, row: int) -> str:

@@ -37,6 +37,8 @@ IMAGE_RULES: Rules = {
     "scene_from_camera": rigid,
     "depth_file_name": optional(text),
 }
+DEPTH_RULES: Rules = {"metres_per_unit": positive}
+"""Where it is said: exports of earlier versions do not."""
 
 
 def _segmentation(mask: Any) -> None:
@@ -88,7 +90,8 @@ BOX_PX = 1e-2
 
 def check_image(findings: Findings, image: Any, file: str, record: str) -> bool:
     """Check the entry of an image by itself; whether it is sound."""
-    return findings.fields(image, IMAGE_RULES, file, record)
+    more = DEPTH_RULES if isinstance(image, dict) and "metres_per_unit" in image else {}
+    return findings.fields(image, {**IMAGE_RULES, **more}, file, record)
 
 
 def check_annotation(

@@ -47,12 +47,6 @@ def _keypoints(values: Any) -> None:
             raise ValueError(f"{category}: {error}") from error
 
 
-def _instance(value: Any) -> None:
-    """Rule: the name of an instance, empty where a scene shows only one."""
-    if not isinstance(value, str):
-        raise ValueError("expected a text, which may be empty")
-
-
 def _check_split(findings: Findings, split: str, names: list[str], keypoints: Json, seen: set[int]) -> None:
     file = f"{split}/metadata.jsonl"
     listed = set()
@@ -80,13 +74,10 @@ def _check_objects(
     rules: Rules = {column: each(ANNOTATION_RULES[column]) for column in COLUMNS}
     category = each(one_of(range(len(names)), "the index of a category")) if names else each(at_least(0))
     record = f"{record}, objects"
-    if not findings.fields(objects, {**rules, "category": category}, file, record):
+    if not findings.fields(objects, {**rules, "category": category, "instance": each(text)}, file, record):
         return
     count = len(objects["id"])
-    named = "instance" in objects  # not in folders of before
-    if named and not findings.fields(objects, {"instance": each(_instance)}, file, record):
-        return
-    for column in (*COLUMNS, "category", *(["instance"] if named else [])):
+    for column in (*COLUMNS, "category", "instance"):
         findings.equal(file, record, column, len(objects[column]), count, "the number of instances")
     for marks, number in zip(objects["keypoints"], objects["category"], strict=False):
         if number < len(names) and isinstance(keypoints.get(names[number]), list):

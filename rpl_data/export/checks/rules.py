@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from rpl_data.json_arrays import each, number, whole
+from rpl_data.json_arrays import positive as positive
 
 Rule = Callable[[Any], object]
 Rules = Mapping[str, Rule]
@@ -42,12 +43,6 @@ def at_least(low: int) -> Rule:
 
 place = between(-FARTHEST, FARTHEST)
 pixel = between(-FARTHEST_PX, FARTHEST_PX)
-
-
-def positive(value: Any) -> None:
-    """Rule: a number above 0."""
-    if number(value) <= 0:
-        raise ValueError(f"expected a number above 0, found {value}")
 
 
 def one_of(values: Iterable[Any], what: str) -> Rule:

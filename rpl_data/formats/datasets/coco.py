@@ -27,7 +27,7 @@ from rpl_data.formats.datasets.coco_objects import CocoObject as CocoObject
 from rpl_data.formats.datasets.coco_objects import category_to_coco, object_to_coco
 from rpl_data.formats.datasets.coco_objects import objects_from_coco as objects_from_coco
 from rpl_data.json_arrays import Json, asdict_values, matrix_from_json, numbers
-from rpl_data.types import Box, Frame, FrameLabel, InstanceLabel, Intrinsics, Rle, SquareBox
+from rpl_data.types import Box, DataError, Frame, FrameLabel, InstanceLabel, Intrinsics, Rle, SquareBox
 from rpl_data.version import installed_version
 
 # To COCO ------------------------------------------------------------------------------------------
@@ -55,8 +55,10 @@ def image_to_coco(
     scene_from_camera: Float64[np.ndarray, "4 4"],
     file_name: str,
     depth_file_name: str | None,
+    metres_per_unit: float | None = None,
 ) -> Json:
-    """Make the entry of an image."""
+    """Make the entry of an image; `metres_per_unit` is that of its depth image."""
+    known = depth_file_name is not None and metres_per_unit is not None
     return {
         "id": image_id,
         "file_name": file_name,
@@ -69,6 +71,7 @@ def image_to_coco(
         "distortion": list(intrinsics.distortion),
         "scene_from_camera": numbers(scene_from_camera),
         "depth_file_name": depth_file_name,
+        **({"metres_per_unit": metres_per_unit} if known else {}),
     }
 
 
@@ -129,6 +132,30 @@ def intrinsics_from_coco(image: Mapping[str, Any]) -> Intrinsics:
     """Read the camera of an image."""
     fx, _, cx, _, fy, cy, *_ = image["cam_K"]
     return Intrinsics(fx, fy, cx, cy, image["width"], image["height"], tuple(image["distortion"]))
+
+
+def depth_unit_m(image: Mapping[str, Any], told_m: float | None = None) -> float:
+    """Metres per unit of an image's depth image, as the file says.
+
+    Args:
+        told_m: what somebody says it is, for files of earlier versions, which do not say it.
+
+    Raises:
+        DataError: nobody says it, or both do and differ.
+    """
+    own_m = image.get("metres_per_unit")
+    unit_m = told_m if own_m is None else own_m
+    if unit_m is None:
+        raise DataError(
+            f"{image['file_name']}: the file does not say in which unit its depth images are; export the "
+            "labels again, or give metres_per_unit (0.001 for millimetres)"
+        )
+    if own_m is not None and told_m is not None and not math.isclose(own_m, told_m, rel_tol=1e-6):
+        raise DataError(
+            f"{image['file_name']}: a unit of its depth image is {own_m:g} m, says the file; metres_per_unit "
+            f"is {told_m:g}: leave it out"
+        )
+    return float(unit_m)
 
 
 def labels_from_coco(data: Mapping[str, Any]) -> list[FrameLabel]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from rpl_data.files import FAULTS, decoding
 from rpl_data.formats.datasets.coco_edited import REMEDY, check_packed
-from rpl_data.json_arrays import Json, each, flag, matrix_from_json, number, optional, text, whole
+from rpl_data.json_arrays import Json, each, flag, matrix_from_json, number, optional, positive, text, whole
 from rpl_data.symmetries import symmetries_from_json
 from rpl_data.types import DataError
 
@@ -49,6 +49,7 @@ IMAGE_FIELDS: Fields = {
     "timestamp_s": number,
     "distortion": each(number),
     "depth_file_name": optional(text),
+    "metres_per_unit": positive,
 }
 ANNOTATION_FIELDS: Fields = {
     "area": number,
@@ -80,7 +81,7 @@ def _validate(data: Any, source: str) -> None:
     _check_categories(categories, data["rpl"]["objects"], source)
     for image in images.values():
         where = f"{source}: image {image['id']}"
-        _check_fields(image, IMAGE_FIELDS, where)
+        _check_fields({"metres_per_unit": 1.0} | image, IMAGE_FIELDS, where)
         if len(image["distortion"]) > LONGEST_DISTORTION:
             found = len(image["distortion"])
             raise _wrong(f"{where}: distortion", f"at most {LONGEST_DISTORTION} numbers", found)

@@ -44,17 +44,26 @@ def category_to_coco(number: int, model: KeypointModel) -> Json:
 
 def object_to_coco(number: int, item: CocoObject) -> Json:
     """Make the entry of an object in the extra key `rpl`."""
-    symmetries = symmetries_to_json(item.symmetries)
     return {
         "name": item.model.name,
         "category_id": number,
         "points_object": rows_to_json(item.model.points_object),
         "mesh": item.mesh,
-        "symmetries": symmetries.pop("symmetries_discrete", []),
-        **symmetries,
+        **symmetries_of_entry(item.symmetries),
         **({} if item.frame is None else {"frame_from_object": numbers(item.frame)}),
         **({} if item.grasp is None else {"object_from_grasp": numbers(item.grasp)}),
     }
+
+
+def symmetries_of_entry(symmetries: Symmetries) -> Json:
+    """The keys of an entry that say how an object is symmetric."""
+    found = symmetries_to_json(symmetries)
+    return {"symmetries": found.pop("symmetries_discrete", []), **found}
+
+
+def symmetries_of_object(described: Json) -> Symmetries:
+    """Read these keys."""
+    return symmetries_from_json(described | {"symmetries_discrete": described["symmetries"]})
 
 
 def objects_from_coco(data: Mapping[str, Any]) -> list[CocoObject]:
@@ -74,7 +83,7 @@ def _object_from_coco(category: Json, described: Json) -> CocoObject:
     return CocoObject(
         model,
         mesh=described["mesh"],
-        symmetries=symmetries_from_json(described | {"symmetries_discrete": described["symmetries"]}),
+        symmetries=symmetries_of_object(described),
         grasp=optional(matrix_from_json)(described.get("object_from_grasp")),
         frame=optional(matrix_from_json)(described.get("frame_from_object")),
     )

@@ -70,8 +70,7 @@ def open_masks(path: Path, kind: MaskFormat, scene: Scene, *, alone: bool = True
             f"the masks of scene {scene.name}: {path} is named for several scenes; expected a folder per "
             f"scene in it, such as {named}; sort them into folders"
         )
-    size = (scene.intrinsics.height, scene.intrinsics.width)
-    found = FINDERS[kind](here, size, None if alone or here != path else scene.name)
+    found = FINDERS[kind](here, scene, alone or here != path)
     frames = _matched(found, scene, here)
     unmatched, without = len(found) - len(frames), len(scene.frames) - len(frames)
     notes = []
@@ -85,12 +84,23 @@ def open_masks(path: Path, kind: MaskFormat, scene: Scene, *, alone: bool = True
 def _matched(
     found: Mapping[str, Callable[[], Masks]], scene: Scene, path: Path
 ) -> dict[int, Callable[[], Masks]]:
-    """The readers by frame: of the same name without suffix, else of the same number."""
+    """The readers by frame: of the same name without suffix, else of the same number.
+
+    Raises:
+        DataError: no name fits, or the masks are counted from another number than the frames.
+    """
     stems = {frame.color.stem: frame.index for frame in scene.frames}
+    counted_alike = all(map(str.isdecimal, (*stems, *found)))
+    if counted_alike and len(found) == len(stems) and set(map(int, found)) != set(map(int, stems)):
+        raise DataError(
+            f"the masks of scene {scene.name}: {path} has as many as there are frames, but numbers "
+            f"{min(found, key=int)} to {max(found, key=int)} where the frames have {min(stems, key=int)} to "
+            f"{max(stems, key=int)}; rename them like their colour images"
+        )
     by_name = {stems[stem]: read for stem, read in found.items() if stem in stems}
     if by_name:
         return by_name
-    if all(map(str.isdecimal, (*stems, *found))):
+    if counted_alike:
         numbers = {int(stem): index for stem, index in stems.items()}
         by_number = {numbers[int(stem)]: read for stem, read in found.items() if int(stem) in numbers}
         if by_number:
@@ -101,10 +111,15 @@ def _matched(
     )
 
 
-def _png(folder: Path, size: tuple[int, int], scene: str | None) -> dict[str, Callable[[], Masks]]:
+def _size(scene: Scene) -> tuple[int, int]:
+    """Height and width of the colour images."""
+    return scene.intrinsics.height, scene.intrinsics.width
+
+
+def _png(folder: Path, scene: Scene, alone: bool) -> dict[str, Callable[[], Masks]]:
     def reader(file: Path) -> Callable[[], Masks]:
         def read() -> Masks:
-            ids = read_ids(file, size=size)
+            ids = read_ids(file, size=_size(scene))
             return {str(number): ids == number for number in np.unique(ids) if number}
 
         return read
@@ -112,31 +127,43 @@ def _png(folder: Path, size: tuple[int, int], scene: str | None) -> dict[str, Ca
     return {file.stem: reader(file) for file in sorted(folder.glob("*.png"))}
 
 
-def _folders(folder: Path, size: tuple[int, int], scene: str | None) -> dict[str, Callable[[], Masks]]:
+def _folders(folder: Path, scene: Scene, alone: bool) -> dict[str, Callable[[], Masks]]:
     files: dict[str, dict[str, Path]] = {}
     for file in sorted(folder.glob("*/*.png")):
         files.setdefault(file.stem, {})[file.parent.name] = file
 
     def reader(of_frame: Mapping[str, Path]) -> Callable[[], Masks]:
-        return lambda: {key: read_ids(file, size=size) > 0 for key, file in of_frame.items()}
+        return lambda: {key: read_ids(file, size=_size(scene)) > 0 for key, file in of_frame.items()}
 
     return {stem: reader(of_frame) for stem, of_frame in files.items()}
 
 
-def _coco(file: Path, size: tuple[int, int], scene: str | None) -> dict[str, Callable[[], Masks]]:
+def _coco(file: Path, scene: Scene, alone: bool) -> dict[str, Callable[[], Masks]]:
+    """The images of the scene; all where it is alone and none is of a scene of that name."""
     data = read_json(file)
     with decoding(file, REMEDY):
         names = {category["id"]: str(category["name"]) for category in data["categories"]}
-        images = [image for image in data["images"] if scene is None or _scene_of(image) == scene]
+        images = [image for image in data["images"] if _scene_of(image) == scene.name]
+        if not images and alone:
+            images = data["images"]
         entries: dict[Any, list[Any]] = {image["id"]: [] for image in images}
         for annotation in data["annotations"]:
             if annotation["image_id"] in entries:
                 entries[annotation["image_id"]].append(annotation)
 
         def reader(image: Any) -> Callable[[], Masks]:
-            return lambda: _of_image(image, entries[image["id"]], names, size, file)
+            return lambda: _of_image(image, entries[image["id"]], names, _size(scene), file)
 
-        return {Path(image["file_name"]).stem: reader(image) for image in images}
+        called = {frame.index: frame.color.stem for frame in scene.frames}
+        readers: dict[str, Callable[[], Masks]] = {}
+        for image in images:
+            # Exports of ours call images by the index of the frame, whatever the recording calls them.
+            ours = "scene" in image and image.get("frame") in called
+            stem = called[image["frame"]] if ours else Path(image["file_name"]).stem
+            if stem in readers:
+                raise ValueError(f"two images are called {stem}: say in `scene` of each which scene it is of")
+            readers[stem] = reader(image)
+        return readers
 
 
 def _scene_of(image: Any) -> str:
@@ -165,11 +192,9 @@ def _of_image(
     return joined
 
 
-FINDERS: Mapping[
-    MaskFormat, Callable[[Path, tuple[int, int], str | None], dict[str, Callable[[], Masks]]]
-] = {
+FINDERS: Mapping[MaskFormat, Callable[[Path, Scene, bool], dict[str, Callable[[], Masks]]]] = {
     "png": _png,
     "folders": _folders,
     "coco": _coco,
 }
-"""What finds the masks of each format, of one scene if it is named: readers by the name of their frame."""
+"""What finds the masks of each format: readers by the name of their frame; whether all are of this scene."""

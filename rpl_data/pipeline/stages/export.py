@@ -35,7 +35,7 @@ from rpl_data.types import DataError
 
 Export = Callable[[Context], ExportSummary | DialectSummary]
 
-VERSION = 3
+VERSION = 4
 """Increase it when the stage writes something else for the same input: its steps then run again."""
 
 
@@ -122,9 +122,15 @@ def export_chosen(
     format, which is made of it, go to a folder of the choice; both keep the splits of the recipe's export.
 
     Raises:
-        DataError: the format or the object is not known, or nothing is left to export.
+        DataError: the format or the object is not known, the format has no such choice, or nothing is left to
+            export.
     """
     check_format(name)
+    if choice.color is not None and name not in CONVERTING:
+        raise DataError(
+            f"color says how {' and '.join(CONVERTING)} store colour images; {name} has no such choice: "
+            "leave it out"
+        )
     recipe = replace(context.recipe, export=choice.recipe(context.recipe.export))
     context = replace(context, recipe=recipe, choice=choice)
     if choice.folder and name != "coco":

@@ -22,7 +22,7 @@ from rpl_data.label.mask_check import MaskCheck
 from rpl_data.meshes import load_cloud, load_mesh
 from rpl_data.pipeline.context import Context, posed_frames, step
 from rpl_data.pipeline.followed import follow_objects, moved_objects
-from rpl_data.pipeline.given_masks import mask_options, object_masks
+from rpl_data.pipeline.given_masks import instances_in, mask_options, object_masks
 from rpl_data.pipeline.ledger import Advance, Outcome, Step
 from rpl_data.types import FrameLabel
 from rpl_data.types.instances import instance_of, places_in
@@ -58,6 +58,7 @@ def _label_step(context: Context, video: str) -> Step:
         scene = workspace.load_scene(video)
         given, check = object_masks(context, video), MaskCheck()
         posed = posed_frames(scene, workspace.load_trajectory(scene))
+        alone = {name for name in names if len(instances_in(workspace.load_placed(name), video, parts)) == 1}
         followed: list[str] = []
         if video in parts.moving:
             found, followed = follow_objects(workspace, video, placed[video], posed, advance)
@@ -79,18 +80,23 @@ def _label_step(context: Context, video: str) -> Step:
             for done, label in enumerate(labels(), start=1):
                 advance(done, total)
                 counts.update(instance.object for instance in label.instances)
-                shown = Counter(instance.object for instance in label.instances)
                 for instance in label.instances:
                     if instance.corrected_px is not None:
                         moved_px.setdefault(instance.object, []).append(instance.corrected_px)
                     # Which of several instances a given mask is of is not known.
-                    if given is not None and instance.object in given.keys and shown[instance.object] == 1:
+                    if given is not None and instance.object in given.keys and instance.object in alone:
                         mask = given.mask(instance.object, label.frame, scene)
                         check.add(instance.object, label.frame, instance.mask, mask)
                 yield label
 
         workspace.save_labels(video, counted())
         notes = [] if given is None else [f"scene {video}: {line}" for line in given.notes]
+        notes += [
+            f"scene {video}: it shows several {name}, so given masks neither check them nor vote on "
+            "their shape: which instance a mask is of is not known"
+            for name in names
+            if given is not None and name in given.keys and name not in alone
+        ]
         lines = [*notes, *check.lines(video)]
         path = "the path that was followed" if followed else "the camera path"
         lines += [
