@@ -112,19 +112,18 @@ def evaluate(
                 raise
             unreadable[str(error)] += 1
             continue
-        squares = {label.object: _square(label) for label in labels} if crops == "given" else None
-        seen = {each.object: each for each in pipeline.see(pixels, squares)}
+        seen = _seen_of(pipeline, pixels, labels, crops)
         depth = None
         if use_depth or metres_per_unit is not None:
             depth_file = _depth_file(coco_json.parent, image)
             depth = read_depth_like(depth_file, depth_unit_m(image, metres_per_unit), like=pixels)
-        for label, method in product(labels, methods):
+        for (label, found), method in product(zip(labels, seen, strict=True), methods):
             name = label.object
             solved = None
-            if name in seen:
-                solved = pipeline.pose(seen[name], intrinsics_from_coco(image), method=method, depth=depth)
+            if found is not None:
+                solved = pipeline.pose(found, intrinsics_from_coco(image), method=method, depth=depth)
             yield _judged(
-                seen.get(name),
+                found,
                 solved,
                 label,
                 image=image["file_name"],
@@ -132,6 +131,31 @@ def evaluate(
                 truth=truth[name],
                 truth_from_trained=truth_from_trained[name],
             )
+
+
+def _seen_of(
+    pipeline: PosePipeline, pixels: np.ndarray, labels: Sequence[InstanceLabel], crops: Crops
+) -> list[SeenKeypoints | None]:
+    """What the networks see of each label's instance; None where nothing is detected.
+
+    The detector gives one box per object. Where an image shows several instances, it counts for the nearest,
+    and the others are not detected.
+    """
+    if crops == "given":
+        return [next(iter(pipeline.see(pixels, {one.object: _square(one)})), None) for one in labels]
+    seen: list[SeenKeypoints | None] = [None] * len(labels)
+    for found in pipeline.see(pixels, None):
+        off = {row: _apart_px(found, one) for row, one in enumerate(labels) if one.object == found.object}
+        if off:
+            seen[min(off, key=lambda row: off[row])] = found
+    return seen
+
+
+def _apart_px(found: SeenKeypoints, label: InstanceLabel) -> float:
+    """Mean distance of the keypoints seen from those of a label; infinite where none is labelled."""
+    known = label.visibility > 0
+    apart = np.linalg.norm(found.positions_px - label.keypoints_px, axis=1)[known]
+    return float(apart.mean()) if len(apart) else np.inf
 
 
 def _labels(
