@@ -44,5 +44,6 @@ $(STAMP): constraints.txt pyproject.toml
 	@sh .ci/system-packages $(PYTHON)
 	test -x .venv/bin/pip || $(PYTHON) -m venv .venv
 	@echo "Installing the packages into .venv: 7 GB, without a word for some minutes."
+	@sh .ci/disk-space 9
 	.venv/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[training,dev]'
 	@touch $@

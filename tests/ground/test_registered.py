@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -14,6 +15,8 @@ from rpl_data.types import Intrinsics
 COLOR = Intrinsics(700.0, 705.0, 473.0, 351.0, 960, 720)
 SMALL = resized(COLOR, width=128, height=96)
 NORMAL = np.array([0.5, -0.6, 1.0])
+# OpenCV 4 rounds the place between pixels that cv2.remap reads to 1/32 px; OpenCV 5 does not.
+ROUNDED = int(cv2.__version__.split(".")[0]) < 5
 
 
 def plane_m(camera: Intrinsics, normal: np.ndarray = NORMAL, distance_m: float = 0.8) -> np.ndarray:
@@ -34,7 +37,7 @@ def test_a_slanted_plane_stays_one_at_seven_times_the_size() -> None:
     inner = np.s_[
         4:-4, 4:-4
     ]  # beyond the centres of the outermost depth pixels nothing is known of the slope
-    np.testing.assert_allclose(found[inner], plane_m(COLOR)[inner], rtol=1e-5)
+    np.testing.assert_allclose(found[inner], plane_m(COLOR)[inner], rtol=5e-4 if ROUNDED else 1e-5)
     np.testing.assert_allclose(found, plane_m(COLOR), rtol=0.02)
 
 
@@ -71,7 +74,7 @@ def test_a_depth_camera_beside_the_colour_camera(distorted: bool) -> None:
     assert seen[200:500, 200:700].all() and seen.mean() > 0.75  # the rest lies outside the depth image
     # Undistorting takes the nearest depth pixel: on this slope half a pixel is 1.2 mm.
     off_m = np.abs(found - true)[seen]
-    assert np.percentile(off_m, 99) < 5e-5
+    assert np.percentile(off_m, 99) < (3e-4 if ROUNDED else 5e-5)
     assert off_m.max() < 0.02  # at the depth image's rim, where the slope is not known
 
 
