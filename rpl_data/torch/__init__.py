@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from rpl_data.torch.instances import collate as collate
     from rpl_data.torch.keypoints import KeypointDataset as KeypointDataset
     from rpl_data.torch.keypoints import KeypointSample as KeypointSample
+    from rpl_data.torch.targets import settled as settled
     from rpl_data.torch.transforms import Augmentation as Augmentation
     from rpl_data.torch.warps import RandomAffine as RandomAffine
     from rpl_data.types import Intrinsics as Intrinsics
@@ -65,6 +66,7 @@ _MODULE_OF = {
     "locate": "rpl_data.torch.decoding",
     "positions_in_image": "rpl_data.torch.heatmaps",
     "probabilities": "rpl_data.torch.decoding",
+    "settled": "rpl_data.torch.targets",
 }
 
 __all__ = [
@@ -89,6 +91,7 @@ __all__ = [
     "locate",
     "positions_in_image",
     "probabilities",
+    "settled",
 ]
 
 
