@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from rpl_data.pose.estimate import PoseEstimate as PoseEstimate
     from rpl_data.pose.estimate import PoseFailure as PoseFailure
     from rpl_data.pose.estimate import estimate_pose as estimate_pose
+    from rpl_data.torch.adapters import from_albumentations as from_albumentations
+    from rpl_data.torch.adapters import from_kornia as from_kornia
     from rpl_data.torch.datamodule import KeypointDataModule as KeypointDataModule
     from rpl_data.torch.decoding import Keypoints as Keypoints
     from rpl_data.torch.decoding import locate as locate
@@ -63,6 +65,8 @@ _MODULE_OF = {
     "correspondences": "rpl_data.pose.correspondences",
     "draw_heatmaps": "rpl_data.torch.heatmaps",
     "estimate_pose": "rpl_data.pose.estimate",
+    "from_albumentations": "rpl_data.torch.adapters",
+    "from_kornia": "rpl_data.torch.adapters",
     "locate": "rpl_data.torch.decoding",
     "positions_in_image": "rpl_data.torch.heatmaps",
     "probabilities": "rpl_data.torch.decoding",
@@ -88,6 +92,8 @@ __all__ = [
     "correspondences",
     "draw_heatmaps",
     "estimate_pose",
+    "from_albumentations",
+    "from_kornia",
     "locate",
     "positions_in_image",
     "probabilities",
