@@ -33,6 +33,8 @@ if TYPE_CHECKING:
     from rpl_data.torch.decoding import probabilities as probabilities
     from rpl_data.torch.detection import DetectionDataset as DetectionDataset
     from rpl_data.torch.detection import DetectionTarget as DetectionTarget
+    from rpl_data.torch.epochs import EpochOrder as EpochOrder
+    from rpl_data.torch.epochs import SeededRows as SeededRows
     from rpl_data.torch.heatmaps import draw_heatmaps as draw_heatmaps
     from rpl_data.torch.heatmaps import positions_in_image as positions_in_image
     from rpl_data.torch.instances import InstanceDataset as InstanceDataset
@@ -50,6 +52,7 @@ _MODULE_OF = {
     "Augmentation": "rpl_data.torch.transforms",
     "DetectionDataset": "rpl_data.torch.detection",
     "DetectionTarget": "rpl_data.torch.detection",
+    "EpochOrder": "rpl_data.torch.epochs",
     "InstanceDataset": "rpl_data.torch.instances",
     "InstanceSample": "rpl_data.torch.instances",
     "InstanceTarget": "rpl_data.torch.instances",
@@ -61,6 +64,7 @@ _MODULE_OF = {
     "PoseEstimate": "rpl_data.pose.estimate",
     "PoseFailure": "rpl_data.pose.estimate",
     "RandomAffine": "rpl_data.torch.warps",
+    "SeededRows": "rpl_data.torch.epochs",
     "collate": "rpl_data.torch.instances",
     "correspondences": "rpl_data.pose.correspondences",
     "draw_heatmaps": "rpl_data.torch.heatmaps",
@@ -77,6 +81,7 @@ __all__ = [
     "Augmentation",
     "DetectionDataset",
     "DetectionTarget",
+    "EpochOrder",
     "InstanceDataset",
     "InstanceSample",
     "InstanceTarget",
@@ -88,6 +93,7 @@ __all__ = [
     "PoseEstimate",
     "PoseFailure",
     "RandomAffine",
+    "SeededRows",
     "collate",
     "correspondences",
     "draw_heatmaps",

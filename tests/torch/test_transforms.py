@@ -26,7 +26,7 @@ def folder(tmp_path_factory):
     return exported(tmp_path_factory.mktemp("transforms"))
 
 
-@pytest.mark.parametrize("package", ["albumentations", "kornia"])
+@pytest.mark.parametrize("package", ["albumentations", "kornia", "torchdata"])
 def test_examples_of_the_page_run(folder, package):
     pytest.importorskip(package, reason=f"{package} is not installed")
     mine = [block for block in BLOCKS if re.search(rf"^(from|import) {package}\b", block, re.M)]
