@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from rpl_data.pose.estimate import estimate_pose as estimate_pose
     from rpl_data.torch.adapters import from_albumentations as from_albumentations
     from rpl_data.torch.adapters import from_kornia as from_kornia
+    from rpl_data.torch.augmentation import Augmentation as Augmentation
     from rpl_data.torch.datamodule import KeypointDataModule as KeypointDataModule
     from rpl_data.torch.decoding import Keypoints as Keypoints
     from rpl_data.torch.decoding import locate as locate
@@ -44,12 +45,11 @@ if TYPE_CHECKING:
     from rpl_data.torch.keypoints import KeypointDataset as KeypointDataset
     from rpl_data.torch.keypoints import KeypointSample as KeypointSample
     from rpl_data.torch.targets import settled as settled
-    from rpl_data.torch.transforms import Augmentation as Augmentation
     from rpl_data.torch.warps import RandomAffine as RandomAffine
     from rpl_data.types import Intrinsics as Intrinsics
 
 _MODULE_OF = {
-    "Augmentation": "rpl_data.torch.transforms",
+    "Augmentation": "rpl_data.torch.augmentation",
     "DetectionDataset": "rpl_data.torch.detection",
     "DetectionTarget": "rpl_data.torch.detection",
     "EpochOrder": "rpl_data.torch.epochs",

@@ -76,4 +76,6 @@ def refuse_pasting(augmentation: Augmentation) -> None:
         DataError: `background` or `occluders` is set.
     """
     if augmentation.background or augmentation.occluders:
-        raise DataError("augment.background and augment.occluders are for the crops of KeypointDataset: give 0")
+        raise DataError(
+            "augment.background and augment.occluders are for the crops of KeypointDataset: give 0"
+        )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NotRequired, TypedDict
 
@@ -13,10 +14,12 @@ from torch import Tensor
 from torch.utils.data import Dataset, get_worker_info
 
 from rpl_data.formats.datasets.coco import read_coco
+from rpl_data.torch.colours import jittered
 from rpl_data.torch.heatmaps import draw_heatmaps
 from rpl_data.torch.image_files import read_image, to_unit_range
 from rpl_data.torch.keypoint_rows import canonical_rows, choose_object, keypoint_rows
 from rpl_data.torch.on_device import batch_on_device
+from rpl_data.torch.pasting import hide, pasted, pasting_of
 from rpl_data.torch.pixel_cache import PixelCache, Rectangle, rectangle_around
 from rpl_data.torch.splits import split_file
 from rpl_data.torch.transforms import (
@@ -26,12 +29,12 @@ from rpl_data.torch.transforms import (
     chained,
     crop_from_square,
     heatmap_from_crop,
-    jittered,
     moved,
     random_crop_from_square,
     reach,
     warped,
 )
+from rpl_data.torch.turns import turn_by_scenes
 from rpl_data.torch.views import WHOLE, Transforms, View, transformed
 from rpl_data.types import DataError
 from rpl_data.wording import counted
@@ -93,6 +96,7 @@ class KeypointDataset(Dataset[KeypointSample]):
     Attributes:
         model: the keypoint model of the object.
         input_px, heatmap_px: side of the crops and of the heatmaps.
+        augment: the augmentation, with `auto` decided; None without one.
     """
 
     def __init__(
@@ -149,7 +153,7 @@ class KeypointDataset(Dataset[KeypointSample]):
         chosen, category_id = choose_object(data, object, coco_json)
         self.model = chosen.model
         self.input_px, self.heatmap_px = input_px, heatmap_px
-        self._sigma_px, self._augment = sigma_px, augment
+        self._sigma_px = sigma_px
         self._transforms, self._draws_heatmaps = transforms, heatmaps
         self._heatmap_from_crop = heatmap_from_crop(input_px=input_px, heatmap_px=heatmap_px)
         self._rows = keypoint_rows(data, category_id, coco_json.parent)
@@ -157,6 +161,13 @@ class KeypointDataset(Dataset[KeypointSample]):
             raise NoInstance(f"{coco_json} has no instance of {self.model.name}; train on another split")
         if canonical:
             self._rows = canonical_rows(self._rows, chosen)
+        if augment is not None and augment.rotation_deg == "auto":
+            turn = turn_by_scenes(self._rows.scenes, self._rows.camera_from_object)
+            augment = replace(augment, rotation_deg=turn)
+        self.augment = augment
+        self._pasting = pasting_of(
+            augment, data, category_id, self._rows, folder=coco_json.parent, piece_px=input_px
+        )
         self._points_object = torch.from_numpy(self.model.points_object.copy())
         self._cache = None
         if cache:
@@ -184,15 +195,29 @@ class KeypointDataset(Dataset[KeypointSample]):
             # OpenCV's threads do not survive the fork of a DataLoader worker, and each worker needs one core.
             cv2.setNumThreads(0)
         rng = None
-        if self._augment is not None:
+        if self.augment is not None:
             rng = np.random.default_rng(int(torch.randint(2**62, ()).item()))
         view = self._view(row)
         crop_from_image = self._crop_from_image(view, rng)
         size = (self.input_px, self.input_px)
         crop = warped(view.pixels, chained(crop_from_image, view.image_from_pixels), size=size)
-        if self._augment is not None and rng is not None:
-            crop = jittered(crop, self._augment, rng)
+        if self.augment is not None and rng is not None:
+            crop, view = self._pasted(crop, view, crop_from_image, rng)
+            crop = jittered(crop, self.augment, rng)
         return self._sample(row, view, crop, crop_from_image)
+
+    def _pasted(
+        self, crop: Image, view: View, crop_from_image: Affine, rng: np.random.Generator
+    ) -> tuple[Image, View]:
+        """The crop with another background and an occluder, which may hide keypoints of the view."""
+        if self._pasting is None or self.augment is None:
+            return crop, view
+        mask = warped(view.mask() * np.uint8(255), crop_from_image, size=(self.input_px, self.input_px))
+        crop, covered = pasted(crop, mask, self._pasting, self.augment, rng)
+        if covered is None:
+            return crop, view
+        on_crop = moved(crop_from_image, view.keypoints[:, :2])
+        return crop, replace(view, keypoints=hide(view.keypoints, on_crop, covered))
 
     def to_device(self, batch: Mapping[str, Any], device: str | torch.device) -> dict[str, Any]:
         """Move a collated batch to a device, and draw its heatmaps there when `heatmaps=False` left them out.
@@ -219,9 +244,9 @@ class KeypointDataset(Dataset[KeypointSample]):
 
     def _crop_from_image(self, view: View, rng: np.random.Generator | None) -> Affine:
         *centre, side = view.square_box
-        if self._augment is None or rng is None:
+        if self.augment is None or rng is None:
             return crop_from_square(np.array(centre), side, input_px=self.input_px)
-        return random_crop_from_square(np.array(centre), side, self._augment, rng, input_px=self.input_px)
+        return random_crop_from_square(np.array(centre), side, self.augment, rng, input_px=self.input_px)
 
     def _sample(self, row: int, view: View, crop: Image, crop_from_image: Affine) -> KeypointSample:
         rows = self._rows
@@ -258,7 +283,7 @@ class KeypointDataset(Dataset[KeypointSample]):
         """The rectangle of pixels that the crops of each instance may need; transforms need all of them."""
         if self._transforms is not None:
             return [Rectangle(0, 0, int(width), int(height)) for width, height in self._rows.sizes]
-        half = reach(self._augment)
+        half = reach(self.augment)
         return [
             rectangle_around(box, half=half, width=int(width), height=int(height))
             for box, (width, height) in zip(self._rows.square_boxes, self._rows.sizes, strict=True)

@@ -7,6 +7,8 @@ import torch
 from torch import Tensor
 from torchvision import tv_tensors
 
+from rpl_data.torch.augmentation import refuse_pasting
+from rpl_data.torch.colours import jittered
 from rpl_data.torch.image_files import to_unit_range
 from rpl_data.torch.targets import InstanceSample, InstanceTarget, points_from_keypoints
 from rpl_data.torch.transforms import (
@@ -15,7 +17,6 @@ from rpl_data.torch.transforms import (
     Augmentation,
     Image,
     chained,
-    jittered,
     moved,
     random_crop_from_square,
     warped,
@@ -28,6 +29,7 @@ class RandomAffine:
 
     def __init__(self, augmentation: Augmentation) -> None:
         """Take the amounts; `augmentation.shift` is a share of the image's longer side."""
+        refuse_pasting(augmentation)
         self._augmentation = augmentation
 
     def __call__(self, image: Tensor, target: InstanceTarget) -> InstanceSample:

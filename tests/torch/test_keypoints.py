@@ -13,6 +13,7 @@ from torch.utils.data import DataLoader
 
 from rpl_data.formats.datasets.coco import read_coco
 from rpl_data.geometry import project, transform
+from rpl_data.torch.colours import jittered
 from rpl_data.torch.decoding import locate
 from rpl_data.torch.device import widest_float
 from rpl_data.torch.heatmaps import positions_in_image
@@ -23,7 +24,6 @@ from rpl_data.torch.transforms import (
     chained,
     crop_from_square,
     inverted,
-    jittered,
     moved,
     random_crop_from_square,
     reach,
