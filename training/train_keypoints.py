@@ -48,7 +48,7 @@ def train_keypoints(
         machine: the hardware.
         cache: keep the decoded pixels around the boxes in memory.
         canonical: teach all poses of a symmetric object that look the same as one, by the symmetries that
-            `rpl symmetry` found and you confirmed.
+            `rpl symmetry` found and you confirmed. `rpl evaluate poses` still compares with the labelled one.
         validate_every: epochs from one validation to the next; 0 never validates.
         seed: of everything that is drawn at random.
         resume: go on with the run in `out`, after its last finished epoch.
