@@ -24,6 +24,7 @@ def train_keypoints(
     augment: Augmentation = Augmentation(),  # noqa: B008
     machine: Machine = Machine(),  # noqa: B008
     cache: bool = True,
+    canonical: bool = False,
     validate_every: int = 1,
     seed: int = 0,
     resume: bool = False,
@@ -46,6 +47,8 @@ def train_keypoints(
         augment: how far training crops may stray from the box.
         machine: the hardware.
         cache: keep the decoded pixels around the boxes in memory.
+        canonical: teach all poses of a symmetric object that look the same as one, by the symmetries that
+            `rpl symmetry` found and you confirmed. `rpl evaluate poses` still compares with the labelled one.
         validate_every: epochs from one validation to the next; 0 never validates.
         seed: of everything that is drawn at random.
         resume: go on with the run in `out`, after its last finished epoch.
@@ -68,6 +71,7 @@ def train_keypoints(
         sigma_px=network.sigma_px,
         augment=augment,
         cache=cache,
+        canonical=canonical,
     )
     module = untrained(data.train.model, network, learning)
     if resumed is not None:
@@ -81,7 +85,7 @@ def train_keypoints(
         data.val,
         collate=collate_readable,
         monitor="val_pck",
-        settings={"augment": asdict(augment)},
+        settings={"augment": asdict(data.train.augment or augment), "canonical": canonical},
     )
     return fit(lesson, run, resumed=resumed)
 

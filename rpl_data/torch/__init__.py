@@ -25,12 +25,17 @@ if TYPE_CHECKING:
     from rpl_data.pose.estimate import PoseEstimate as PoseEstimate
     from rpl_data.pose.estimate import PoseFailure as PoseFailure
     from rpl_data.pose.estimate import estimate_pose as estimate_pose
+    from rpl_data.torch.adapters import from_albumentations as from_albumentations
+    from rpl_data.torch.adapters import from_kornia as from_kornia
+    from rpl_data.torch.augmentation import Augmentation as Augmentation
     from rpl_data.torch.datamodule import KeypointDataModule as KeypointDataModule
     from rpl_data.torch.decoding import Keypoints as Keypoints
     from rpl_data.torch.decoding import locate as locate
     from rpl_data.torch.decoding import probabilities as probabilities
     from rpl_data.torch.detection import DetectionDataset as DetectionDataset
     from rpl_data.torch.detection import DetectionTarget as DetectionTarget
+    from rpl_data.torch.epochs import EpochOrder as EpochOrder
+    from rpl_data.torch.epochs import SeededRows as SeededRows
     from rpl_data.torch.heatmaps import draw_heatmaps as draw_heatmaps
     from rpl_data.torch.heatmaps import positions_in_image as positions_in_image
     from rpl_data.torch.instances import InstanceDataset as InstanceDataset
@@ -39,14 +44,15 @@ if TYPE_CHECKING:
     from rpl_data.torch.instances import collate as collate
     from rpl_data.torch.keypoints import KeypointDataset as KeypointDataset
     from rpl_data.torch.keypoints import KeypointSample as KeypointSample
-    from rpl_data.torch.transforms import Augmentation as Augmentation
+    from rpl_data.torch.targets import settled as settled
     from rpl_data.torch.warps import RandomAffine as RandomAffine
     from rpl_data.types import Intrinsics as Intrinsics
 
 _MODULE_OF = {
-    "Augmentation": "rpl_data.torch.transforms",
+    "Augmentation": "rpl_data.torch.augmentation",
     "DetectionDataset": "rpl_data.torch.detection",
     "DetectionTarget": "rpl_data.torch.detection",
+    "EpochOrder": "rpl_data.torch.epochs",
     "InstanceDataset": "rpl_data.torch.instances",
     "InstanceSample": "rpl_data.torch.instances",
     "InstanceTarget": "rpl_data.torch.instances",
@@ -58,19 +64,24 @@ _MODULE_OF = {
     "PoseEstimate": "rpl_data.pose.estimate",
     "PoseFailure": "rpl_data.pose.estimate",
     "RandomAffine": "rpl_data.torch.warps",
+    "SeededRows": "rpl_data.torch.epochs",
     "collate": "rpl_data.torch.instances",
     "correspondences": "rpl_data.pose.correspondences",
     "draw_heatmaps": "rpl_data.torch.heatmaps",
     "estimate_pose": "rpl_data.pose.estimate",
+    "from_albumentations": "rpl_data.torch.adapters",
+    "from_kornia": "rpl_data.torch.adapters",
     "locate": "rpl_data.torch.decoding",
     "positions_in_image": "rpl_data.torch.heatmaps",
     "probabilities": "rpl_data.torch.decoding",
+    "settled": "rpl_data.torch.targets",
 }
 
 __all__ = [
     "Augmentation",
     "DetectionDataset",
     "DetectionTarget",
+    "EpochOrder",
     "InstanceDataset",
     "InstanceSample",
     "InstanceTarget",
@@ -82,13 +93,17 @@ __all__ = [
     "PoseEstimate",
     "PoseFailure",
     "RandomAffine",
+    "SeededRows",
     "collate",
     "correspondences",
     "draw_heatmaps",
     "estimate_pose",
+    "from_albumentations",
+    "from_kornia",
     "locate",
     "positions_in_image",
     "probabilities",
+    "settled",
 ]
 
 

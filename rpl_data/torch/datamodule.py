@@ -39,6 +39,7 @@ class KeypointDataModule(LightningDataModule):
         augment: Augmentation | None = None,
         workers: int = 0,
         cache: bool = True,
+        canonical: bool = False,
         seed: int = 0,
     ) -> None:
         """Read the annotations, and the pixels around the boxes when `cache`.
@@ -46,7 +47,7 @@ class KeypointDataModule(LightningDataModule):
         Args:
             folder: folder of an export (export/coco or export/coco_truth).
             object: name of the object; may be left out when the dataset has one object.
-            input_px, heatmap_px, sigma_px, cache: see `KeypointDataset`.
+            input_px, heatmap_px, sigma_px, cache, canonical: see `KeypointDataset`.
             batch: instances per step.
             workers: processes that load data; 0 loads in this process, which suits cached crops.
             seed: determines, together with the epoch alone, the order of the training instances and their
@@ -57,7 +58,7 @@ class KeypointDataModule(LightningDataModule):
         """
         super().__init__()
         sizes: dict[str, Any] = {"input_px": input_px, "heatmap_px": heatmap_px, "sigma_px": sigma_px}
-        sizes |= {"object": object, "cache": cache}
+        sizes |= {"object": object, "cache": cache, "canonical": canonical}
         folder = Path(folder).expanduser()
         self.train = KeypointDataset(folder, split="train", augment=augment, **sizes)
         if not self.train.model.keypoints:

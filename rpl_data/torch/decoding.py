@@ -9,6 +9,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from rpl_data.torch.device import widest_float
+
 SMALLEST_VARIANCE_PX2 = 0.3**2
 """Smallest variance of a position per axis, in heatmap pixels squared: no network is surer than that."""
 
@@ -75,9 +77,10 @@ def in_image(
     input_px: int,
     heatmap_px: int,
 ) -> Float[Tensor, "batch k 2 2"]:
-    """Convert covariances from heatmap pixels to pixels of the full image, float64."""
-    image_from_heatmap = torch.linalg.inv(crop_from_image[:, None, :, :2].double()) * (input_px / heatmap_px)
-    turned: Tensor = image_from_heatmap @ covariance_px.double() @ image_from_heatmap.transpose(-1, -2)
+    """Convert covariances from heatmap pixels to pixels of the full image, float64 (float32 on MPS)."""
+    wide = widest_float(covariance_px.device)
+    image_from_heatmap = torch.linalg.inv(crop_from_image[:, None, :, :2].to(wide)) * (input_px / heatmap_px)
+    turned: Tensor = image_from_heatmap @ covariance_px.to(wide) @ image_from_heatmap.transpose(-1, -2)
     return turned
 
 

@@ -12,9 +12,11 @@ from torch import Tensor
 from torch.utils.data import Dataset
 
 from rpl_data.formats.datasets.coco import read_coco
+from rpl_data.torch.augmentation import refuse_pasting
+from rpl_data.torch.colours import jittered
 from rpl_data.torch.image_files import read_image, to_unit_range
 from rpl_data.torch.splits import split_file
-from rpl_data.torch.transforms import Augmentation, jittered, moved, random_crop_from_square, warped
+from rpl_data.torch.transforms import Augmentation, moved, random_crop_from_square, warped
 from rpl_data.types import DataError
 
 MARGIN = 1.5
@@ -75,6 +77,8 @@ class DetectionDataset(Dataset[tuple[Tensor, DetectionTarget]]):
             raise DataError(f"width_px is {width_px}; it must be above 0")
         if augment is not None and augment.rotation_deg:
             raise DataError(f"rotation_deg is {augment.rotation_deg}; a rotated box is not upright: give 0")
+        if augment is not None:
+            refuse_pasting(augment)
         coco_json = split_file(path, split)
         data = read_coco(coco_json)
         if not data["images"]:

@@ -6,7 +6,7 @@ worker processes load the images.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence, Sized
+from collections.abc import Callable, Iterator, Mapping, Sequence, Sized
 from typing import Any
 
 import numpy as np
@@ -47,10 +47,38 @@ class EpochOrder(Sampler[tuple[int, int]]):
     def __iter__(self) -> Iterator[tuple[int, int]]:
         """Iterate over the rows of this process in this epoch."""
         epoch, self._epoch = self._epoch, self._epoch + 1
+        return _OneEpoch(self, epoch)
+
+    def rows(self, epoch: int) -> list[int]:
+        """The rows of this process in an epoch, in their order."""
         order = np.random.default_rng((self._seed, epoch)).permutation(len(self._dataset))
         process, processes = _processes()
-        shared = np.resize(order, len(self) * processes)[process::processes]
-        return iter([(epoch, int(row)) for row in shared])
+        shared: list[int] = np.resize(order, len(self) * processes)[process::processes].tolist()
+        return shared
+
+
+class _OneEpoch(Iterator[tuple[int, int]]):
+    """The (epoch, row) of one epoch; torchdata's StatefulDataLoader saves where it is, and goes on there."""
+
+    def __init__(self, order: EpochOrder, epoch: int) -> None:
+        self._order, self._epoch, self._given = order, epoch, 0
+        self._rows = order.rows(epoch)
+
+    def __next__(self) -> tuple[int, int]:
+        if self._given >= len(self._rows):
+            raise StopIteration
+        self._given += 1
+        return self._epoch, self._rows[self._given - 1]
+
+    def state_dict(self) -> dict[str, int]:
+        """Where the iteration is: the epoch, and how many rows of it were given."""
+        return {"epoch": self._epoch, "given": self._given}
+
+    def load_state_dict(self, state: Mapping[str, int]) -> None:
+        """Go on where a state was taken; the order follows with the next epoch."""
+        self._epoch, self._given = state["epoch"], state["given"]
+        self._rows = self._order.rows(self._epoch)
+        self._order.set_epoch(self._epoch + 1)
 
 
 def _processes() -> tuple[int, int]:

@@ -9,6 +9,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from rpl_data.torch.device import widest_float
+
 SMALLEST_EXPONENT = -20.0
 """Exponent below which the Gaussian is 0: products of two tails would be denormal, which CPUs are slow at."""
 
@@ -37,10 +39,10 @@ def positions_in_image(
     input_px: int,
     heatmap_px: int,
 ) -> Float[Tensor, "*batch k 2"]:
-    """Convert heatmap positions to pixels of the full image, float64."""
-    zoom = input_px / heatmap_px
-    crop = (positions_px.double() + 0.5) * zoom - 0.5  # edges coincide, centres do not
-    affine = crop_from_image.double()
+    """Convert heatmap positions to pixels of the full image, float64 (float32 on MPS)."""
+    zoom, wide = input_px / heatmap_px, widest_float(positions_px.device)
+    crop = (positions_px.to(wide) + 0.5) * zoom - 0.5  # edges coincide, centres do not
+    affine = crop_from_image.to(wide)
     offset = (crop - affine[..., None, :, 2]).transpose(-1, -2)
     image: Tensor = torch.linalg.solve(affine[..., :2], offset).transpose(-1, -2)
     return image

@@ -4,11 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TypedDict
 
 import cv2
-import numpy as np
-import torch
 from torch import Tensor
 from torch.utils.data import Dataset, get_worker_info
 from torchvision import tv_tensors
@@ -17,23 +14,11 @@ from rpl_data.formats.datasets.coco import read_coco
 from rpl_data.json_arrays import Json
 from rpl_data.torch.image_files import read_image, to_unit_range
 from rpl_data.torch.splits import split_file
+from rpl_data.torch.targets import InstanceSample as InstanceSample
+from rpl_data.torch.targets import InstanceTarget as InstanceTarget
+from rpl_data.torch.targets import settled, target_of
 from rpl_data.torch.transforms import Image
 from rpl_data.wording import counted
-
-
-class InstanceTarget(TypedDict):
-    """What torchvision's detection models are trained with: `InstanceDataset` says what each key holds."""
-
-    boxes: Tensor
-    labels: Tensor
-    masks: Tensor
-    image_id: int
-    area: Tensor
-    iscrowd: Tensor
-    keypoints: Tensor
-
-
-InstanceSample = tuple[Tensor, InstanceTarget]
 
 
 class InstanceDataset(Dataset[InstanceSample]):
@@ -56,12 +41,17 @@ class InstanceDataset(Dataset[InstanceSample]):
     masks       uint8    n, height, width   1 = visible pixel of the object
     image_id    int                         of the COCO file
     area        float32  n                  visible pixels
-    iscrowd     int64    n                  zeros
+    iscrowd     int64    n                  1 = a region marked as ignored, with `crowds=True`; else zeros
     keypoints   float32  n, k, 3            x y v in px; v: 0 never clicked, 1 hidden, 2 seen
+    points      float32  n, k, 2            x y for transforms, counted from the edge; NaN where v is 0
+    visibility  int64    n, k               v of the keypoints
     ==========  =======  =================  ==============================================================
 
-    k is the number of keypoints of the object with most; the others' rows are padded with zeros. Keypoints
-    count from the centre of the first pixel, boxes from its edge.
+    k is the number of keypoints of the object with most; the others' rows are padded with zeros. `keypoints`,
+    which torchvision's Keypoint R-CNN reads, count from the centre of the first pixel; boxes and `points`,
+    which torchvision's transforms move, from its edge. After `transforms`, `keypoints` follow `points` and
+    `area` the masks, and instances without a visible pixel are dropped. Where you call transforms yourself,
+    `settled` does the same.
 
     Attributes:
         names: name of each label; `names[0]` is the background.
@@ -73,6 +63,7 @@ class InstanceDataset(Dataset[InstanceSample]):
         transforms: Callable[[Tensor, InstanceTarget], InstanceSample] | None = None,
         *,
         split: str | None = None,
+        crowds: bool = False,
     ) -> None:
         """Read the annotations; images stay on disk.
 
@@ -80,8 +71,10 @@ class InstanceDataset(Dataset[InstanceSample]):
             path: the folder of an export (my-workspace/export/coco), or one of its JSON files.
             transforms: called with the image (float32, 3 x height x width, 0 to 1) and its target, both made
                 of tv_tensors, so torchvision.transforms.v2 works, and so does `RandomAffine`. Do not flip:
-                a mirrored object is another object.
+                a mirrored object is another object (and torchvision moves keypoints one pixel too far).
             split: train, val or test, when `path` is a folder.
+            crowds: whether to give regions that a person marked as ignored in a labelling tool as well, with
+                `iscrowd` 1. That is for evaluators: torchvision's models would learn them as objects.
 
         Raises:
             DataError: there is no such split (the message says why), or the file is not an export of
@@ -96,7 +89,7 @@ class InstanceDataset(Dataset[InstanceSample]):
         self._folder, self._transforms = coco_json.parent, transforms
         self._images: list[Json] = data["images"]
         self._annotations: dict[int, list[Json]] = {image["id"]: [] for image in self._images}
-        for annotation in data["annotations"]:
+        for annotation in (*data["annotations"], *(data.get("crowds", ()) if crowds else ())):
             self._annotations[annotation["image_id"]].append(annotation)
 
     def __repr__(self) -> str:
@@ -117,7 +110,10 @@ class InstanceDataset(Dataset[InstanceSample]):
         """Return an image and its target."""
         pixels, target = self.read(row)
         image = tv_tensors.Image(to_unit_range(pixels))
-        return (image, target) if self._transforms is None else self._transforms(image, target)
+        if self._transforms is None:
+            return image, target
+        image, target = self._transforms(image, target)
+        return image, settled(target)
 
     def size(self, row: int) -> tuple[int, int]:
         """Return the width and height of an image in pixels."""
@@ -133,38 +129,9 @@ class InstanceDataset(Dataset[InstanceSample]):
     def target(self, row: int) -> InstanceTarget:
         """Return the target of an image at full size, untransformed, without reading the image."""
         entry = self._images[row]
-        return _target(entry, self._annotations[entry["id"]], self._most_keypoints)
+        return target_of(entry, self._annotations[entry["id"]], self._most_keypoints)
 
 
 def collate(batch: Sequence[InstanceSample]) -> tuple[list[Tensor], list[InstanceTarget]]:
     """Return images and targets as two lists, as torchvision's detection models take them."""
     return [image for image, _ in batch], [target for _, target in batch]
-
-
-def _target(image: Json, annotations: Sequence[Json], most_keypoints: int) -> InstanceTarget:
-    size = (image["height"], image["width"])
-    keypoints = np.zeros((len(annotations), most_keypoints, 3), dtype=np.float32)
-    for row, annotation in enumerate(annotations):
-        mine = np.array(annotation["keypoints"], dtype=np.float32).reshape(-1, 3)
-        keypoints[row, : len(mine)] = mine
-    xywh = np.array([a["bbox"] for a in annotations], dtype=np.float32).reshape(-1, 4)
-    boxes = np.concatenate([xywh[:, :2], xywh[:, :2] + xywh[:, 2:]], axis=1)
-    return {
-        "boxes": tv_tensors.BoundingBoxes(boxes, format=tv_tensors.BoundingBoxFormat.XYXY, canvas_size=size),
-        "labels": torch.tensor([a["category_id"] for a in annotations], dtype=torch.int64),
-        "masks": tv_tensors.Mask(_masks(annotations, size)),
-        "image_id": image["id"],
-        "area": torch.tensor([a["area"] for a in annotations], dtype=torch.float32),
-        "iscrowd": torch.zeros(len(annotations), dtype=torch.int64),
-        "keypoints": torch.from_numpy(keypoints),
-    }
-
-
-def _masks(annotations: Sequence[Json], size: tuple[int, int]) -> Tensor:
-    """Decode the masks: n x height x width, uint8."""
-    from pycocotools import mask as masks
-
-    if not annotations:
-        return torch.zeros((0, *size), dtype=torch.uint8)
-    columns_first = masks.decode([a["segmentation"] for a in annotations]).T  # n x width x height
-    return torch.from_numpy(np.stack([cv2.transpose(mask) for mask in columns_first]))

@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import Any, NotRequired, TypedDict
 
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Float64, Int64
 from torch import Tensor
 from torch.utils.data import Dataset, get_worker_info
 
-from rpl_data.formats.datasets.coco import CocoObject, objects_from_coco, read_coco
+from rpl_data.formats.datasets.coco import read_coco
+from rpl_data.torch.colours import jittered
 from rpl_data.torch.heatmaps import draw_heatmaps
 from rpl_data.torch.image_files import read_image, to_unit_range
+from rpl_data.torch.keypoint_rows import canonical_rows, choose_object, keypoint_rows
+from rpl_data.torch.on_device import batch_on_device
+from rpl_data.torch.pasting import hide, pasted, pasting_of
 from rpl_data.torch.pixel_cache import PixelCache, Rectangle, rectangle_around
 from rpl_data.torch.splits import split_file
-from rpl_data.torch.symmetric import canonical_label
 from rpl_data.torch.transforms import (
     Affine,
     Augmentation,
@@ -26,17 +29,15 @@ from rpl_data.torch.transforms import (
     chained,
     crop_from_square,
     heatmap_from_crop,
-    jittered,
     moved,
     random_crop_from_square,
     reach,
     warped,
 )
-from rpl_data.types import DataError, Intrinsics
+from rpl_data.torch.turns import turn_by_scenes
+from rpl_data.torch.views import WHOLE, Transforms, View, transformed
+from rpl_data.types import DataError
 from rpl_data.wording import counted
-
-DISTORTION_LENGTH = 14
-"""Length of OpenCV's longest list of distortion coefficients; shorter lists are padded with zeros."""
 
 
 class KeypointSample(TypedDict):
@@ -46,7 +47,7 @@ class KeypointSample(TypedDict):
     """
 
     image: Tensor
-    heatmaps: Tensor
+    heatmaps: NotRequired[Tensor]
     weights: Tensor
     keypoints_px: Tensor
     visibility: Tensor
@@ -58,25 +59,6 @@ class KeypointSample(TypedDict):
     square_box: Tensor
     image_id: int
     annotation_id: int
-
-
-@dataclass(frozen=True)
-class _Instances:
-    """The annotations of one object as arrays, one row per instance.
-
-    Arrays, not dictionaries: worker processes share their memory, while a list of dictionaries would be
-    copied as soon as reference counts change.
-    """
-
-    files: np.ndarray
-    image_ids: Int64[np.ndarray, " n"]
-    annotation_ids: Int64[np.ndarray, " n"]
-    sizes: Int64[np.ndarray, "n 2"]
-    camera_matrices: Float64[np.ndarray, "n 3 3"]
-    distortions: Float64[np.ndarray, "n c"]
-    camera_from_object: Float64[np.ndarray, "n 4 4"]
-    keypoints: Float64[np.ndarray, "n k 3"]
-    square_boxes: Float64[np.ndarray, "n 3"]
 
 
 class NoInstance(DataError):
@@ -114,6 +96,7 @@ class KeypointDataset(Dataset[KeypointSample]):
     Attributes:
         model: the keypoint model of the object.
         input_px, heatmap_px: side of the crops and of the heatmaps.
+        augment: the augmentation, with `auto` decided; None without one.
     """
 
     def __init__(
@@ -126,8 +109,11 @@ class KeypointDataset(Dataset[KeypointSample]):
         heatmap_px: int = 64,
         sigma_px: float = 1.0,
         augment: Augmentation | None = None,
-        cache: bool | Path = False,
+        cache: bool | str | Path = False,
+        cache_limit_mb: float | None = None,
         canonical: bool = False,
+        transforms: Transforms | None = None,
+        heatmaps: bool = True,
     ) -> None:
         """Read the annotations; images stay on disk unless cached.
 
@@ -142,9 +128,16 @@ class KeypointDataset(Dataset[KeypointSample]):
                 random state, so `torch.manual_seed` and DataLoader workers behave as usual.
             cache: keep the decoded pixels around each box: True for memory; a folder shares them between
                 processes and runs. Samples stay the same up to rounding to a grey level.
+            cache_limit_mb: keep no more than this; the other images are decoded anew for every sample.
             canonical: of the poses that look the same, by the object's symmetries in the export, label every
                 instance with the one whose axes are nearest to the camera's, and move keypoints and square
                 box with it; without symmetries nothing changes.
+            transforms: change the whole image before the crop is cut, as in `InstanceDataset`: called with
+                the image and its target of one instance; torchvision.transforms.v2 works as it is,
+                albumentations by `from_albumentations`, kornia by `from_kornia`. Keypoints and square box
+                are then those of the changed image; where it was moved, no camera is known: `camera_matrix`,
+                `distortion` and `camera_from_object` are NaN.
+            heatmaps: False leaves them out, for `to_device` to draw.
 
         Raises:
             DataError: there is no such split (the message says why), the file is not an export of rpl-data,
@@ -157,18 +150,30 @@ class KeypointDataset(Dataset[KeypointSample]):
         coco_json = split_file(path, split)
         data = read_coco(coco_json)
         self._coco_json = coco_json
-        chosen, category_id = _choose(data, object, coco_json)
+        chosen, category_id = choose_object(data, object, coco_json)
         self.model = chosen.model
         self.input_px, self.heatmap_px = input_px, heatmap_px
-        self._sigma_px, self._augment = sigma_px, augment
+        self._sigma_px = sigma_px
+        self._transforms, self._draws_heatmaps = transforms, heatmaps
         self._heatmap_from_crop = heatmap_from_crop(input_px=input_px, heatmap_px=heatmap_px)
-        self._rows = _instances(data, category_id, coco_json.parent)
+        self._rows = keypoint_rows(data, category_id, coco_json.parent)
         if len(self._rows.files) == 0:
             raise NoInstance(f"{coco_json} has no instance of {self.model.name}; train on another split")
         if canonical:
-            self._rows = _canonical(self._rows, chosen)
+            self._rows = canonical_rows(self._rows, chosen)
+        if augment is not None and augment.rotation_deg == "auto":
+            turn = turn_by_scenes(self._rows.scenes, self._rows.camera_from_object)
+            augment = replace(augment, rotation_deg=turn)
+        self.augment = augment
+        self._pasting = pasting_of(
+            augment, data, category_id, self._rows, folder=coco_json.parent, piece_px=input_px
+        )
         self._points_object = torch.from_numpy(self.model.points_object.copy())
-        self._cache = PixelCache(self._rows.files.tolist(), self._rectangles(), cache) if cache else None
+        self._cache = None
+        if cache:
+            storage = True if cache is True else Path(cache).expanduser()
+            files = self._rows.files.tolist()
+            self._cache = PixelCache(files, self._rectangles(), storage, limit_mb=cache_limit_mb)
 
     def __repr__(self) -> str:
         return (
@@ -185,113 +190,101 @@ class KeypointDataset(Dataset[KeypointSample]):
         """Return the sample of an instance; IndexError past the last."""
         if not -len(self) <= row < len(self):
             raise IndexError(f"instance {row} of {len(self)}")
+        row %= len(self)
         if get_worker_info() is not None:
             # OpenCV's threads do not survive the fork of a DataLoader worker, and each worker needs one core.
             cv2.setNumThreads(0)
         rng = None
-        if self._augment is not None:
+        if self.augment is not None:
             rng = np.random.default_rng(int(torch.randint(2**62, ()).item()))
-        crop_from_image = self._crop_from_image(row, rng)
-        crop = self._crop(row, crop_from_image)
-        if self._augment is not None and rng is not None:
-            crop = jittered(crop, self._augment, rng)
-        return self._sample(row, crop, crop_from_image)
+        view = self._view(row)
+        crop_from_image = self._crop_from_image(view, rng)
+        size = (self.input_px, self.input_px)
+        crop = warped(view.pixels, chained(crop_from_image, view.image_from_pixels), size=size)
+        if self.augment is not None and rng is not None:
+            crop, view = self._pasted(crop, view, crop_from_image, rng)
+            crop = jittered(crop, self.augment, rng)
+        return self._sample(row, view, crop, crop_from_image)
 
-    def _crop_from_image(self, row: int, rng: np.random.Generator | None) -> Affine:
-        *centre, side = self._rows.square_boxes[row]
-        if self._augment is None or rng is None:
-            return crop_from_square(np.array(centre), side, input_px=self.input_px)
-        return random_crop_from_square(np.array(centre), side, self._augment, rng, input_px=self.input_px)
+    def _pasted(
+        self, crop: Image, view: View, crop_from_image: Affine, rng: np.random.Generator
+    ) -> tuple[Image, View]:
+        """The crop with another background and an occluder, which may hide keypoints of the view."""
+        if self._pasting is None or self.augment is None:
+            return crop, view
+        mask = warped(view.mask() * np.uint8(255), crop_from_image, size=(self.input_px, self.input_px))
+        crop, covered = pasted(crop, mask, self._pasting, self.augment, rng)
+        if covered is None:
+            return crop, view
+        on_crop = moved(crop_from_image, view.keypoints[:, :2])
+        return crop, replace(view, keypoints=hide(view.keypoints, on_crop, covered))
 
-    def _crop(self, row: int, crop_from_image: Affine) -> Image:
-        if self._cache is None:
-            return warped(
-                read_image(self._rows.files[row]), crop_from_image, size=(self.input_px, self.input_px)
-            )
+    def to_device(self, batch: Mapping[str, Any], device: str | torch.device) -> dict[str, Any]:
+        """Move a collated batch to a device, and draw its heatmaps there when `heatmaps=False` left them out.
+
+        float64 becomes float32 where the device has no float64 (Apple's MPS).
+        """
+        sizes = {"input_px": self.input_px, "heatmap_px": self.heatmap_px}
+        return batch_on_device(batch, device, sigma_px=self._sigma_px, **sizes)
+
+    def _view(self, row: int) -> View:
+        """The image of a row, as far as its crops need it, after the transforms."""
+        rows, (pixels, image_from_pixels) = self._rows, self._pixels(row)
+        if self._transforms is not None:
+            return transformed(pixels, rows, row, self._transforms)
+        label = rows.keypoints[row], rows.square_boxes[row]
+        return View(pixels, image_from_pixels, *label, lambda: rows.mask(row))
+
+    def _pixels(self, row: int) -> tuple[Image, Affine]:
+        """The pixels that the crops of a row may need, and where they lie in the image."""
+        if self._cache is None or row not in self._cache:
+            return read_image(self._rows.files[row]), WHOLE
         pixels, rectangle = self._cache[row]
-        image_from_cached = np.array([[1.0, 0, rectangle.left], [0, 1, rectangle.top]])
-        return warped(
-            pixels, chained(crop_from_image, image_from_cached), size=(self.input_px, self.input_px)
-        )
+        return pixels, np.array([[1.0, 0, rectangle.left], [0, 1, rectangle.top]])
 
-    def _sample(self, row: int, crop: Image, crop_from_image: Affine) -> KeypointSample:
+    def _crop_from_image(self, view: View, rng: np.random.Generator | None) -> Affine:
+        *centre, side = view.square_box
+        if self.augment is None or rng is None:
+            return crop_from_square(np.array(centre), side, input_px=self.input_px)
+        return random_crop_from_square(np.array(centre), side, self.augment, rng, input_px=self.input_px)
+
+    def _sample(self, row: int, view: View, crop: Image, crop_from_image: Affine) -> KeypointSample:
         rows = self._rows
-        visibility = rows.keypoints[row, :, 2]
-        keypoints_px = np.where(visibility[:, None] > 0, rows.keypoints[row, :, :2], np.nan)
+        visibility = view.keypoints[:, 2]
+        keypoints_px = np.where(visibility[:, None] > 0, view.keypoints[:, :2], np.nan)
         on_crop = moved(crop_from_image, keypoints_px)
         # Within the edges of the crop; False for NaN.
         inside = np.all((on_crop >= -0.5) & (on_crop < self.input_px - 0.5), axis=1)
-        on_heatmap = np.where(inside[:, None], moved(self._heatmap_from_crop, on_crop), np.nan)
-        return {
+        camera = (rows.camera_matrices[row], rows.distortions[row], rows.camera_from_object[row])
+        if view.moved:
+            camera = tuple(np.full_like(values, np.nan) for values in camera)
+        matrix, distortion, pose = (torch.from_numpy(values.copy()) for values in camera)
+        sample: KeypointSample = {
             "image": to_unit_range(crop),
-            "heatmaps": draw_heatmaps(
-                torch.from_numpy(on_heatmap), size_px=self.heatmap_px, sigma_px=self._sigma_px
-            ),
             "weights": torch.from_numpy(inside.astype(np.float32)),
             "keypoints_px": torch.from_numpy(keypoints_px),
             "visibility": torch.from_numpy(visibility.astype(np.int64)),
             "crop_from_image": torch.from_numpy(crop_from_image),
-            "camera_matrix": torch.from_numpy(rows.camera_matrices[row].copy()),
-            "distortion": torch.from_numpy(rows.distortions[row].copy()),
-            "camera_from_object": torch.from_numpy(rows.camera_from_object[row].copy()),
+            "camera_matrix": matrix,
+            "distortion": distortion,
+            "camera_from_object": pose,
             "points_object": self._points_object,
-            "square_box": torch.from_numpy(rows.square_boxes[row].copy()),
+            "square_box": torch.from_numpy(view.square_box.copy()),
             "image_id": int(rows.image_ids[row]),
             "annotation_id": int(rows.annotation_ids[row]),
         }
+        if self._draws_heatmaps:
+            on_heatmap = np.where(inside[:, None], moved(self._heatmap_from_crop, on_crop), np.nan)
+            positions = torch.from_numpy(on_heatmap)
+            sample["heatmaps"] = draw_heatmaps(positions, size_px=self.heatmap_px, sigma_px=self._sigma_px)
+        return sample
 
     def _rectangles(self) -> list[Rectangle]:
-        """The rectangle of pixels that the crops of each instance may need."""
-        half = reach(self._augment)
+        """The rectangle of pixels that the crops of each instance may need; transforms need all of them."""
+        if self._transforms is not None:
+            return [Rectangle(0, 0, int(width), int(height)) for width, height in self._rows.sizes]
+        half = reach(self.augment)
         return [
             rectangle_around(box, half=half, width=int(width), height=int(height))
             for box, (width, height) in zip(self._rows.square_boxes, self._rows.sizes, strict=True)
         ]
-
-
-def _choose(data: dict[str, Any], name: str | None, source: Path) -> tuple[CocoObject, int]:
-    """Return the object asked for and its category id."""
-    objects = objects_from_coco(data)
-    names = [item.model.name for item in objects]
-    if name is None and len(objects) == 1:
-        return objects[0], 1
-    if name not in names:
-        asked = "no object was named" if name is None else f"there is no object {name!r}"
-        raise DataError(f"{source}: {asked}; choose one of {', '.join(names)}")
-    return objects[names.index(name)], names.index(name) + 1
-
-
-def _canonical(rows: _Instances, item: CocoObject) -> _Instances:
-    """Label every instance with the canonical one of the poses that look the same."""
-    points, found = item.model.points_object, []
-    for row, label in enumerate(zip(rows.camera_from_object, rows.keypoints, rows.square_boxes, strict=True)):
-        matrix, (width, height) = rows.camera_matrices[row], rows.sizes[row].tolist()
-        focal_and_centre = matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]
-        camera = Intrinsics(*focal_and_centre, width, height, tuple(rows.distortions[row].tolist()))
-        found.append(canonical_label(*label, item.symmetries, points, camera))
-    poses, keypoints, boxes = (np.array(values) for values in zip(*found, strict=True))
-    return replace(rows, camera_from_object=poses, keypoints=keypoints, square_boxes=boxes)
-
-
-def _instances(data: dict[str, Any], category_id: int, folder: Path) -> _Instances:
-    chosen = [a for a in data["annotations"] if a["category_id"] == category_id]
-    by_id = {image["id"]: image for image in data["images"]}
-    images = [by_id[annotation["image_id"]] for annotation in chosen]
-    distortions = np.zeros((len(chosen), DISTORTION_LENGTH))
-    for row, image in enumerate(images):
-        distortions[row, : len(image["distortion"])] = image["distortion"]
-    return _Instances(
-        files=np.array([str(folder / image["file_name"]) for image in images]),
-        image_ids=np.array([image["id"] for image in images], dtype=np.int64),
-        annotation_ids=np.array([a["id"] for a in chosen], dtype=np.int64),
-        sizes=np.array([[image["width"], image["height"]] for image in images], dtype=np.int64).reshape(
-            -1, 2
-        ),
-        camera_matrices=np.array([image["cam_K"] for image in images], dtype=float).reshape(-1, 3, 3),
-        distortions=distortions,
-        camera_from_object=np.array([a["camera_from_object"] for a in chosen], dtype=float).reshape(-1, 4, 4),
-        keypoints=np.array([a["keypoints"] for a in chosen], dtype=float).reshape(len(chosen), -1, 3)
-        if chosen
-        else np.zeros((0, 0, 3)),
-        square_boxes=np.array([a["square_box"] for a in chosen], dtype=float).reshape(-1, 3),
-    )

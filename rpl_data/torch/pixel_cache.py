@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import os
+import shutil
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import torch
 from jaxtyping import Float64, UInt8
 
 from rpl_data.torch.image_files import read_image
@@ -43,24 +46,49 @@ def rectangle_around(
     return Rectangle(left, top, max(right, left + 1), max(bottom, top + 1))
 
 
-class PixelCache:
-    """Rectangles of images, decoded once and stored in one flat array that worker processes share."""
+SHARED_MEMORY = Path("/dev/shm")  # noqa: S108 (Linux's name for it)
+"""What processes share in memory; a container may give it 64 MB, and writing beyond ends the process."""
 
-    def __init__(self, files: Sequence[str], rectangles: Sequence[Rectangle], storage: bool | Path) -> None:
+
+class PixelCache:
+    """Rectangles of images, decoded once and stored in one flat array that worker processes share.
+
+    Forked workers share it as it is. For spawned ones, which get a pickled copy of everything else, it moves
+    to shared memory, or is mapped from its file.
+    """
+
+    def __init__(
+        self,
+        files: Sequence[str],
+        rectangles: Sequence[Rectangle],
+        storage: bool | Path,
+        *,
+        limit_mb: float | None = None,
+    ) -> None:
         """Decode all rectangles, or reuse the file that an earlier run wrote.
 
         Args:
             files: path of the image of each rectangle.
             rectangles: the part of each image to keep.
             storage: a folder to keep the pixels in; True keeps them in memory.
+            limit_mb: the first rectangles are kept, up to this many megabytes in all.
 
         Raises:
-            DataError: the folder cannot be written, or one of its images cannot be read. In memory the
-                other images are kept, and asking for the rectangle of the unreadable one raises its error.
+            DataError: the folder cannot be written, one of its images cannot be read, or the limit is not
+                above 0. In memory the other images are kept, and asking for the rectangle of the unreadable
+                one raises its error.
         """
+        if limit_mb is not None and limit_mb <= 0:
+            raise DataError(f"cache_limit_mb is {limit_mb}; give more than 0, or no cache")
+        if limit_mb is not None:
+            ends = np.cumsum([rectangle.size_bytes for rectangle in rectangles])
+            rectangles = rectangles[: int((ends <= limit_mb * 1e6).sum())]
+            files = files[: len(rectangles)]
         self._rectangles = rectangles
         self._unreadable: dict[int, DataError] = {}
-        self._offsets = np.concatenate([[0], np.cumsum([rectangle.size_bytes for rectangle in rectangles])])
+        self._path: Path | None = None
+        self._shared: torch.Tensor | None = None
+        self._offsets = np.cumsum([0, *(rectangle.size_bytes for rectangle in rectangles)])
         self._pixels: UInt8[np.ndarray, " n"]
         if isinstance(storage, Path):
             self._pixels = self._on_disk(files, storage)
@@ -71,6 +99,44 @@ class PixelCache:
                     self._fill_row(row, files[row], self._pixels)
                 except DataError as error:
                     self._unreadable[row] = error
+
+    def __contains__(self, row: int) -> bool:
+        """Whether the rectangle of a row (from 0) is kept."""
+        return 0 <= row < len(self._rectangles)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What a spawned worker gets: the name of the file, or a handle of the shared memory."""
+        state = self.__dict__ | {"_pixels": None}
+        if self._path is None:
+            state["_shared"] = self._in_shared_memory()
+        return state
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Map what was shared."""
+        self.__dict__.update(state)
+        if self._path is not None:
+            self._pixels = np.memmap(self._path, dtype=np.uint8, mode="r")
+        elif self._shared is not None:
+            self._pixels = self._shared.numpy()
+
+    def _in_shared_memory(self) -> torch.Tensor:
+        """Move the pixels to shared memory, once.
+
+        Raises:
+            DataError: there is too little of it.
+        """
+        if self._shared is None:
+            free = shutil.disk_usage(SHARED_MEMORY).free if SHARED_MEMORY.is_dir() else np.inf
+            if self._pixels.nbytes > free:
+                raise DataError(
+                    f"the cache of {self._pixels.nbytes / 1e6:.0f} MB does not fit into the shared memory "
+                    f"({SHARED_MEMORY}, {free / 1e6:.0f} MB free), from which spawned workers read it; give "
+                    "`cache` a folder, or lower `cache_limit_mb`"
+                )
+            self._shared = torch.from_numpy(self._pixels)
+            self._shared.share_memory_()  # type: ignore[no-untyped-call]
+            self._pixels = self._shared.numpy()
+        return self._shared
 
     def __getitem__(self, row: int) -> tuple[Image, Rectangle]:
         """Return a rectangle and its pixels; DataError when its image could not be read."""
@@ -108,6 +174,7 @@ class PixelCache:
                 raise DataError(
                     f"cannot write the cache {path}: {error.strerror}; choose another folder"
                 ) from error
+        self._path = path
         return np.memmap(path, dtype=np.uint8, mode="r")
 
 

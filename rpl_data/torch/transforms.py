@@ -2,52 +2,21 @@
 
 A 2x3 matrix ``a_from_b`` takes pixel positions in b to a; pixel centres are whole numbers in all of them, so
 an image n pixels wide covers -0.5 to n - 0.5 and resizing keeps edges, not centres, in place. Nothing here
-mirrors: a mirrored object is another object. OpenCV is imported where it is used, so that a program that
-takes its options from `Augmentation` still prints its help quickly.
+mirrors: a mirrored object is another object. OpenCV is imported where it is used, so that programs print
+their help quickly.
 """
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
-
 import numpy as np
 from jaxtyping import Float64, UInt8
 
-from rpl_data.types import DataError
+from rpl_data.torch.augmentation import Augmentation as Augmentation
 
 Affine = Float64[np.ndarray, "2 3"]
 Image = UInt8[np.ndarray, "height width 3"]
 Pixels = UInt8[np.ndarray, "height width *channels"]
 Resampled = UInt8[np.ndarray, "out_height out_width *channels"]
-
-
-@dataclass(frozen=True)
-class Augmentation:
-    """How far a training crop may stray from the label's box: largest deviations, drawn uniformly.
-
-    Attributes:
-        scale: the box's side is multiplied by 1 - scale to 1 + scale (the paper's trainer: 0.25).
-        shift: the box moves by this share of its side at most, along each axis.
-        rotation_deg: rotation in the image plane about the crop's centre. It is part of `crop_from_image` and
-            never alters the intrinsics.
-        gain: each colour channel is multiplied by 1 - gain to 1 + gain (the paper's trainer: 0.2).
-        offset: added to all channels, as a share of white.
-    """
-
-    scale: float = 0.25
-    shift: float = 0.1
-    rotation_deg: float = 30.0
-    gain: float = 0.2
-    offset: float = 0.1
-
-    def __post_init__(self) -> None:
-        """Refuse what cannot be drawn."""
-        for name, value in vars(self).items():
-            if not 0 <= value < math.inf:
-                raise DataError(f"augment.{name} is {value}; it is a largest deviation: give 0 or more")
-        if self.scale >= 1:
-            raise DataError(f"augment.scale is {self.scale}; below 1, or a box could vanish")
 
 
 FULL_FROM_HALF: Affine = np.array([[2, 0, 0.5], [0, 2, 0.5]])
@@ -135,7 +104,7 @@ def random_crop_from_square(
     """Map to a crop (as `crop_from_square`) of the square after a random shift, scaling and rotation."""
     shift, turn = (
         rng.uniform(-augmentation.shift, augmentation.shift, 2),
-        np.deg2rad(augmentation.rotation_deg),
+        np.deg2rad(augmentation.largest_turn_deg),
     )
     return crop_from_square(
         centre_px + shift * side_px,
@@ -149,18 +118,5 @@ def reach(augmentation: Augmentation | None) -> float:
     """Half side of the upright square around every possible crop, as a multiple of the box's side."""
     if augmentation is None:
         return 0.5
-    turn = np.deg2rad(min(augmentation.rotation_deg, 45.0))
+    turn = np.deg2rad(min(augmentation.largest_turn_deg, 45.0))
     return float((1 + augmentation.scale) * (np.cos(turn) + np.sin(turn)) / 2 + augmentation.shift)
-
-
-def jittered(image: Image, augmentation: Augmentation, rng: np.random.Generator) -> Image:
-    """Change each channel's gain and the brightness at random, by a look-up table for speed."""
-    import cv2
-
-    if augmentation.gain == 0 and augmentation.offset == 0:
-        return image
-    gains = rng.uniform(1 - augmentation.gain, 1 + augmentation.gain, 3)
-    offset = 255 * rng.uniform(-augmentation.offset, augmentation.offset)
-    table = np.clip(np.arange(256)[:, None] * gains + offset, 0, 255).astype(np.uint8)
-    result: Image = cv2.LUT(image, table.reshape(1, 256, 3))
-    return result

@@ -7,15 +7,16 @@ import torch
 from torch import Tensor
 from torchvision import tv_tensors
 
+from rpl_data.torch.augmentation import refuse_pasting
+from rpl_data.torch.colours import jittered
 from rpl_data.torch.image_files import to_unit_range
-from rpl_data.torch.instances import InstanceSample, InstanceTarget
+from rpl_data.torch.targets import InstanceSample, InstanceTarget, points_from_keypoints
 from rpl_data.torch.transforms import (
     FULL_FROM_HALF,
     Affine,
     Augmentation,
     Image,
     chained,
-    jittered,
     moved,
     random_crop_from_square,
     warped,
@@ -28,6 +29,7 @@ class RandomAffine:
 
     def __init__(self, augmentation: Augmentation) -> None:
         """Take the amounts; `augmentation.shift` is a share of the image's longer side."""
+        refuse_pasting(augmentation)
         self._augmentation = augmentation
 
     def __call__(self, image: Tensor, target: InstanceTarget) -> InstanceSample:
@@ -87,6 +89,7 @@ def warp_pixels(
     kept = [row for row, (x0, y0, x1, y1) in edges.items() if min(x1 - x0, y1 - y0) >= smallest_px]
     stacked = np.array([masks[row] for row in kept], dtype=np.uint8).reshape(-1, height, width)
     boxes = np.array([edges[row] for row in kept], dtype=np.float32).reshape(-1, 4)
+    keypoints = _moved_keypoints(target["keypoints"][kept], out_from_image, width=width, height=height)
     moved_target: InstanceTarget = {
         "boxes": tv_tensors.BoundingBoxes(
             boxes, format=tv_tensors.BoundingBoxFormat.XYXY, canvas_size=(height, width)
@@ -96,7 +99,9 @@ def warp_pixels(
         "image_id": target["image_id"],
         "area": torch.from_numpy(stacked.sum(axis=(1, 2), dtype=np.float32)),
         "iscrowd": target["iscrowd"][kept],
-        "keypoints": _moved_keypoints(target["keypoints"][kept], out_from_image, width=width, height=height),
+        "keypoints": keypoints,
+        "points": points_from_keypoints(keypoints, (height, width)),
+        "visibility": keypoints[..., 2].to(torch.int64),
     }
     return tv_tensors.Image(to_unit_range(pixels)), moved_target
 

@@ -1,4 +1,4 @@
-"""Samples a second of KeypointDataset against the loop-and-resize loader, and its share of a training step.
+"""Time per sample of KeypointDataset, a loop that resizes and torchvision v2; its share of a training step.
 
 One core: python tests/bench/bench_torch.py
 """
@@ -15,6 +15,10 @@ import numpy as np
 import torch
 from PIL import Image
 from pycocotools import mask as masks
+from torchvision import tv_tensors
+from torchvision.io import decode_image
+from torchvision.transforms import v2
+from torchvision.transforms.v2 import functional
 
 from rpl_data.formats.datasets.coco import (
     CocoObject,
@@ -92,7 +96,7 @@ def instances(coco_json: Path) -> list[tuple[Path, InstanceLabel]]:
     return [(files[a["image_id"]], instance_from_coco(a, "cube")) for a in data["annotations"]]
 
 
-def samples_per_second(dataset: KeypointDataset | LoopAndResize) -> float:
+def samples_per_second(dataset: KeypointDataset | LoopAndResize | TorchvisionPipeline) -> float:
     """CPU time of the best of three passes, so that other people's load on the machine does not count."""
     best = np.inf
     for _ in range(3):
@@ -169,6 +173,37 @@ class LoopAndResize:
             heatmap[v0:v1, u0:u1] = patch[v0 - v + 3 : v1 - v + 3, u0 - u + 3 : u1 - u + 3]
 
 
+class TorchvisionPipeline:
+    """What one would write with torchvision v2 and tune no further: turn, crop, resize, colours, maps."""
+
+    def __init__(self, files: list[Path], labels: list[InstanceLabel]) -> None:
+        self._files, self._labels = files, labels
+        self._whole = v2.RandomAffine(
+            30, (0.1, 0.1), (0.75, 1.25), interpolation=v2.InterpolationMode.BILINEAR
+        )
+        self._crop = v2.Compose(
+            [v2.Resize((256, 256)), v2.ColorJitter(0.2, 0.2), v2.ToDtype(torch.float32, scale=True)]
+        )
+
+    def __len__(self) -> int:
+        return len(self._files)
+
+    def __getitem__(self, row: int) -> tuple[torch.Tensor, torch.Tensor]:
+        image = tv_tensors.Image(decode_image(str(self._files[row])))
+        positions = torch.from_numpy(self._labels[row].keypoints_px + 0.5).float()
+        image, points = self._whole(image, tv_tensors.KeyPoints(positions, canvas_size=image.shape[-2:]))
+        low, high = points.amin(dim=0), points.amax(dim=0)
+        side = int((high - low).max() * 1.5)
+        left, top = ((low + high - side) / 2).int().tolist()
+        cut = [functional.crop(one, top, left, side, side) for one in (image, points)]
+        image, points = self._crop(*cut)
+        grid = torch.arange(64) + 0.5
+        away = (grid - points[:, :1] / 4).square()[:, None, :] + (grid - points[:, 1:] / 4).square()[
+            :, :, None
+        ]
+        return image, torch.exp(-away / 2)
+
+
 def step_seconds(network: Network, batch: int) -> float:
     """CPU seconds an image of a training step, without loading."""
     module = untrained(CUBE, network, Learning(channels_last=True))
@@ -196,16 +231,28 @@ def main() -> None:
         files = {suffix: write_dataset(folder, suffix) for suffix in ("jpg", "png")}
         images, labels = zip(*instances(files["jpg"]), strict=True)
         loop = samples_per_second(LoopAndResize(folder, list(images), list(labels)))
-        print(f"{'loop and resize':16s} {loop:6.0f} samples/s")
-        for name, suffix, cache in (
-            ("JPEG", "jpg", False),
-            ("PNG", "png", False),
-            ("cache in memory", "jpg", True),
-            ("cache on disk", "jpg", folder / "cache"),
+        plain = samples_per_second(TorchvisionPipeline(list(images), list(labels)))
+        print(f"{'loop and resize':24s} {1e3 / loop:6.2f} ms a sample")
+        print(f"{'torchvision v2, untuned':24s} {1e3 / plain:6.2f} ms a sample: {plain / loop:.1f}x")
+        full = {"rotation_deg": 180.0}
+        moves = v2.RandomAffine(30, scale=(0.75, 1.25), interpolation=v2.InterpolationMode.BILINEAR)
+        for name, suffix, options in (
+            ("JPEG", "jpg", {}),
+            ("PNG", "png", {}),
+            ("cache in memory", "jpg", {"cache": True}),
+            ("cache on disk", "jpg", {"cache": folder / "cache"}),
+            ("cache, no heatmaps", "jpg", {"cache": True, "heatmaps": False}),
+            ("cache, full turns", "jpg", {"cache": True, "augment": Augmentation(**full)}),
+            ("cache, light", "jpg", {"cache": True, "augment": Augmentation(light=0.4)}),
+            ("cache, blur", "jpg", {"cache": True, "augment": Augmentation(blur_px=1.0)}),
+            ("cache, noise", "jpg", {"cache": True, "augment": Augmentation(noise=0.03)}),
+            ("cache, background", "jpg", {"cache": True, "augment": Augmentation(background=1.0)}),
+            ("cache, torchvision moves", "jpg", {"cache": True, "transforms": moves}),
         ):
-            rate = samples_per_second(KeypointDataset(files[suffix], cache=cache, augment=Augmentation()))
-            print(f"{name:16s} {rate:6.0f} samples/s, all augmentation: {rate / loop:.1f}x")
-        print("asked: 20x with the cache")
+            rate = samples_per_second(KeypointDataset(files[suffix], **{"augment": Augmentation()} | options))
+            ratios = f"{rate / loop:.1f}x the loop, {rate / plain:.1f}x torchvision's"
+            print(f"{name:24s} {1e3 / rate:6.2f} ms a sample: {ratios}")
+        print("asked: 20x the loop with the cache")
         for name, network in (("cpu preset", CPU), ("paper's network", Network())):
             sizes = {"input_px": network.input_px, "heatmap_px": network.heatmap_px}
             cached = KeypointDataset(files["jpg"], cache=True, augment=Augmentation(), **sizes)

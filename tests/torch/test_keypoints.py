@@ -1,5 +1,9 @@
 """KeypointDataset: what a sample holds, where its pixels come from, workers and caches."""
 
+import pickle
+from multiprocessing.reduction import ForkingPickler
+from types import SimpleNamespace
+
 import cv2
 import numpy as np
 import pytest
@@ -9,7 +13,9 @@ from torch.utils.data import DataLoader
 
 from rpl_data.formats.datasets.coco import read_coco
 from rpl_data.geometry import project, transform
+from rpl_data.torch.colours import jittered
 from rpl_data.torch.decoding import locate
+from rpl_data.torch.device import widest_float
 from rpl_data.torch.heatmaps import positions_in_image
 from rpl_data.torch.keypoints import KeypointDataset, KeypointSample
 from rpl_data.torch.pixel_cache import rectangle_around
@@ -18,7 +24,6 @@ from rpl_data.torch.transforms import (
     chained,
     crop_from_square,
     inverted,
-    jittered,
     moved,
     random_crop_from_square,
     reach,
@@ -242,3 +247,54 @@ def test_region_stays_on_the_image():
     assert (rectangle.left, rectangle.top, rectangle.right, rectangle.bottom) == (0, 0, 14, 15)
     beyond = rectangle_around(np.array([-200.0, 300.0, 10.0]), half=1.0, width=20, height=30)
     assert beyond.right > beyond.left and beyond.bottom > beyond.top
+
+
+# Devices and workers --------------------------------------------------------------------------------
+
+
+def test_heatmaps_drawn_on_the_device_are_those_of_the_workers(coco):
+    options = {"object": "box", "input_px": 192, "heatmap_px": 48, "sigma_px": 1.5}
+    drawn = KeypointDataset(coco, augment=GEOMETRIC, **options)
+    bare = KeypointDataset(coco, augment=GEOMETRIC, heatmaps=False, **options)
+    torch.manual_seed(3)
+    expected = next(iter(DataLoader(drawn, batch_size=5)))
+    torch.manual_seed(3)
+    batch = next(iter(DataLoader(bare, batch_size=5)))
+    assert "heatmaps" not in batch
+    moved_batch = bare.to_device(batch, "cpu")
+    assert set(moved_batch) == set(expected)
+    torch.testing.assert_close(moved_batch["heatmaps"], expected["heatmaps"], atol=1e-6, rtol=0)
+
+
+def test_float64_goes_only_where_it_exists():
+    assert widest_float(torch.device("cuda")) == widest_float(torch.device("cpu")) == torch.float64
+    assert widest_float(torch.device("mps")) == torch.float32
+
+
+def test_half_a_cache_changes_nothing(coco):
+    plain = KeypointDataset(coco, object="box")
+    half = KeypointDataset(coco, object="box", cache=True, cache_limit_mb=0.03)
+    kept = [row in half._cache for row in range(len(half))]
+    assert any(kept) and not all(kept)
+    for row in (*range(len(half)), -1):
+        torch.testing.assert_close(plain[row]["image"], half[row]["image"], rtol=0, atol=1.5 / 255)
+    with pytest.raises(DataError, match="cache_limit_mb is 0.0; give more"):
+        KeypointDataset(coco, object="box", cache=True, cache_limit_mb=0.0)
+
+
+@pytest.mark.parametrize("on_disk", [False, True])
+def test_spawned_workers_share_the_cache(coco, tmp_path, on_disk):
+    dataset = KeypointDataset(coco, object="box", cache=tmp_path if on_disk else True)
+    pixels = dataset._cache._pixels.nbytes
+    before = dataset[1]["image"]
+    sent = ForkingPickler.dumps(dataset)  # what a spawned worker is sent
+    assert len(sent) < len(ForkingPickler.dumps(KeypointDataset(coco, object="box"))) + 2000 < pixels
+    there = pickle.loads(sent)  # noqa: S301
+    assert torch.equal(there[1]["image"], before) and torch.equal(dataset[1]["image"], before)
+
+
+def test_a_cache_beyond_the_shared_memory_is_refused(coco, monkeypatch):
+    monkeypatch.setattr("shutil.disk_usage", lambda path: SimpleNamespace(free=1000))
+    dataset = KeypointDataset(coco, object="box", cache=True)
+    with pytest.raises(DataError, match="shared memory.*give `cache` a folder"):
+        ForkingPickler.dumps(dataset)

@@ -12,7 +12,7 @@ from labelled_scenes import BOX, CAMERA, exported, instance
 from rpl_data.formats.datasets.coco import CocoObject, header, instance_to_coco
 from rpl_data.geometry import from_rotvec, project, square_box, transform
 from rpl_data.symmetries import symmetry_transforms, turn
-from rpl_data.torch import KeypointDataset
+from rpl_data.torch import KeypointDataModule, KeypointDataset
 from rpl_data.torch.symmetric import canonical_keypoints, canonical_symmetry
 from rpl_data.types import Symmetries, SymmetryAxis
 
@@ -70,6 +70,8 @@ def test_a_dataset_of_two_equal_views_has_two_equal_labels(tmp_path):
     assert (plain[0]["keypoints_px"] - plain[1]["keypoints_px"])[:3].abs().max() > 5
     for key in ("keypoints_px", "camera_from_object", "square_box", "heatmaps"):
         np.testing.assert_allclose(same[0][key], same[1][key], atol=1e-4, err_msg=key)
+    module = KeypointDataModule(file.parent, object="box", canonical=True)  # as `rpl train keypoints` asks
+    assert np.array_equal(module.train[1]["camera_from_object"], same[1]["camera_from_object"])
     points = transform(same[0]["camera_from_object"].numpy(), BOX.points_object[:3])
     np.testing.assert_allclose(project(CAMERA, points), same[0]["keypoints_px"][:3], atol=1e-6)
 

@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from torch.utils.data import Dataset
 
+from rpl_data.torch.augmentation import refuse_pasting
 from rpl_data.torch.instances import InstanceDataset, InstanceSample
 from rpl_data.torch.transforms import Affine, Augmentation, crop_from_square, zoom_of
 from rpl_data.torch.warps import warp_pixels
@@ -33,6 +34,7 @@ class SquareCrops(Dataset[InstanceSample]):
         Raises:
             DataError: the file is not ours, or it has no image.
         """
+        refuse_pasting(augmentation)
         self._images = InstanceDataset(coco_json)
         if not len(self._images):
             raise DataError(f"{coco_json} has no images; export a dataset with a train split")
@@ -67,7 +69,7 @@ def random_square(
 ) -> Affine:
     """The map from the image to a random square crop; `augmentation.shift` may take it over the edge."""
     side = min(width, height) * rng.uniform(1 - augmentation.scale, 1 + augmentation.scale)
-    turn = np.deg2rad(augmentation.rotation_deg)
+    turn = np.deg2rad(augmentation.largest_turn_deg)
     # Where the centre may be without looking over the edge; the middle where there is no room.
     room = np.maximum(np.array([width, height]) - side, 0) / 2 + augmentation.shift * side
     middle = np.array([(width - 1) / 2, (height - 1) / 2])

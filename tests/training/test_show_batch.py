@@ -1,0 +1,20 @@
+"""The contact sheet of the augmentations."""
+
+import cv2
+from labelled_scenes import exported
+
+from rpl_data.torch import Augmentation
+from training.show_batch import GAP_PX, HEADING_PX, show_batch
+
+
+def test_a_row_per_augmentation(tmp_path, capsys):
+    coco = exported(tmp_path / "export")
+    wish = Augmentation(gain=0.0, offset=0.0, scale=0.0, shift=0.0, rotation_deg=180.0, background=1.0)
+    path = show_batch(
+        coco, "box", out=tmp_path / "sheets" / "batch.png", augment=wish, columns=3, input_px=64
+    )
+    assert capsys.readouterr().out.strip() == str(path)
+    sheet, row = cv2.imread(str(path)), HEADING_PX + 64 + GAP_PX
+    assert sheet.shape == (4 * row, 3 * (64 + GAP_PX), 3)  # as labelled, turned, before a background, both
+    strips = [sheet[n * row : (n + 1) * row] for n in range(4)]
+    assert all((a != b).any() for a, b in zip(strips, strips[1:], strict=False))
