@@ -46,8 +46,8 @@ def unjudged(fit: Fit, clicks: Sequence[Click], keypoints: Sequence[str]) -> Ite
         return
     worst = clicks[weak[0]]
     text = (
-        f"{counted(len(weak), 'click')} of {len(clicks)} cannot be judged: no other click would show a "
-        f"slip of {SLIP_PX:.0f} px there; click keypoint {keypoints[worst.keypoint]} in scene {worst.scene} "
-        f"again, in another frame than {worst.frame}, to check the weakest of them"
+        f"{counted(len(weak), 'click')} of {len(clicks)} cannot be judged: were one of them {SLIP_PX:.0f} px "
+        f"off, no other click would show it; click keypoint {keypoints[worst.keypoint]} in scene "
+        f"{worst.scene} again, in another frame than {worst.frame}, to check the weakest of them"
     )
     yield Statement("unjudged", tuple(clicks[n] for n in weak), text)
