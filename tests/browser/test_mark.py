@@ -93,6 +93,7 @@ def test_two_tabs_show_the_same(page: Page, server: Server) -> None:
 
 
 def test_keypoints_by_keyboard_alone(page: Page, server: Server) -> None:
+    page.keyboard.press("1")
     for key in ("ArrowRight", "ArrowRight", "Shift+ArrowDown", "Enter"):
         page.keyboard.press(key)
     saved(page)
