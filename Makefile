@@ -28,7 +28,7 @@ gpu-check: demo
 attack: $(STAMP)
 	PYTHONPATH=.:tests .venv/bin/python -m attack
 
-# The documentation site, in site/; a broken link or an undocumented name is an error.
+# The documentation site, in site/: open site/index.html. A broken link or an undocumented name is an error.
 docs: $(STAMP)
 	NO_MKDOCS_2_WARNING=1 PYTHONPATH=. .venv/bin/mkdocs build --strict
 

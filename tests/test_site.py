@@ -95,4 +95,4 @@ def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
         text=True,
     )
     assert done.returncode == 0, done.stderr
-    assert (tmp_path / "site/commands/index.html").is_file()
+    assert (tmp_path / "site/commands.html").is_file()

@@ -51,7 +51,7 @@ def unjudged(fit: Fit, clicks: Sequence[Click], keypoints: Sequence[str]) -> Ite
     if frame_of(worst.scene) is not None:  # an object that is moved has another pose in another frame
         more = f"click more keypoints in frame {worst.frame} of scene {without_frame(worst.scene)}"
     text = (
-        f"{counted(len(weak), 'click')} of {len(clicks)} cannot be judged: no other click would show a "
-        f"slip of {SLIP_PX:.0f} px there; {more}, to check the weakest of them"
+        f"{counted(len(weak), 'click')} of {len(clicks)} cannot be judged: were one of them {SLIP_PX:.0f} px "
+        f"off, no other click would show it; {more}, to check the weakest of them"
     )
     yield Statement("unjudged", tuple(clicks[n] for n in weak), text)

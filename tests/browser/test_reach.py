@@ -71,6 +71,9 @@ def test_nothing_is_cut_off_in_a_small_window(page: Page) -> None:
     )
     assert outside == []
     assert page.evaluate("document.documentElement.scrollWidth") <= 1280
+    page.keyboard.press("?")  # the sheet of keys is longer than the window, and begins at its top
+    sheet = page.locator("dialog[open]")
+    assert sheet.evaluate("e => [e.scrollTop, e.scrollHeight > e.clientHeight]") == [0, True]
 
 
 def test_marking_on_a_slow_link(page: Page, server: Server) -> None:

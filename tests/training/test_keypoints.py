@@ -176,8 +176,12 @@ def test_one_keypoint(coco, tmp_path):
 
 
 def test_checkpoints_of_something_else(coco, run, tmp_path):
-    with pytest.raises(DataError, match="there is no checkpoint"):
+    with pytest.raises(DataError, match="there is no checkpoint .* train one with `rpl train keypoints`"):
         load_keypoints(tmp_path / "last.ckpt")
+    (tmp_path / "last.ckpt").touch()
+    with pytest.raises(DataError, match=r"the run has \S+last.ckpt so far"):
+        load_keypoints(tmp_path / "best.ckpt")
+    (tmp_path / "last.ckpt").unlink()
     (tmp_path / "no.ckpt").write_bytes(b"no checkpoint")
     with pytest.raises(DataError, match="as a checkpoint of .*: it is damaged, or something else"):
         load_keypoints(tmp_path / "no.ckpt")

@@ -72,7 +72,8 @@ class PosePipeline:
         elif self.detector is not None:
             found = self.detector.detect(image)
         else:
-            raise DataError("without --detector, a checkpoint of train_detector, the crops must be given")
+            unknown = "nothing says where the objects are in the images"
+            raise DataError(f"{unknown}; give --detector, a checkpoint of `rpl train detector`")
         return [
             _keypoints(self.networks[name], image, detection)
             for name, detection in found.items()

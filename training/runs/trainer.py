@@ -269,7 +269,10 @@ def load_module(kind: type[Module], checkpoint: Path, program: str) -> Module:
         DataError: the checkpoint is missing, or another program wrote it.
     """
     if not checkpoint.exists():
-        raise DataError(f"there is no checkpoint {checkpoint}; train one with {program}")
+        last = checkpoint.with_name(LAST)
+        so_far = f"the run has {last} so far; best.ckpt comes with its first validation"
+        hint = so_far if last.exists() else f"train one with {program}"
+        raise DataError(f"there is no checkpoint {checkpoint}; {hint}")
     with reading_checkpoint(checkpoint, f"a checkpoint of {program}"):
         loaded = kind.load_from_checkpoint(checkpoint, map_location="cpu", weights_only=True)
     return loaded.eval()

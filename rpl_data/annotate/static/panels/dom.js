@@ -24,6 +24,7 @@ export function show(...content) {
   const dialog = element("dialog", {}, ...content);
   document.body.append(dialog);
   dialog.showModal();
+  dialog.scrollTop = 0; // the focus goes to the first button, which may stand at the end
   return new Promise((resolve) => dialog.addEventListener("close", () => {
     dialog.remove();
     resolve(dialog.returnValue);

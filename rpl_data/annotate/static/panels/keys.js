@@ -86,9 +86,12 @@ function arrowKey(event) {
   nudge(dx * size, dy * size);
 }
 
+// Letters as they stand on keyboards, and in the texts of the page.
+const shown = (key) => key.replace("Arrow", "").replace(/(^|\+)[a-z]$/, (end) => end.toUpperCase());
+
 function sheet() {
   const lines = KEYS.map(([keys, text]) =>
-    element("p", {}, element("span", {}, ...keys.flatMap((k) => [element("kbd", { textContent: k.replace("Arrow", "") }), " "])), text));
+    element("p", {}, element("span", {}, ...keys.flatMap((k) => [element("kbd", { textContent: shown(k) }), " "])), text));
   const mouse = "Mouse, pen: click marks the selected keypoint, drag a mark to move it, drag the image to pan, wheel zooms.";
   const touch = "Touch: tap marks; hold for the loupe and lift where the keypoint is; one finger pans, two zoom.";
   show(element("b", { textContent: "Keys" }), element("p", { textContent: mouse }), element("p", { textContent: touch }),

@@ -15,7 +15,7 @@ export function onAction(name, does) {
 
 export function setUp() {
   button.addEventListener("click", go);
-  addKeys([[["g"], "go to where the next step is", go]]);
+  addKeys([[["g"], "go to where the next step is, or make what it says", go]]);
   onChange(draw, () => [app.next, app.pendingGrasp]);
 }
 

@@ -10,16 +10,17 @@ import { app, frame, keypointTitle, onChange, residualOf } from "../state/store.
 const panel = document.getElementById("result");
 const STEPS = [
   "Choose keypoints: corners, screws, spouts that you will know again in every scene.",
-  "In every scene, click at least four of them, in any frames. Skip what is hidden.",
+  "In every scene, click four of them or more, in any frames: three place it, the others check. Skip what is hidden.",
   "Expected errors appear here after each click; a wrong click turns red and says why.",
   "When every scene is placed: make the dense model and the labels, and look at them.",
 ];
 const DEPTH_WORDS = { agrees: "", "other surface": "other surface", rejected: "depth not used", none: "no depth" };
 
 const MISSING = ["unchecked", "weak scene", "unjudged"]; // statements about what is missing, not about what is wrong
+const OWN_PATH = "No build has checked the camera’s path yet: where it drifts, rings lie beside the object in frames without clicks.";
 
 export function setUp() {
-  onChange(draw, () => [app.state, app.result, app.scene, app.row, app.keypoint]);
+  onChange(draw, () => [app.state, app.result, app.scene, app.row, app.keypoint, app.fresh]);
 }
 
 const go = (click) => openScene(click.scene, click.frame, { keypoint: click.keypoint, view: "mark" });
@@ -59,9 +60,10 @@ function ofScenes(result) {
     [name, s.clicked, digits(s.expected_mm, millimetres), digits(s.expected_px), digits(s.miss_px)]);
   const problem = result.problem ? [element("p", { className: "note bad", textContent: result.problem })] : [];
   const note = "± says how far off labels should be. “Miss” says only how well the clicks agree; few clicks always do.";
+  const path = app.fresh?.track === false ? [element("p", { id: "own-path", className: "small quiet", textContent: OWN_PATH })] : [];
   return [element("h2", { textContent: "Expected errors" }), ...problem,
     table(["scene", "clicked", "± mm", "± px", "miss, px"], rows, (i) => openScene(rows[i][0], null, { view: "mark" })),
-    element("p", { className: "small quiet", textContent: note })];
+    element("p", { className: "small quiet", textContent: note }), ...path];
 }
 
 function missing(result) {
