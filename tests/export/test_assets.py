@@ -12,6 +12,7 @@ from labelled_scenes import BOX, CAN, labelled_scene
 
 from rpl_data.export import export_assets, export_coco
 from rpl_data.export.split import SplitRule
+from rpl_data.export.texture import save_textured
 from rpl_data.meshes import load_mesh, save_mesh
 from rpl_data.types import Mesh
 
@@ -53,6 +54,24 @@ def test_a_textured_mesh_in_metres(assets: Path, suffix: str) -> None:
     wanted = np.where(corners[clear, 2:] > 0, RED, GREEN)
     found = image[row[clear].clip(0, height - 1), column[clear].clip(0, width - 1)].astype(int)
     assert (np.abs(found - wanted).max(axis=1) < 40).mean() > 0.97
+
+
+def test_a_surface_with_fins_flaps_and_touching_tips_is_textured(tmp_path: Path) -> None:
+    """Open3D unwraps none of them as they are; no triangle is lost but the second side of the flap."""
+    ball = two_coloured_sphere(0.05)
+    a, b, c = ball.triangles[100]
+    extra = np.array([[0.0, 0.0, 0.1], [0.1, 0.0, 0.0], [0.02, 0.0, 0.12], [-0.02, 0.0, 0.12]])
+    fin, tip = len(ball.vertices), len(ball.vertices) + 2
+    triangles = [(a, b, fin), (b, c, fin + 1), (c, b, fin + 1), (0, tip, tip + 1)]
+    mesh = Mesh(
+        np.concatenate([ball.vertices, extra]),
+        np.concatenate([ball.triangles, np.array(triangles)]),
+        np.concatenate([ball.colors, np.zeros((4, 3), np.uint8)]),
+    )
+    save_textured(mesh, [tmp_path / "ball.obj"])
+    found = o3d.io.read_triangle_mesh(str(tmp_path / "ball.obj"))
+    assert len(found.triangles) == len(mesh.triangles) - 1
+    np.testing.assert_allclose(found.get_max_bound(), mesh.vertices.max(axis=0), atol=1e-5)
 
 
 def test_millimetres_and_facts(assets: Path) -> None:
