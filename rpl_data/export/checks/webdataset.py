@@ -33,11 +33,16 @@ def check_webdataset(findings: Findings) -> None:
         expected = [f"{split}-{number:06d}.tar" for number in range(len(found))]
         findings.equal("", "", f"shards of {split}", found, expected, "numbered from 0 without gaps")
     for shard in shards:
+        samples = 0
         try:
             for key, files in groupby(_files(findings.folder / shard), key=lambda file: file[0]):
+                samples += 1
                 _check_sample(findings, shard, key, {suffix: content for _, suffix, content in files})
         except (tarfile.TarError, OSError, EOFError) as error:
             findings.add(shard, "", "", f"damaged: {error}")
+        else:
+            if not samples:
+                findings.add(shard, "", "", "it has no sample")
 
 
 def _files(shard: Path) -> Iterator[tuple[str, str, bytes]]:
