@@ -73,7 +73,9 @@ def exports_at(path: Path, dialect: str | None = None) -> list[tuple[Path, str]]
     """
     named = dialect or (path.name if path.parent.name == "export" and path.is_dir() else None)
     if named in UNCHECKED:
-        raise DataError(f"{path}: nothing checks the format {named}; check export/coco, which it is made from")
+        raise DataError(
+            f"{path}: nothing checks the format {named}; check export/coco, which it is made from"
+        )
     if dialect is not None:
         if dialect not in CHECKS:
             raise DataError(f"unknown export {dialect!r}; expected one of {', '.join(CHECKS)}")

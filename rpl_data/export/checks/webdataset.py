@@ -13,7 +13,6 @@ import numpy as np
 
 from rpl_data.export.checks.entries import check_annotation, check_image
 from rpl_data.export.checks.findings import Findings
-from rpl_data.json_arrays import Json
 
 COLORS = ("jpg", "jpeg", "png")
 
@@ -91,7 +90,7 @@ def _check_sample(findings: Findings, shard: str, key: str, files: dict[str, byt
     for row, annotation in enumerate(annotations):
         check_annotation(findings, annotation, entry, shard, f"{record}, annotation number {row}")
     if mask is not None:
-        _check_numbers(findings, shard, key, mask, annotations)
+        _check_numbers(findings, shard, key, mask, len(annotations))
 
 
 def _decoded(
@@ -108,11 +107,9 @@ def _decoded(
     return np.asarray(image)
 
 
-def _check_numbers(
-    findings: Findings, shard: str, key: str, mask: np.ndarray, annotations: list[Json]
-) -> None:
+def _check_numbers(findings: Findings, shard: str, key: str, mask: np.ndarray, annotations: int) -> None:
     """The mask numbers the annotations; one may be covered by a later one."""
     highest = int(mask.max(initial=0))
-    if highest > len(annotations):
-        what = f"it has {highest}, though there are {len(annotations)} annotations"
+    if highest > annotations:
+        what = f"it has {highest}, though there are {annotations} annotations"
         findings.add(shard, f"{key}.mask.png", "", what)

@@ -125,6 +125,10 @@ def export_chosen(
         DataError: the format or the object is not known, or nothing is left to export.
     """
     check_format(name)
+    if choice.color is not None and name not in CONVERTING:
+        raise DataError(
+            f"{name} has colour images as they were recorded; --color is for {', '.join(CONVERTING)}"
+        )
     recipe = replace(context.recipe, export=choice.recipe(context.recipe.export))
     context = replace(context, recipe=recipe, choice=choice)
     if choice.folder and name != "coco":
