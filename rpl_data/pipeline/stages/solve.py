@@ -92,8 +92,8 @@ def instances_in_one_place(solution: Solution) -> list[str]:
         if apart_m < SAME_PLACE_SHARE * size_m:
             lines.append(
                 f"{one} and {other} are in one place: their keypoints lie {1000 * apart_m:.1f} mm apart, so "
-                "the same object was marked as two instances and would be labelled twice; take back the clicks "
-                "of one of them"
+                "the same object was marked as two instances and would be labelled twice; take back the "
+                "clicks of one of them"
             )
     return lines
 
