@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import inspect
+import json
 import re
 import sys
 from argparse import SUPPRESS, Action, RawDescriptionHelpFormatter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from difflib import get_close_matches
-from typing import Any, NoReturn
+from typing import Any, NoReturn, get_args
 
 from jsonargparse import ArgumentParser
 
@@ -142,7 +143,7 @@ def as_spelt(parser: ArgumentParser, arguments: Sequence[str]) -> list[str]:
     """Arguments as the parser knows them.
 
     `--again` alone, of an option that is true or false, stands for `--again true`; `--min-quality` for
-    `--min_quality`.
+    `--min_quality`. Names keep their zeros: `--scenes '[00, 05]'` and `--scenes 00`.
     """
     told: list[str] = []
     for number, word in enumerate(arguments):
@@ -153,7 +154,11 @@ def as_spelt(parser: ArgumentParser, arguments: Sequence[str]) -> list[str]:
         name, is_one, value = word.partition("=")
         underscored = "--" + name[2:].replace("-", "_")
         if name.startswith("--") and name not in known and underscored in known:
-            word = underscored + is_one + value
+            name, word = underscored, underscored + is_one + value
+        if is_one and _takes_names(known.get(name)):
+            word = f"{name}={_names_in(value)}"
+        elif told and _takes_names(known.get(told[-1])):
+            word = _names_in(word)
         told.append(word)
         following = arguments[number + 1] if number + 1 < len(arguments) else ""
         action = known.get(word)
@@ -161,6 +166,25 @@ def as_spelt(parser: ArgumentParser, arguments: Sequence[str]) -> list[str]:
             told.append("true")
     return told
 
+
+def _takes_names(action: Action | None) -> bool:
+    """Whether an option takes a list of names."""
+    hint = getattr(action, "_typehint", None)
+    return tuple[str, ...] in (hint, *get_args(hint))
+
+
+def _names_in(value: str) -> str:
+    """A list of names as JSON, in which YAML takes none of them for a number; any other value as it is."""
+    if re.fullmatch(r"\[[^\[\]{}]*\]", value):
+        names = [name.strip() for name in value[1:-1].split(",") if name.strip()]
+    elif re.fullmatch(r"0\d+|[^\d\W][\w.-]*", value) and value.lower() not in ("null", "none"):
+        names = [value]
+    else:
+        return value
+    return f"[{', '.join(name if name[0] in QUOTES else json.dumps(name) for name in names)}]"
+
+
+QUOTES = ("'", '"')
 
 SWITCH = "{true,false}"
 """How jsonargparse shows what an option takes that is true or false."""

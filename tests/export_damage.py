@@ -129,6 +129,8 @@ def damages(folder: Path) -> Iterator[Damage]:
         if content:
             yield Damage(name, (), "cut", content[: len(content) // 2])
             yield Damage(name, (), "empty", b"")
+        if content and path.suffix == ".tar":
+            yield Damage(name, (), "zeros", bytes(len(content)))
         yield from _inside(name, content)
 
 

@@ -126,6 +126,11 @@ def _place(row: Mapping[str, str], *, where: str) -> str:
     if "/" in row["scene"]:
         checked_name(row["scene"], "scene", where=where)
     instance = row.get(INSTANCE, "")
+    if "@" in instance:  # what stands behind it is the frame of a moved object's place
+        raise DataError(
+            f"{where}: {instance!r:.60} cannot be the name of an instance, which holds no @; the frame has a "
+            "column of its own"
+        )
     return placed_as(row["scene"], checked_name(instance, "instance", where=where) if instance else "")
 
 

@@ -43,10 +43,12 @@ def choose_splits(
         rule: the requested split.
 
     Raises:
-        DataError: a test scene that does not exist, or a fraction outside 0 to 1.
+        DataError: a test scene that does not exist, a fraction outside 0 to 1, or a negative seed.
     """
     if not 0 <= rule.val_fraction < 1:
         raise DataError(f"split: val_fraction must be at least 0 and less than 1, got {rule.val_fraction}")
+    if rule.seed < 0:
+        raise DataError(f"split: seed must be 0 or more, got {rule.seed}")
     objects_of: dict[str, set[str]] = {}
     for (scene, _), objects in frames.items():
         objects_of.setdefault(scene, set()).update(objects)
@@ -71,7 +73,7 @@ def choose_test_scenes(
     if isinstance(wanted, tuple):
         return _named(objects_of, wanted)
     if wanted == 0:
-        return set(), ["no test split: the recipe asks for 0 test scenes"]
+        return set(), ["no test split: 0 test scenes were asked for"]
     if len(objects_of) < 3:
         return set(), [
             f"no test split: it takes whole scenes that training never saw and there are only "

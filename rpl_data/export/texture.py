@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ TEXTURED_TRIANGLES = 4_000
 
 TEXTURE_PX = 1024
 GREY = 160
+APART_M = 1e-6
 
 
 def save_textured(mesh: Mesh, files: Sequence[Path]) -> None:
@@ -33,7 +35,7 @@ def save_textured(mesh: Mesh, files: Sequence[Path]) -> None:
     """
     import open3d as o3d
 
-    few = with_two_triangles_per_edge(simplified(mesh, most_triangles=TEXTURED_TRIANGLES))
+    few = manifold(simplified(mesh, most_triangles=TEXTURED_TRIANGLES))
     triangles = o3d.t.geometry.TriangleMesh(
         o3d.core.Tensor(few.vertices.astype(np.float32)), o3d.core.Tensor(few.triangles.astype(np.int32))
     )
@@ -55,21 +57,44 @@ def save_textured(mesh: Mesh, files: Sequence[Path]) -> None:
             o3d.t.io.write_triangle_mesh(str(file), triangles)
 
 
-def with_two_triangles_per_edge(mesh: Mesh) -> Mesh:
-    """Detach the triangles at edges that more than two share, which charts cannot have: they get own corners.
+def manifold(mesh: Mesh) -> Mesh:
+    """The triangles, cut apart wherever they do not form a surface: what is unwrapped must be one.
 
-    Nothing moves, and no triangle is lost.
+    Triangles stay joined across an edge that exactly two of them share, in opposite directions. Around a
+    vertex, each group of triangles joined in this way gets a vertex of its own, moved by `APART_M` towards
+    the middle of its group: Open3D joins vertices that lie in one place again.
     """
-    sides = np.sort(mesh.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    _, edge, count = np.unique(sides, axis=0, return_inverse=True, return_counts=True)
-    loose = (count[edge.ravel()] > 2).reshape(-1, 3).any(axis=1)
-    if not loose.any():
-        return mesh
-    corners = mesh.triangles[loose].ravel()
-    triangles = mesh.triangles.copy()
-    triangles[loose] = len(mesh.vertices) + np.arange(len(corners)).reshape(-1, 3)
-    colors = None if mesh.colors is None else np.concatenate([mesh.colors, mesh.colors[corners]])
-    return Mesh(np.concatenate([mesh.vertices, mesh.vertices[corners]]), triangles, colors)
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    _, once = np.unique(np.sort(mesh.triangles, axis=1), axis=0, return_index=True)  # no flap of two sides
+    mesh = replace(mesh, triangles=mesh.triangles[np.sort(once)])
+    # A corner is a triangle's use of a vertex; edge k of a triangle leads from its corner k to the next one.
+    corners = np.arange(mesh.triangles.size).reshape(-1, 3)
+    ends = np.stack([mesh.triangles, np.roll(mesh.triangles, -1, axis=1)], axis=2).reshape(-1, 2)
+    edge_corners = np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2)
+    forwards = ends[:, 0] < ends[:, 1]
+    _, edge, uses = np.unique(np.sort(ends, axis=1), axis=0, return_inverse=True, return_counts=True)
+    up = np.bincount(edge[forwards], minlength=len(uses))
+    shared = np.flatnonzero((uses == 2) & (up == 1))
+    first, second = np.full(len(uses), -1), np.full(len(uses), -1)
+    first[edge[forwards]], second[edge[~forwards]] = np.flatnonzero(forwards), np.flatnonzero(~forwards)
+    one, other = edge_corners[first[shared]].ravel(), edge_corners[second[shared]][:, ::-1].ravel()
+    links = coo_matrix((np.ones(len(one)), (one, other)), shape=(corners.size, corners.size))
+    count, vertex_of_corner = connected_components(links, directed=False)
+    vertex = np.zeros(count, dtype=np.int64)
+    vertex[vertex_of_corner] = mesh.triangles.ravel()
+    middles = np.zeros((count, 3))
+    np.add.at(middles, vertex_of_corner, np.repeat(mesh.vertices[mesh.triangles].mean(axis=1), 3, axis=0))
+    inwards = middles / np.bincount(vertex_of_corner)[:, None] - mesh.vertices[vertex]
+    inwards /= np.maximum(np.linalg.norm(inwards, axis=1, keepdims=True), 1e-12)
+    split = np.bincount(vertex)[vertex] > 1
+    return replace(
+        mesh,
+        vertices=mesh.vertices[vertex] + APART_M * inwards * split[:, None],
+        triangles=vertex_of_corner.reshape(-1, 3).astype(mesh.triangles.dtype),
+        colors=None if mesh.colors is None else mesh.colors[vertex],
+    )
 
 
 def _painted(places: np.ndarray, mesh: Mesh) -> UInt8[np.ndarray, "side side 3"]:

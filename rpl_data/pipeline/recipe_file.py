@@ -182,6 +182,8 @@ def _check(recipe: Recipe, source: str) -> None:
         raise DataError(f"{source}: export.min_quality must be in [0, 1), got {recipe.export.min_quality}")
     if not 0 <= recipe.split.val_fraction < 1:
         raise DataError(f"{source}: split.val_fraction must be in [0, 1), got {recipe.split.val_fraction}")
+    if recipe.split.seed < 0:
+        raise DataError(f"{source}: split.seed must be 0 or more, got {recipe.split.seed}")
 
 
 def _check_objects(recipe: Recipe, source: str) -> None:

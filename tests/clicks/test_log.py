@@ -129,7 +129,9 @@ def test_csv_tells_instances_apart() -> None:
         clicks_from_csv(without, source="c.csv", object_name="cube", keypoints=NAMES)
 
 
-@pytest.mark.parametrize(("scene", "instance"), [("00/2", ""), ("00", "a/b"), ("00", "../..")])
+@pytest.mark.parametrize(
+    ("scene", "instance"), [("00/2", ""), ("00", "a/b"), ("00", "../.."), ("00", "@3"), ("00", "2@3")]
+)
 def test_csv_with_names_that_leave_their_scene_is_refused(scene: str, instance: str) -> None:
     text = f"object,keypoint,scene,frame,u_px,v_px,instance\ncube,0,{scene},1,1,1,{instance}\n"
     with pytest.raises(DataError, match="c.csv line 2: .* cannot be the name of"):

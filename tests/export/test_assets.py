@@ -12,7 +12,7 @@ from labelled_scenes import BOX, CAN, labelled_scene
 
 from rpl_data.export import export_assets, export_coco
 from rpl_data.export.split import SplitRule
-from rpl_data.export.texture import save_textured, with_two_triangles_per_edge
+from rpl_data.export.texture import save_textured
 from rpl_data.meshes import load_mesh, save_mesh
 from rpl_data.types import DataError, Mesh
 
@@ -56,30 +56,30 @@ def test_a_textured_mesh_in_metres(assets: Path, suffix: str) -> None:
     assert (np.abs(found - wanted).max(axis=1) < 40).mean() > 0.97
 
 
+def test_a_surface_with_fins_flaps_and_touching_tips_is_textured(tmp_path: Path) -> None:
+    """Open3D unwraps none of them as they are; no triangle is lost but the second side of the flap."""
+    ball = two_coloured_sphere(0.05)
+    a, b, c = ball.triangles[100]
+    extra = np.array([[0.0, 0.0, 0.1], [0.1, 0.0, 0.0], [0.02, 0.0, 0.12], [-0.02, 0.0, 0.12]])
+    fin, tip = len(ball.vertices), len(ball.vertices) + 2
+    triangles = [(a, b, fin), (b, c, fin + 1), (c, b, fin + 1), (0, tip, tip + 1)]
+    mesh = Mesh(
+        np.concatenate([ball.vertices, extra]),
+        np.concatenate([ball.triangles, np.array(triangles)]),
+        np.concatenate([ball.colors, np.zeros((4, 3), np.uint8)]),
+    )
+    save_textured(mesh, [tmp_path / "ball.obj"])
+    found = o3d.io.read_triangle_mesh(str(tmp_path / "ball.obj"))
+    assert len(found.triangles) == len(mesh.triangles) - 1
+    np.testing.assert_allclose(found.get_max_bound(), mesh.vertices.max(axis=0), atol=1e-5)
+
+
 def test_millimetres_and_facts(assets: Path) -> None:
     mesh = load_mesh(assets / "box_mm.ply")
     np.testing.assert_allclose(np.ptp(mesh.vertices, axis=0), 100, rtol=0.02)
     facts = json.loads((assets / "box.json").read_text())
     assert facts["closed"] and facts["open_edges"] == 0 and list(facts["keypoints_m"]) == list(BOX.keypoints)
     np.testing.assert_allclose(facts["size_m"], 0.1, rtol=0.02)
-
-
-def test_edges_of_three_triangles_have_a_texture_too(tmp_path: Path) -> None:
-    """Built meshes have some such edges; Open3D cuts no chart there."""
-    fin = Mesh(
-        np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1]]) / 10.0,
-        np.array([[0, 1, 2], [1, 0, 3], [0, 1, 4]]),
-        np.array([RED] * 5, np.uint8),
-    )
-    detached = with_two_triangles_per_edge(fin)
-    np.testing.assert_array_equal(detached.vertices[detached.triangles], fin.vertices[fin.triangles])
-    assert detached.colors is not None and len(detached.colors) == len(detached.vertices)
-    save_textured(fin, [tmp_path / "fin_m.glb"])
-    assert len(load_glb_triangles(tmp_path / "fin_m.glb")) == 3
-
-
-def load_glb_triangles(path: Path) -> np.ndarray:
-    return np.asarray(o3d.io.read_triangle_mesh(str(path)).triangles)
 
 
 def test_a_surface_without_charts_is_a_data_error(tmp_path: Path) -> None:

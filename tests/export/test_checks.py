@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from export_damage import Damage, damaged, damages, names, write_all, write_dialects
 
+from rpl_data.cli.check import UNCHECKED
 from rpl_data.cli.main import main
 from rpl_data.export.checks import CHECKS, check_export, dialect_of
 from rpl_data.pipeline.stages.export import EXPORTS
@@ -53,7 +54,7 @@ def exports(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_every_dialect_that_is_written_can_be_checked() -> None:
-    unchecked = EXPORTS.keys() - CHECKS.keys() - {"ycb_video", "linemod"}
+    unchecked = EXPORTS.keys() - CHECKS.keys() - set(UNCHECKED)
     assert not unchecked, "write a check beside the new dialect: `rpl_data/export/checks`"
 
 
@@ -134,6 +135,18 @@ def test_names_without_numbers_are_faults(exports: Path, tmp_path: Path) -> None
     shutil.copytree(tmp_path / "bop/train/000001", tmp_path / "bop/test/000001_old")
     said = [str(fault) for fault in check_export(tmp_path / "bop", "bop")]
     assert any("models/mug.ply" in fault for fault in said)
+
+
+def test_a_format_that_nothing_checks_is_said(
+    exports: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(exports / "coco", tmp_path / "export/coco")
+    (tmp_path / "export/linemod").mkdir()
+    assert main(["check", str(tmp_path / "export")]) == 0
+    assert "linemod: not checked, since no check knows its format" in capsys.readouterr().out
+    for more in ([], ["--export", "linemod"]):
+        assert main(["check", str(tmp_path / "export/linemod"), *more]) == 1
+        assert "linemod: nothing checks the format linemod; check export/coco" in capsys.readouterr().err
 
 
 def test_what_is_no_export_is_refused_or_left_to_the_doctor(

@@ -179,6 +179,8 @@ def test_named_test_scenes():
         choose_splits(frames(s1="a"), SplitRule(test_scenes=("s9",)))
     with pytest.raises(DataError, match="val_fraction"):
         choose_splits(frames(s1="a"), SplitRule(val_fraction=1.5))
+    with pytest.raises(DataError, match="seed must be 0 or more, got -1"):
+        choose_splits(frames(s1="a"), SplitRule(seed=-1))
 
 
 # Views --------------------------------------------------------------------------------------------

@@ -37,6 +37,21 @@ def test_a_mistyped_command_is_one_line(
     assert told.startswith(said)
 
 
+@pytest.mark.parametrize(
+    ("given", "names"),
+    [("[00, 05]", ("00", "05")), ("[00,'01']", ("00", "01")), ('["007"]', ("007",)), ("00", ("00",))],
+)
+def test_names_of_scenes_are_no_numbers(given: str, names: tuple[str, ...]) -> None:
+    parser = parser_of(COMMANDS, program="rpl", description="")
+    for command in (["filter", "a", "b", "--scenes"], ["split", "a", "b", "--test-scenes"]):
+        for words in ([*command, given], [*command[:-1], f"{command[-1]}={given}"]):
+            values = parser.parse_args(as_spelt(parser, ["dataset", *words])).dataset
+            chosen = values.filter.scenes if command[0] == "filter" else values.split.test_scenes
+            assert tuple(chosen) == names
+    values = parser.parse_args(as_spelt(parser, ["dataset", "split", "a", "b", "--test_scenes", "2"]))
+    assert values.dataset.split.test_scenes == 2
+
+
 def test_an_option_may_be_named_without_its_group() -> None:
     options = ["--learning.epochs", "--learning.batch", "--seed"]
     said = one_line("unrecognized arguments: --epoch 5", options)

@@ -46,6 +46,7 @@ def test_what_cannot_be_chosen_is_refused(
         (ExportChoice(object="cup"), "there is no object 'cup' to export; the recipe has "),
         (ExportChoice(min_quality=1.5), r"must be in \[0, 1\)"),
         (ExportChoice(min_quality=0.999999), "would be left out"),
+        (ExportChoice(color="png"), "as they were recorded; --color is for bop, bop_onboarding"),
     ):
         with pytest.raises(DataError, match=message):
             export_chosen(context, "coco", choice)

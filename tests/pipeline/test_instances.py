@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from rpl_data.pipeline.recipe import Recipe, SceneSource
 from rpl_data.pipeline.recipe_file import load_recipe
 from rpl_data.pipeline.sources import recordings_of
 from rpl_data.pipeline.stages.import_ import import_steps
+from rpl_data.pipeline.stages.solve import instances_in_one_place
 from rpl_data.types import DataError
 from rpl_data.workspace.workspace import Workspace
 
@@ -74,6 +76,14 @@ def test_a_carried_object_is_followed_or_lost_and_never_labelled_wrongly(built: 
     assert "@" not in said and "in another frame than" not in said
     (row,) = compare_workspaces(built, Workspace(built.truth))
     assert row.invented == 0
+
+
+def test_one_object_marked_as_two_instances_is_said(built: Workspace) -> None:
+    solution = built.load_solution("carton")
+    assert instances_in_one_place(solution) == []
+    places = solution.scene_from_object
+    (line,) = instances_in_one_place(replace(solution, scene_from_object={**places, "00/2": places["00"]}))
+    assert line.startswith("00 and 00/2 are in one place: their keypoints lie 0.0 mm apart")
 
 
 def test_a_build_that_is_up_to_date_stays_so(built: Workspace) -> None:

@@ -85,6 +85,7 @@ def test_recording_recipe_names_every_field(tmp_path: Path) -> None:
         ("scenes: [{path: a}]\nobjects: [{name: c, keypoints: 2}]", "at least 3 keypoints, got 2"),
         ("scenes: [{path: a}]\nobjects: [{name: c, keypoints: 3, skeleton: [[0, 3]]}]", "beyond 0..2"),
         ("twin: {}\nsplit: {val_fraction: 1.5}", "val_fraction must be in"),
+        ("twin: {}\nsplit: {seed: -1}", "split.seed must be 0 or more, got -1"),
         ("[", "not valid YAML"),
         ("twin: {}\nlabel: {rate: 3}\nlabel: {rate: 1}", "key 'label' is there twice"),
         ("twin: {scenes: 3, scenes: 4}", "key 'scenes' is there twice"),

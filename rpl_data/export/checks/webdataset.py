@@ -13,7 +13,6 @@ import numpy as np
 
 from rpl_data.export.checks.entries import check_annotation, check_image
 from rpl_data.export.checks.findings import Findings
-from rpl_data.json_arrays import Json
 
 COLORS = ("jpg", "jpeg", "png")
 
@@ -33,11 +32,16 @@ def check_webdataset(findings: Findings) -> None:
         expected = [f"{split}-{number:06d}.tar" for number in range(len(found))]
         findings.equal("", "", f"shards of {split}", found, expected, "numbered from 0 without gaps")
     for shard in shards:
+        samples = 0
         try:
             for key, files in groupby(_files(findings.folder / shard), key=lambda file: file[0]):
+                samples += 1
                 _check_sample(findings, shard, key, {suffix: content for _, suffix, content in files})
         except (tarfile.TarError, OSError, EOFError) as error:
             findings.add(shard, "", "", f"damaged: {error}")
+        else:
+            if not samples:
+                findings.add(shard, "", "", "it has no sample")
 
 
 def _files(shard: Path) -> Iterator[tuple[str, str, bytes]]:
@@ -86,7 +90,7 @@ def _check_sample(findings: Findings, shard: str, key: str, files: dict[str, byt
     for row, annotation in enumerate(annotations):
         check_annotation(findings, annotation, entry, shard, f"{record}, annotation number {row}")
     if mask is not None:
-        _check_numbers(findings, shard, key, mask, annotations)
+        _check_numbers(findings, shard, key, mask, len(annotations))
 
 
 def _decoded(
@@ -103,11 +107,9 @@ def _decoded(
     return np.asarray(image)
 
 
-def _check_numbers(
-    findings: Findings, shard: str, key: str, mask: np.ndarray, annotations: list[Json]
-) -> None:
+def _check_numbers(findings: Findings, shard: str, key: str, mask: np.ndarray, annotations: int) -> None:
     """The mask numbers the annotations; one may be covered by a later one."""
     highest = int(mask.max(initial=0))
-    if highest > len(annotations):
-        what = f"it has {highest}, though there are {len(annotations)} annotations"
+    if highest > annotations:
+        what = f"it has {highest}, though there are {annotations} annotations"
         findings.add(shard, f"{key}.mask.png", "", what)

@@ -128,8 +128,7 @@ def export_chosen(
     check_format(name)
     if choice.color is not None and name not in CONVERTING:
         raise DataError(
-            f"color says how {' and '.join(CONVERTING)} store colour images; {name} has no such choice: "
-            "leave it out"
+            f"{name} has colour images as they were recorded; --color is for {', '.join(CONVERTING)}"
         )
     recipe = replace(context.recipe, export=choice.recipe(context.recipe.export))
     context = replace(context, recipe=recipe, choice=choice)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
+from itertools import combinations
 
 import numpy as np
 
@@ -25,10 +26,13 @@ from rpl_data.types import (
     Observation,
     Solution,
 )
+from rpl_data.types.instances import frame_of, scene_of
 from rpl_data.workspace.workspace import Workspace
 
 VERSION = 5
 """Raised when the stage writes something else for the same input; its steps then run again."""
+SAME_PLACE_SHARE = 0.05
+"""Two solid objects cannot stand so close, as a share of the diagonal around their keypoints."""
 STRAYED_SHARE = 0.35
 """Standard deviation of drifting poses about their middle, per axis, as a share of what the meter reads."""
 
@@ -50,7 +54,8 @@ def solve_step(context: Context, item: ObjectRecipe) -> Step:
         unused = clicks_without_pose(annotation.clicks, observations)
         said = [statement.text for statement in solution.statements]
         moved = fallen_lines(workspace, item.name)
-        lines = [f"{item.name}: {line}" for line in (*said, *moved, *unused, *solution.warnings)]
+        twice = instances_in_one_place(solution)
+        lines = [f"{item.name}: {line}" for line in (*said, *twice, *moved, *unused, *solution.warnings)]
         details = {
             "clicks": len(observations),
             "outliers": outliers,
@@ -70,6 +75,27 @@ def solve_step(context: Context, item: ObjectRecipe) -> Step:
         after=context.poses_of(),
         outputs=[workspace.solution_file(item.name)],
     )
+
+
+def instances_in_one_place(solution: Solution) -> list[str]:
+    """A line for each two instances of a scene that stand in each other: one object, marked twice."""
+    size_m = float(np.linalg.norm(np.ptp(solution.model.points_object[solution.model.known], axis=0)))
+    placed = {
+        place: transform(pose, solution.model.points_object)
+        for place, pose in solution.scene_from_object.items()
+    }
+    lines = []
+    for one, other in combinations(sorted(placed), 2):
+        if scene_of(one) != scene_of(other) or frame_of(one) != frame_of(other):
+            continue
+        apart_m = float(np.nanmean(np.linalg.norm(placed[one] - placed[other], axis=1)))
+        if apart_m < SAME_PLACE_SHARE * size_m:
+            lines.append(
+                f"{one} and {other} are in one place: their keypoints lie {1000 * apart_m:.1f} mm apart, so "
+                "the same object was marked as two instances and would be labelled twice; take back the "
+                "clicks of one of them"
+            )
+    return lines
 
 
 def clicks_without_pose(clicks: Sequence[Click], observations: Sequence[Observation]) -> list[str]:
