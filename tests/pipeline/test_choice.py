@@ -51,7 +51,7 @@ def test_what_cannot_be_chosen_is_refused(
         with pytest.raises(DataError, match=message):
             export_chosen(context, "coco", choice)
     for name in ("yolo", "coco"):
-        with pytest.raises(DataError, match=f"{name} has no such choice"):
+        with pytest.raises(DataError, match=f"{name} has colour images as they were recorded"):
             export_chosen(context, name, ExportChoice(color="png"))
     for name in ("bop_onboarding", "foundationpose"):
         with pytest.raises(DataError, match="no training images"):

@@ -187,9 +187,9 @@ def instance_from_coco(annotation: Mapping[str, Any], object_name: str) -> Insta
         box_full=_xyxy(annotation["bbox_full"]),
         mask=_rle(annotation["segmentation"]),
         mask_full=_rle(annotation["segmentation_full"]),
-        visib_fract=annotation["visib_fract"],
+        visib_fract=float(annotation["visib_fract"]),
         truncated=annotation["truncated"],
-        quality=annotation["quality"],
+        quality=float(annotation["quality"]),
         corrected=annotation.get("corrected") is True,
         instance=annotation.get("instance", ""),
     )
