@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from rpl_data.export.checks.findings import Findings
+from rpl_data.export.checks.models import check_obj
 from rpl_data.export.checks.rules import Rules, at_least, between, one_of, positive, rigid, sized
 from rpl_data.files import FAULTS, read_bytes
 from rpl_data.json_arrays import Json, flag, optional, text
@@ -65,7 +66,7 @@ def check_assets(findings: Findings) -> None:
             )
         _check_ply(findings, name, facts if sound else None)
         _check_glb(findings, f"{name}_m.glb")
-        _check_obj(findings, name)
+        check_obj(findings, f"{name}_m.obj")
 
 
 def _check_ply(findings: Findings, name: str, facts: Json | None) -> None:
@@ -98,22 +99,3 @@ def _check_glb(findings: Findings, file: str) -> None:
         findings.add(file, "", "", "missing")
     except (struct.error, *FAULTS) as error:
         findings.add(file, "", "", f"no whole GLB file: {error}")
-
-
-def _check_obj(findings: Findings, name: str) -> None:
-    """The mesh names its material, and that its texture, and both are there."""
-    file = f"{name}_m.obj"
-    lines = [line.split(maxsplit=1) for line in findings.lines(file)]
-    counts = {kind: sum(line[0] == kind for line in lines if line) for kind in ("v", "f")}
-    materials = [line[1] for line in lines if len(line) == 2 and line[0] == "mtllib"]
-    if not (counts["v"] and counts["f"] and materials) and (findings.folder / file).is_file():
-        findings.add(file, "", "v, f, mtllib", "expected vertices, faces and a material")
-    for material in materials:
-        if findings.named(material, file, "", "mtllib"):
-            words = [line.split(maxsplit=1) for line in findings.lines(material)]
-            textures = [line[1] for line in words if len(line) == 2 and line[0] == "map_Kd"]
-            if not textures:
-                findings.add(material, "", "map_Kd", "expected a texture")
-            for texture in textures:
-                if findings.named(texture, material, "", "map_Kd"):
-                    findings.image(texture)

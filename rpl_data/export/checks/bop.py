@@ -5,32 +5,23 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from rpl_data.export.checks.bop_scene import SceneIndex, check_scene
 from rpl_data.export.checks.findings import Findings
-from rpl_data.export.checks.rules import Rules, at_least, pixel, place, positive, rigid, sized
+from rpl_data.export.checks.models import SIZE_SHARE, SIZES, check_sizes
+from rpl_data.export.checks.rules import Rules, at_least, pixel, positive, rigid, sized
 from rpl_data.export.dialect import SPLITS
-from rpl_data.json_arrays import Json, each, text
-from rpl_data.meshes import load_mesh
-from rpl_data.types import DataError
+from rpl_data.json_arrays import each, text
 
 CAMERA: Rules = {
     "fx": positive, "fy": positive, "cx": pixel, "cy": pixel,
     "width": at_least(1), "height": at_least(1), "depth_scale": positive,
 }  # fmt: skip
-AXES = "xyz"
-MODEL: Rules = {
-    "diameter": positive,
-    **{f"min_{axis}": place for axis in AXES},
-    **{f"size_{axis}": positive for axis in AXES},
-}
 SYMMETRIES: Rules = {
     "symmetries_discrete": each(rigid),
     "symmetries_continuous": each(lambda entry: [sized(3)(entry[key]) for key in ("axis", "offset")]),
 }
-SIZE_SHARE = 1e-3
-"""By how much of its diameter a mesh may differ from what models_info.json says of it."""
+SIZE_SHARES = {"models": SIZE_SHARE, "models_eval": 0.1}
+"""By how much of its diameter a mesh may differ from models_info.json: simplifying moves corners."""
 TARGETS = {"test_targets_bop19.json": ("obj_id", "inst_count"), "test_targets_bop24.json": ()}
 
 
@@ -85,38 +76,16 @@ def _check_models(findings: Findings, kind: str) -> dict[str, Any]:
     for number, entry in info.items():
         if not number.isdecimal():
             findings.add(file, f"object {number}", "", "expected the object's number as key")
-        elif findings.fields(entry, MODEL, file, f"object {number}"):
+        elif findings.fields(entry, SIZES, file, f"object {number}"):
             given = {key: rule for key, rule in SYMMETRIES.items() if key in entry}
             findings.fields(entry, given, file, f"object {number}")
-            _check_model(findings, kind, int(number), entry)
+            mesh = f"{kind}/obj_{int(number):06d}.ply"
+            check_sizes(findings, mesh, entry, file, f"object {number}", share=SIZE_SHARES[kind])
     for path in sorted(folder.glob("*.ply")):
         number = path.stem.removeprefix("obj_")
         if not number.isdecimal() or str(int(number)) not in info:
             findings.add(file, "", path.stem, f"missing, though there is {kind}/{path.name}")
     return info
-
-
-def _check_model(findings: Findings, kind: str, number: int, entry: Json) -> None:
-    """A mesh can be read, in millimetres, and has the size that is written of it."""
-    file, record = f"{kind}/obj_{number:06d}.ply", f"object {number}"
-    try:
-        vertices = load_mesh(findings.folder / file).vertices
-    except DataError as error:
-        findings.add(file, "", "", str(error).replace(f"{findings.folder}/", ""))
-        return
-    low, size = vertices.min(axis=0), np.ptp(vertices, axis=0)
-    slack = entry["diameter"] * (SIZE_SHARE if kind == "models" else 0.1)  # simplifying moves corners
-    if not size.max() - slack <= entry["diameter"] <= np.linalg.norm(size) + slack:
-        findings.add(
-            f"{kind}/models_info.json", record, "diameter", f"{entry['diameter']:g} is not that of {file}"
-        )
-        return
-    for key, values in (("min", low), ("size", size)):
-        for axis, value in zip(AXES, values, strict=True):
-            field = f"{key}_{axis}"
-            if abs(entry[field] - value) > slack:
-                what = f"expected {value:g} mm as {file} has it, found {entry[field]:g}"
-                findings.add(f"{kind}/models_info.json", record, field, what)
 
 
 def _check_targets(

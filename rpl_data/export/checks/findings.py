@@ -10,6 +10,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+import yaml
 from jaxtyping import Float64
 
 from rpl_data.export.checks.rules import Rule, Rules, rigid
@@ -88,6 +89,23 @@ class Findings:
             else:
                 self.add(file, f"line {row}", "", f"expected a JSON object: {value!r:.80}")
         return found
+
+    def yaml_objects(self, file: str) -> dict[Any, Any] | None:
+        """Read a YAML file of keys with values; None, with a fault noted, where it is none."""
+        lines = self.lines(file)
+        if not lines:
+            if (self.folder / file).is_file():
+                self.add(file, "", "", "empty")
+            return None
+        try:
+            data = yaml.load("\n".join(lines), Loader=LOADER)
+        except (yaml.YAMLError, *FAULTS) as error:
+            self.add(file, "", "", " ".join(str(error).split())[:200])
+            return None
+        if isinstance(data, dict):
+            return data
+        self.add(file, "", "", f"expected keys with values, found {type(data).__name__}")
+        return None
 
     def numbers(self, file: str, rows: int | None, columns: int) -> Float64[np.ndarray, "_ _"] | None:
         """Read a table of numbers, one row per line; None, with a fault noted, where it is none."""
@@ -184,6 +202,9 @@ class Findings:
             self.add(file, "", "", str(error).replace(f"{self.folder}/", ""))
             return None
 
+
+LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+"""PyYAML's loader in C, where it has one."""
 
 KINDS = {
     "color": "8 bits per channel",

@@ -6,12 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from rpl_data.export.checks.findings import Findings, stems
 from rpl_data.export.checks.rules import at_least, one_of, sized
 from rpl_data.formats.datasets.yolo import LINES
-from rpl_data.json_arrays import Json, number, text
+from rpl_data.json_arrays import number, text
 
 SPLITS = ("train", "val", "test")
 BEYOND = 1e-5
@@ -64,7 +62,7 @@ def _compare(
 
 def _check_task(findings: Findings, task: str, seen: Seen) -> None:
     file = f"{task}/data.yaml"
-    data = _read_yaml(findings, file)
+    data = findings.yaml_objects(file)
     if data is None:
         return
     if not findings.fields(data, {"train": text, "val": text, "names": _names}, file, ""):
@@ -84,23 +82,6 @@ def _check_task(findings: Findings, task: str, seen: Seen) -> None:
     for split in SPLITS:
         if split not in data and (findings.folder / task / "images" / split).is_dir():
             findings.add(file, "", split, f"missing, though there is a folder images/{split}")
-
-
-def _read_yaml(findings: Findings, file: str) -> Json | None:
-    lines = findings.lines(file)
-    if not lines:
-        if (findings.folder / file).is_file():
-            findings.add(file, "", "", "empty")
-        return None
-    try:
-        data = yaml.safe_load("\n".join(lines))
-    except yaml.YAMLError as error:
-        findings.add(file, "", "", " ".join(str(error).split())[:200])
-        return None
-    if isinstance(data, dict):
-        return data
-    findings.add(file, "", "", f"expected keys with values, found {type(data).__name__}")
-    return None
 
 
 def _names(values: Any) -> None:
