@@ -15,7 +15,9 @@ from typing import Any
 
 import cv2
 import numpy as np
+import yaml
 from labelled_scenes import BOX, CAMERA, CAN, labelled_scene
+from scipy.io import loadmat, savemat
 
 from rpl_data.evaluate.truth import box_mesh
 from rpl_data.export import (
@@ -26,9 +28,11 @@ from rpl_data.export import (
     export_coco,
     export_foundationpose,
     export_huggingface,
+    export_linemod,
     export_nerfstudio,
     export_okt,
     export_webdataset,
+    export_ycb_video,
     export_yolo,
 )
 from rpl_data.export.split import SplitRule
@@ -38,7 +42,7 @@ NO_PLACE = -1e9
 """A number that no pixel, count, share, metre or millimetre of an export can be."""
 SAME = r"(?<![a-z])(train|val|valid|validation|test|[ab])(?![a-z])|\d+"
 """Numbers, and names of splits and of the scenes a and b: files that differ in these are alike."""
-WORDY = (".txt", ".yaml", ".yml", ".mtl")
+WORDY = (".txt", ".xyz", ".yaml", ".yml", ".mtl")
 
 
 def write_all(root: Path) -> Path:
@@ -65,7 +69,8 @@ def write_dialects(folder: Path, coco: Path, metres_per_unit: dict[str, float]) 
     """Write what is made of a COCO folder, each dialect in a folder called like it."""
     for write in (export_yolo, export_okt, export_huggingface, export_webdataset, export_assets):
         write(folder / write.__name__.removeprefix("export_"), coco)
-    for write in (export_bop, export_foundationpose, export_bundlesdf, export_nerfstudio):
+    with_units = (export_bop, export_foundationpose, export_bundlesdf, export_nerfstudio)
+    for write in (*with_units, export_ycb_video, export_linemod):
         write(folder / write.__name__.removeprefix("export_"), coco, metres_per_unit)
 
 
@@ -144,9 +149,14 @@ def _inside(name: str, content: bytes) -> Iterator[Damage]:
         others = [line for line in rest if line != first]
         for field, how, value in _json_damages(json.loads(first)):
             yield Damage(name, field, how, "\n".join([json.dumps(value), *others, ""]).encode())
+    elif suffix == ".mat":
+        yield from _mat_damages(name, content)
     elif suffix in WORDY:
         for how, text in _word_damages(content.decode()):
             yield Damage(name, (), how, text.encode())
+        if suffix in (".yaml", ".yml"):
+            for field, how, value in _json_damages(yaml.safe_load(content)):
+                yield Damage(name, field, how, yaml.safe_dump(value).encode())
     elif suffix in (".png", ".jpg"):
         image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
         yield Damage(name, (), "half as large", cv2.imencode(suffix, image[::2, ::2])[1].tobytes())
@@ -174,7 +184,7 @@ def _json_damages(value: Any) -> Iterator[tuple[tuple[str, ...], str, Any]]:
             if new != old:
                 holder[path[-1]] = new
                 yield field, how, copy.deepcopy(whole)
-        if isinstance(path[-1], str):
+        if isinstance(holder, dict):
             del holder[path[-1]]
             yield field, "dropped", whole
 
@@ -185,7 +195,7 @@ def _fields(
     if path:
         yield tuple(step for step in path if isinstance(step, str)), path
     if isinstance(value, dict):
-        numbered = [key for key in value if key.isdecimal()]
+        numbered = [key for key in value if str(key).isdecimal()]
         longest = max(numbered, key=lambda key: len(str(value[key])), default=None)
         for key, item in value.items():
             if key not in numbered or key == longest:
@@ -210,6 +220,26 @@ def _word_damages(text: str) -> Iterator[tuple[str, str]]:
                     f"word {at // 2 + 1} is {word!r}",
                     "\n".join([*lines[:row], line, *lines[row + 1 :], ""]),
                 )
+
+
+def _mat_damages(name: str, content: bytes) -> Iterator[Damage]:
+    """Each array dropped, one shorter, with a number that cannot be, or with one that is none."""
+    arrays = {key: array for key, array in loadmat(io.BytesIO(content)).items() if not key.startswith("__")}
+    for key, array in arrays.items():
+        others = {other: arrays[other] for other in arrays if other != key}
+        numbers = array.astype(np.float64)
+        replacements = {"shorter": numbers[..., :-1], "text": np.array("x")}
+        for how, value in (("no number that can be", NO_PLACE), ("not finite", np.nan)):
+            replacements[how] = np.where(np.arange(numbers.size).reshape(numbers.shape) == 0, value, numbers)
+        for how, new in replacements.items():
+            yield Damage(name, (key,), how, _mat({**others, key: new}))
+        yield Damage(name, (key,), "dropped", _mat(others))
+
+
+def _mat(arrays: dict[str, Any]) -> bytes:
+    file = io.BytesIO()
+    savemat(file, arrays)
+    return file.getvalue()
 
 
 def _tar_damages(name: str, content: bytes) -> Iterator[Damage]:

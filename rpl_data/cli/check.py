@@ -13,9 +13,6 @@ from rpl_data.recordings.open import only_format, open_scenes
 from rpl_data.types import DataError, Recording
 from rpl_data.wording import counted
 
-UNCHECKED = ("linemod", "ycb_video")
-"""Formats of exports that have no check."""
-
 MOST_LINES = 50
 """Faults of an export that are printed; of the others, the number is."""
 
@@ -71,11 +68,6 @@ def exports_at(path: Path, dialect: str | None = None) -> list[tuple[Path, str |
     Raises:
         DataError: the format is not known, or there is no such folder.
     """
-    named = dialect or (path.name if path.parent.name == "export" and path.is_dir() else None)
-    if named in UNCHECKED:
-        raise DataError(
-            f"{path}: nothing checks the format {named}; check export/coco, which it is made from"
-        )
     if dialect is not None:
         if dialect not in CHECKS:
             raise DataError(f"unknown export {dialect!r}; expected one of {', '.join(CHECKS)}")

@@ -26,6 +26,7 @@ from rpl_data.export.checks.coco import (
 )
 from rpl_data.export.checks.findings import Fault, Findings
 from rpl_data.export.checks.huggingface import check_huggingface, looks_like_huggingface
+from rpl_data.export.checks.linemod import check_linemod, looks_like_linemod
 from rpl_data.export.checks.nerfstudio import check_nerfstudio, looks_like_nerfstudio
 from rpl_data.export.checks.object_views import (
     check_bundlesdf,
@@ -35,6 +36,7 @@ from rpl_data.export.checks.object_views import (
 )
 from rpl_data.export.checks.okt import check_okt, looks_like_okt
 from rpl_data.export.checks.webdataset import check_webdataset, looks_like_webdataset
+from rpl_data.export.checks.ycb_video import check_ycb_video, looks_like_ycb_video
 from rpl_data.export.checks.yolo import check_yolo, looks_like_yolo
 from rpl_data.types import DataError
 
@@ -59,6 +61,8 @@ CHECKS = {
     "yolo": Check(looks_like_yolo, check_yolo),
     "bop": Check(looks_like_bop, check_bop),
     "bop_onboarding": Check(looks_like_bop_onboarding, check_bop_onboarding),
+    "ycb_video": Check(looks_like_ycb_video, check_ycb_video),
+    "linemod": Check(looks_like_linemod, check_linemod),
     "okt": Check(looks_like_okt, check_okt),
     "foundationpose": Check(looks_like_foundationpose, check_foundationpose),
     "bundlesdf": Check(looks_like_bundlesdf, check_bundlesdf),
