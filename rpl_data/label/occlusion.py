@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, Int64
 
+from rpl_data.directions import spread_directions
 from rpl_data.geometry import Pixels, Points, Transform, depth_sigma_m, invert
 from rpl_data.label.masks import MaskPatch, Window, cleaned
 from rpl_data.raycast import RayScene
@@ -128,7 +129,7 @@ class KeypointSurface:
         known = np.flatnonzero(np.isfinite(points_object).all(axis=1))
         keypoints = points_object[known]
         lacking = np.linalg.norm(rays.closest(keypoints).points - keypoints, axis=1) > AROUND_M
-        closest = rays.closest((keypoints[:, None] + AROUND_M * _directions()).reshape(-1, 3))
+        closest = rays.closest((keypoints[:, None] + AROUND_M * spread_directions(DIRECTIONS)).reshape(-1, 3))
         points = closest.points.reshape(-1, DIRECTIONS, 3)
         normals = closest.normals.reshape(-1, DIRECTIONS, 3).astype(np.float64)
         points[lacking], normals[lacking] = keypoints[lacking, None], 0.0
@@ -150,14 +151,6 @@ class KeypointSurface:
         seen = turned_here & (hit_m >= far_m - ENTERED_M)
         count = np.bincount(self.keypoint, seen, minlength=len(self.least))
         return np.asarray(count >= self.least * DIRECTIONS)
-
-
-def _directions() -> Points:
-    """Unit vectors spread evenly over a sphere (a Fibonacci lattice)."""
-    number = np.arange(DIRECTIONS) + 0.5
-    z, turn = 1 - 2 * number / DIRECTIONS, number * np.pi * (1 + 5**0.5)
-    across = np.sqrt(1 - z**2)
-    return np.column_stack([across * np.cos(turn), across * np.sin(turn), z])
 
 
 def _neighbours(
