@@ -24,6 +24,7 @@ from rpl_data.cli.first import init  # noqa: E402
 from rpl_data.cli.labels import labels_forget, labels_import  # noqa: E402
 from rpl_data.cli.machine import demo, doctor  # noqa: E402
 from rpl_data.cli.programs import PROGRAMS, run_program  # noqa: E402
+from rpl_data.cli.propose import propose  # noqa: E402
 from rpl_data.cli.recordings import capture, check, import_, truth  # noqa: E402
 from rpl_data.cli.stages import (  # noqa: E402
     cut,
@@ -201,6 +202,7 @@ COMMANDS: dict[str, Any] = {
     "cut": cut,
     "solve": solve,
     "register": register,
+    "propose": propose,
     "surface": surface,
     "refine": refine,
     "segment": segment,

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from rpl_data.geometry import Transform
 from rpl_data.images import read_color
 from rpl_data.pipeline.context import Context, path_key, posed_frames
 from rpl_data.pipeline.ledger import Advance, Step
@@ -29,10 +30,20 @@ from rpl_data.types import ClickResidual, DataError, Observation, Placement, Poi
 from rpl_data.types.instances import instance_of
 
 
-def find_step(context: Context, object_name: str, scene: str, advance: Advance) -> Step:
+def find_step(
+    context: Context,
+    object_name: str,
+    scene: str,
+    advance: Advance,
+    *,
+    proposed: Sequence[Transform] = (),
+) -> Step:
     """Find a known object in one more scene; where one click is there, it must agree.
 
     The placement is on the disk when this returns; see `register_step`.
+
+    Args:
+        proposed: poses `scene_from_object` that are looked at beside those that shape proposes.
 
     Raises:
         UnsureError: it was not found, or not surely; the message names a click that would help.
@@ -60,6 +71,7 @@ def find_step(context: Context, object_name: str, scene: str, advance: Advance) 
         there.cameras,
         there.views,
         off_clicks_px=lambda pose: max((off_px(pose, solution.model, one) for one in clicks), default=0.0),
+        proposed=proposed,
         advance=advance,
     )
     decision = decide(candidates, clicked=bool(clicks))

@@ -50,6 +50,7 @@ def candidates_in(
     views: Sequence[DepthView],
     *,
     off_clicks_px: Callable[[Transform], float] = lambda pose: 0.0,
+    proposed: Sequence[Transform] = (),
     advance: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[Candidate]:
     """Where a known object could stand in a scene, the likeliest first, each with its evidence.
@@ -60,6 +61,7 @@ def candidates_in(
         cameras: centres of the cameras, scene frame.
         views: depth images, in the scene's frame.
         off_clicks_px: by how much a pose misses the farthest click; 0 without clicks.
+        proposed: poses to look at first, beside those that shape proposes.
         advance: receives how many of the proposed poses have been looked at.
     """
     things = things_on_support(surface, cameras)
@@ -69,9 +71,9 @@ def candidates_in(
     clouds = [part for part in parts if SMALLEST * size_m < _diameter_m(part) < LARGEST * size_m]
     if things is None or not clouds:
         return []
-    near = [
-        one for one in _proposals(model, clouds, things.plane, views) if off_clicks_px(one.pose) < PROPOSED_PX
-    ]
+    given = [_Proposal(-np.inf, _nearest(clouds, transform(pose, model.points)), pose) for pose in proposed]
+    by_shape = _proposals(model, clouds, things.plane, views)
+    near = [one for one in (*given, *by_shape) if off_clicks_px(one.pose) < PROPOSED_PX]
     proposals = _distinct_proposals(near, model)
     if not proposals:
         return []
@@ -107,6 +109,12 @@ def _proposals(
             for n in np.flatnonzero(possible)
         ]
     return proposals
+
+
+def _nearest(things: Sequence[PointCloud], points: Points) -> int:
+    """Number of the thing whose middle is nearest to that of some points."""
+    middle = points.mean(axis=0)
+    return int(np.argmin([np.linalg.norm(thing.points.mean(axis=0) - middle) for thing in things]))
 
 
 def _distinct_proposals(proposals: Sequence[_Proposal], model: PointCloud) -> list[_Proposal]:

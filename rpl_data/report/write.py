@@ -15,6 +15,7 @@ from rpl_data.report.clicks import click_section, distance_table
 from rpl_data.report.counts import SceneReport, summarise_scene
 from rpl_data.report.coverage import coverage_section
 from rpl_data.report.html import Cell, folded, number, page, section, table, text
+from rpl_data.report.networks import networks_section
 from rpl_data.report.next_steps import next_steps, next_steps_list
 from rpl_data.report.pictures import contact_sheet, frames_per_scene, legends
 from rpl_data.report.solid import solid
@@ -57,6 +58,13 @@ def write_report(
         "objects": _objects(workspace, solutions),
         "labels": labels_section(scenes),
         "views": coverage_section(views),
+        "networks": networks_section(
+            {
+                solution.model.name: workspace.load_network_views(solution.model.name)
+                for solution in solutions
+            },
+            {solution.model.name: solution for solution in solutions},
+        ),
         "split": section("split", "Split", f"<pre>{text(split.rstrip())}</pre>") if split else "",
         "timings": timings_section(timings) if timings else "",
     }

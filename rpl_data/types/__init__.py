@@ -11,6 +11,7 @@ from rpl_data.types.clicks import Click, Observation
 from rpl_data.types.errors import DataError, UnsureError
 from rpl_data.types.images import Box, ColorImage, DepthImage, DepthUnits, GreyImage, Rle, SquareBox
 from rpl_data.types.labels import Correction, FrameLabel, InstanceLabel, QualityRow
+from rpl_data.types.network import NetworkView
 from rpl_data.types.recording import (
     DepthCamera,
     DepthCoding,
@@ -61,6 +62,7 @@ __all__ = [
     "Intrinsics",
     "KeypointModel",
     "Mesh",
+    "NetworkView",
     "NextClick",
     "Observation",
     "PlacedHow",

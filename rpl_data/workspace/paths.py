@@ -26,7 +26,7 @@ class Paths:
                                       parts.json, when it was cut into scenes/<scene>.1/, <scene>.2/, ...
         objects/<object>/             clicks.jsonl  solution.json  refined.json  placed.json  mesh.ply
                                       cloud.ply  given.ply  grasp.json  symmetry.json
-                                      exported.ply  paths/<scene>.txt
+                                      exported.ply  network.json  paths/<scene>.txt
         labels/<scene>.jsonl          one line per frame
         labels/<scene>.left_out.json  frames that the user excluded from exports
         export/<format>/              coco, coco_truth, ...
@@ -145,6 +145,10 @@ class Paths:
     def placed_file(self, object_name: str) -> Path:
         """The scenes in which `rpl register` placed the object."""
         return self._object(object_name) / "placed.json"
+
+    def network_file(self, object_name: str) -> Path:
+        """Where `rpl propose` saw the object, by scene."""
+        return self._object(object_name) / "network.json"
 
     def mesh_file(self, object_name: str) -> Path:
         """The dense model as triangles, in the object frame, metres."""

@@ -31,6 +31,7 @@ from rpl_data.types import (
     FrameLabel,
     KeypointModel,
     Mesh,
+    NetworkView,
     Placement,
     Scene,
     Solution,
@@ -40,6 +41,7 @@ from rpl_data.types import (
 from rpl_data.workspace import click_files, records
 from rpl_data.workspace.correction_records import corrections_from_json, corrections_to_json
 from rpl_data.workspace.label_arrays import LabelArrays, label_arrays
+from rpl_data.workspace.network_records import network_views_from_json, network_views_to_json
 from rpl_data.workspace.placement_records import placements_from_json, placements_to_json
 from rpl_data.workspace.scene_files import SceneFiles
 from rpl_data.workspace.summary import summary
@@ -151,6 +153,18 @@ class Workspace(SceneFiles):
             return None
         with decoding(path, "delete it, and run `rpl symmetry` again"):
             return symmetry_from_json(read_json(path))
+
+    def save_network_views(self, object_name: str, views: Mapping[str, NetworkView]) -> None:
+        """Write `network.json`: where a trained network saw the object, by scene."""
+        write_json(self.network_file(object_name), network_views_to_json(views))
+
+    def load_network_views(self, object_name: str) -> dict[str, NetworkView]:
+        """Where `rpl propose` saw the object, by scene; empty where it never ran."""
+        path = self.network_file(object_name)
+        if not path.exists():
+            return {}
+        with decoding(path, "delete it, and run `rpl propose` again"):
+            return network_views_from_json(read_json(path))
 
     def save_path(self, object_name: str, place: str, scene: Scene, path: Trajectory) -> None:
         """Write the camera's poses in the frame of an object that is moved in a scene."""

@@ -1,0 +1,165 @@
+"""Trained networks -> where objects stand in scenes that nobody clicked, and where labels disagree."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rpl_data.geometry import Transform
+from rpl_data.images import read_color
+from rpl_data.pipeline.automatic import find_step
+from rpl_data.pipeline.build import Progress, Tell, context_of, recipe_of, run_step
+from rpl_data.pipeline.context import posed_frames
+from rpl_data.pipeline.register import object_named
+from rpl_data.pipeline.symmetry import frame_change
+from rpl_data.pose.agreement import agreements, keypoint_distance_m
+from rpl_data.types import (
+    ColorImage,
+    DataError,
+    DepthImage,
+    Intrinsics,
+    KeypointModel,
+    NetworkView,
+    UnsureError,
+)
+from rpl_data.wording import counted
+from rpl_data.workspace.workspace import Workspace
+
+Look = Callable[[ColorImage, Intrinsics, DepthImage | None], Mapping[str, Transform]]
+"""From an image to `camera_from_object` of the objects in it, in the frames of the networks' models."""
+
+
+@dataclass(frozen=True)
+class Networks:
+    """Trained networks that estimate poses in single images.
+
+    Attributes:
+        models: the keypoint models they were trained with, by object.
+        names: the checkpoints, by object.
+        look: from an image to poses.
+    """
+
+    models: Mapping[str, KeypointModel]
+    names: Mapping[str, str]
+    look: Look
+
+
+def propose(
+    workspace: Workspace,
+    networks: Networks,
+    *,
+    scenes: Sequence[str] = (),
+    frames: int = 24,
+    tell: Tell = lambda progress: None,
+) -> Iterator[str]:
+    """Look at scenes with networks; place what has no labels there, compare the rest. Lines for the user.
+
+    A scene is placed as `rpl register --auto` places it: the networks' poses are proposals beside those of
+    shape, and colours and free space decide.
+
+    Args:
+        scenes: their names; all when empty.
+        frames: how many images per scene are looked at, spread over it.
+
+    Raises:
+        DataError: no such scene, or a network for an object that is not in the recipe or not solved yet.
+    """
+    context = context_of(workspace)
+    for name in networks.models:
+        object_named(context, name)
+    for scene in scenes or workspace.scene_names():
+        seen = look_at_scene(workspace, networks, scene, frames=frames, tell=tell)
+        for name, view in seen.items():
+            workspace.save_network_views(name, {**workspace.load_network_views(name), scene: view})
+            if scene in workspace.load_placed(name).scene_from_object:
+                yield compared_line(workspace, name, scene, view)
+            else:
+                yield from _placed(workspace, name, scene, networks, view, tell)
+
+
+def look_at_scene(
+    workspace: Workspace, networks: Networks, scene: str, *, frames: int, tell: Tell = lambda progress: None
+) -> dict[str, NetworkView]:
+    """What the networks see in a scene, by object."""
+    recorded = workspace.load_scene(scene)
+    trajectory = workspace.load_trajectory(recorded)
+    posed = posed_frames(recorded, trajectory)
+    if not posed:
+        raise DataError(f"scene {scene} has no frame with a pose; run `rpl track` on {workspace.root}")
+    chosen = posed[:: -(-len(posed) // frames)]
+    depths = workspace.depth_reader(recorded)
+    poses: dict[str, list[Transform]] = {name: [] for name in networks.models}
+    numbers: dict[str, list[int]] = {name: [] for name in networks.models}
+    for done, frame in enumerate(chosen):
+        tell(Progress("propose", scene, "runs", done, len(chosen)))
+        depth = depths(frame) if frame.depth is not None else None
+        for name, pose in networks.look(read_color(frame), recorded.intrinsics, depth).items():
+            poses[name].append(trajectory.at(frame.index) @ pose)
+            numbers[name].append(frame.index)
+    return {name: _view(networks, name, len(chosen), np.array(numbers[name]), poses[name]) for name in poses}
+
+
+def _view(
+    networks: Networks, name: str, looked: int, numbers: np.ndarray, poses: Sequence[Transform]
+) -> NetworkView:
+    points = networks.models[name].points_object
+    groups = agreements(np.array(poses).reshape(-1, 4, 4), points[np.isfinite(points).all(axis=1)])
+    if not groups:
+        return NetworkView(looked, len(poses), (), (), None, points, networks.names[name])
+    best = groups[0]
+    return NetworkView(
+        looked,
+        len(poses),
+        tuple(numbers[best.members].tolist()),
+        tuple(best.off_m.tolist()),
+        best.scene_from_object,
+        points,
+        networks.names[name],
+    )
+
+
+def compared_line(workspace: Workspace, name: str, scene: str, view: NetworkView) -> str:
+    """How far a network and the labels of a scene are apart."""
+    if view.scene_from_object is None:
+        return (
+            f"{name} in scene {scene}: nothing to compare, since the poses of too few of "
+            f"{counted(view.looked, 'frame')} agree ({view.found} had one)"
+        )
+    solution = workspace.load_placed(name)
+    apart_mm = 1e3 * keypoint_distance_m(
+        view.scene_from_object,
+        view.points_object,
+        solution.scene_from_object[scene],
+        solution.model.points_object,
+    )
+    return (
+        f"{name} in scene {scene}: the network puts it {apart_mm:.0f} mm from its labels, by "
+        f"{len(view.frames)} of {counted(view.looked, 'frame')} that agree to "
+        f"{1e3 * float(np.median(view.off_m)):.0f} mm"
+    )
+
+
+def _placed(
+    workspace: Workspace, name: str, scene: str, networks: Networks, view: NetworkView, tell: Tell
+) -> Iterator[str]:
+    """Place the object in the scene, if the evidence supports it."""
+    proposed: list[Transform] = []
+    if view.scene_from_object is not None:
+        model = workspace.load_placed(name).model
+        now_from_then = frame_change(model, networks.models[name])
+        proposed.append(view.scene_from_object @ np.linalg.inv(now_from_then))
+    agree = f"{len(view.frames)} of {counted(view.looked, 'frame')} agree on a pose"
+    try:
+        entry = run_step(
+            recipe_of(workspace),
+            workspace,
+            lambda context, advance: find_step(context, name, scene, advance, proposed=proposed),
+            title=("register", name),
+            tell=tell,
+        )
+    except UnsureError as unsure:
+        yield f"{unsure} (by the network, {agree})"
+        return
+    yield from (f"{line}; by the network, {agree}" for line in entry.outcome.messages)

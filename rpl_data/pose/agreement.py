@@ -1,0 +1,76 @@
+"""Poses of one object, estimated in single frames of a scene where it stands still: what they agree on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int64
+
+from rpl_data.geometry import Points, Transform, fit_rigid, transform, transform_all
+
+FEWEST = 3
+"""Frames that must agree: two wrong poses are alike by chance, or by one view seen twice."""
+
+WITHIN = 0.15
+"""Poses agree whose keypoints are apart by less than this share of the object's size, root mean square."""
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """A pose on which several frames agree.
+
+    Attributes:
+        scene_from_object: the pose in their middle, metres.
+        members: numbers of the given poses that agree with it.
+        off_m: how far each of them is from the middle: distance of the keypoints, root mean square.
+    """
+
+    scene_from_object: Transform
+    members: Int64[np.ndarray, " m"]
+    off_m: Float64[np.ndarray, " m"]
+
+
+def agreements(scene_from_object: Float64[np.ndarray, "p 4 4"], points_object: Points) -> list[Agreement]:
+    """Group poses of one object in one scene, the largest group first.
+
+    Args:
+        scene_from_object: one pose per frame.
+        points_object: the keypoints, object frame, metres.
+    """
+    points = transform_all(scene_from_object, points_object)
+    apart_m = np.sqrt(((points[:, None] - points[None]) ** 2).sum(axis=3).mean(axis=2))
+    near = apart_m < WITHIN * _size_m(points_object)
+    left: Bool[np.ndarray, " p"] = np.ones(len(points), dtype=bool)
+    found = []
+    while left.any():
+        votes = (near & left).sum(axis=1) * left
+        members = np.flatnonzero(near[int(votes.argmax())] & left)
+        if len(members) < FEWEST:
+            break
+        found.append(_agreement(points, members, points_object))
+        left[members] = False
+    return found
+
+
+def keypoint_distance_m(one: Transform, points_one: Points, other: Transform, points_other: Points) -> float:
+    """How far two poses put the keypoints apart, root mean square; models may be in different frames.
+
+    NaN where a keypoint has no position in one of the models; those do not count.
+    """
+    apart = transform(one, points_one) - transform(other, points_other)
+    return float(np.sqrt(np.nanmean((apart**2).sum(axis=1))))
+
+
+def _agreement(
+    points: Float64[np.ndarray, "p n 3"], members: Int64[np.ndarray, " m"], points_object: Points
+) -> Agreement:
+    """The middle of some poses, by the median of each keypoint's positions: a few far ones do not pull it."""
+    middle = fit_rigid(np.median(points[members], axis=0), points_object)
+    off = points[members] - transform(middle, points_object)
+    return Agreement(middle, members, np.sqrt((off**2).sum(axis=2).mean(axis=1)))
+
+
+def _size_m(points_object: Points) -> float:
+    """The largest distance between two keypoints."""
+    return float(np.linalg.norm(points_object[:, None] - points_object[None], axis=2).max())

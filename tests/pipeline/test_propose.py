@@ -1,0 +1,77 @@
+"""Networks that see poses place what has no labels, by the evidence, and are compared with what has."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from built_once import moved_copy
+
+from rpl_data.geometry import Transform, from_rotvec, invert
+from rpl_data.pipeline.placements import without_scenes
+from rpl_data.pipeline.propose import Networks, propose
+from rpl_data.report import write_report
+from rpl_data.types import ColorImage, DataError, DepthImage, Intrinsics
+from rpl_data.workspace.workspace import Workspace
+
+
+def network_by_labels(place: Workspace, scene: str, *, off_m: float = 0.0) -> Networks:
+    """A network that sees the carton of a scene where its labels have it, in each image that it is shown."""
+    solution = place.load_placed("carton")
+    shown = iter(place.load_trajectory(place.load_scene(scene)).scene_from_camera)
+    beside = from_rotvec(np.array([0.0, 0.0, 3 * off_m]), np.array([off_m, 0.0, 0.0]))
+    rng = np.random.default_rng(0)
+
+    def look(image: ColorImage, camera: Intrinsics, depth: DepthImage | None) -> dict[str, Transform]:
+        assert image.shape[:2] == (camera.height, camera.width)
+        assert depth is not None and depth.shape == image.shape[:2]
+        shake = from_rotvec(0.05 * rng.normal(size=3), 0.002 * rng.normal(size=3))
+        return {"carton": invert(next(shown)) @ solution.scene_from_object[scene] @ beside @ shake}
+
+    return Networks({"carton": solution.model}, {"carton": "carton/best.ckpt"}, look)
+
+
+@pytest.fixture
+def place(plain_build: Path, tmp_path: Path) -> Workspace:
+    return Workspace(moved_copy(plain_build, tmp_path / "copy") / "ws")
+
+
+@pytest.mark.parametrize("off_m", [0.0, 0.05])
+def test_a_network_is_compared_with_labels(place: Workspace, off_m: float) -> None:
+    networks = network_by_labels(place, "01", off_m=off_m)
+    [said] = propose(place, networks, scenes=["01"])
+    found = re.fullmatch(
+        r"carton in scene 01: the network puts it (\d+) mm from its labels, by (\d+) of (\d+) frames that "
+        r"agree to (\d+) mm",
+        said,
+    )
+    assert found is not None, said
+    apart, agreeing, looked, _ = map(int, found.groups())
+    assert abs(apart - 1e3 * off_m) < 12 and agreeing == looked == 6
+    view = place.load_network_views("carton")["01"]
+    assert len(view.off_m) == 6 and view.network == "carton/best.ckpt"
+    assert "Networks and labels" in write_report(place).read_text()
+
+
+def test_a_scene_without_labels_is_placed_by_evidence(place: Workspace) -> None:
+    networks = network_by_labels(place, "02")
+    true = place.load_placed("carton").scene_from_object["02"]
+    clicks = place.clicks_file("carton")
+    clicks.write_text("".join(line for line in clicks.read_text().splitlines(True) if '"02"' not in line))
+    refined = without_scenes(place.load_placed("carton"), ["02"])
+    place.save_solution(without_scenes(place.load_solution("carton"), ["02"]))
+    place.save_refined(refined)
+    said = list(propose(place, networks, scenes=["02"]))
+    assert "placed automatically in scene 02" in said[0], said
+    assert "by the network, 6 of 6 frames agree on a pose" in said[0]
+    off = invert(true) @ place.load_placed("carton").scene_from_object["02"]
+    assert np.linalg.norm(off[:3, 3]) < 0.003
+
+
+def test_a_network_of_an_unknown_object_is_refused(place: Workspace) -> None:
+    model = place.load_placed("carton").model
+    strange = Networks({"egg": model}, {"egg": "egg.ckpt"}, lambda *image: {})
+    with pytest.raises(DataError, match="no object 'egg'"):
+        list(propose(place, strange))
