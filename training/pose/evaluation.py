@@ -25,7 +25,7 @@ from rpl_data.pose.estimate import Method, PoseEstimate, PoseFailure
 from rpl_data.torch.image_files import read_image
 from rpl_data.types import DataError, InstanceLabel, KeypointModel
 
-from ..runs.options import Crops
+from ..runs.options import Crops, UseDepth
 from .pipeline import PosePipeline, SeenKeypoints, read_depth_like
 from .scores import Judged
 
@@ -70,7 +70,7 @@ def evaluate(
     crops: Crops,
     methods: Sequence[Method],
     truth: Mapping[str, TrueObject],
-    use_depth: bool = False,
+    use_depth: UseDepth = False,
     metres_per_unit: float | None = None,
     least_visible: float = 0.1,
     unreadable: Counter[str] | None = None,
@@ -84,7 +84,7 @@ def evaluate(
         crops: the true boxes, or what the detector finds.
         methods: methods of PnP.
         truth: what `true_objects` read.
-        use_depth: poses use the depth at the keypoints, too; also when metres_per_unit is given.
+        use_depth: poses use the depth at the keypoints, too; `auto` where an image has some.
         metres_per_unit: unit of the depth images of an export that does not say it.
         least_visible: instances that show a smaller share of themselves are left out.
         unreadable: counts the images that cannot be read, by message; they are left out. Without it the first
@@ -114,7 +114,7 @@ def evaluate(
             continue
         seen = _seen_of(pipeline, pixels, labels, crops)
         depth = None
-        if use_depth or metres_per_unit is not None:
+        if use_depth is True or (use_depth == "auto" and has_depth(image, metres_per_unit)):
             depth_file = _depth_file(coco_json.parent, image)
             depth = read_depth_like(depth_file, depth_unit_m(image, metres_per_unit), like=pixels)
         for (label, found), method in product(zip(labels, seen, strict=True), methods):
@@ -131,6 +131,12 @@ def evaluate(
                 truth=truth[name],
                 truth_from_trained=truth_from_trained[name],
             )
+
+
+def has_depth(image: Mapping[str, Any], metres_per_unit: float | None) -> bool:
+    """Whether an image of an export has depth whose unit the export or somebody says."""
+    unit_m = image.get("metres_per_unit") or metres_per_unit
+    return image["depth_file_name"] is not None and bool(unit_m)
 
 
 def _seen_of(

@@ -11,6 +11,9 @@ from rpl_data.types import DataError
 Crops = Literal["given", "detected"]
 """Where an object's crop comes from: the box of its label, or the detector."""
 
+UseDepth = bool | Literal["auto"]
+"""Whether poses use depth; `auto` where there is some."""
+
 Architecture = Literal["small_fcos", "fcos", "ssdlite"]
 KeypointArchitecture = Literal["hourglass", "resnet18", "resnet34", "resnet50", "convnext_tiny"]
 Precision = Literal["32-true", "16-mixed", "bf16-mixed"]
