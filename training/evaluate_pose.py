@@ -29,6 +29,7 @@ def evaluate_pose(
     methods: list[Method] = ["epnp", "consensus"],  # noqa: B006
     depth: UseDepth = "auto",
     metres_per_unit: float | None = None,
+    symmetric: bool = False,
     bop: bool = False,
     out: Path | None = None,
     threads: int | None = None,
@@ -50,6 +51,8 @@ def evaluate_pose(
         depth: whether poses use the depth at the keypoints too; `auto` where an image has depth in a known
             unit. The paper's do not.
         metres_per_unit: of the depth images (0.001 for millimetres), for an export that does not say it.
+        symmetric: compare each pose with the nearest of those that look the same, by the symmetries in the
+            export, and PCK with its keypoints: for networks that were trained with --canonical true.
         bop: also score as the BOP benchmark does (VSD, MSSD, MSPD and their average recall; VSD needs
             depth images), with the areas under the curves of ADD and ADD-S up to 0.1 m and COCO's keypoint
             precision, and write the poses as its CSV files, <method>_rpl-<split>.csv, into --out.
@@ -82,6 +85,7 @@ def evaluate_pose(
             truth=truth,
             use_depth=depth,
             metres_per_unit=metres_per_unit,
+            symmetric=symmetric,
             unreadable=unreadable,
         )
     )

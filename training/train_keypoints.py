@@ -50,7 +50,7 @@ def train_keypoints(
         machine: the hardware.
         cache: keep the decoded pixels around the boxes in memory.
         canonical: teach all poses of a symmetric object that look the same as one, by the symmetries that
-            `rpl symmetry` found and you confirmed. `rpl evaluate poses` still compares with the labelled one.
+            `rpl symmetry` found and you confirmed. Then evaluate by `rpl evaluate poses --symmetric true`.
         weights: what the training starts from: `scratch`; `imagenet` (torchvision fetches it; for the
             architectures that are torchvision's); or the path of a file: a network of torchvision's, or a
             checkpoint of this program, also of another object.
