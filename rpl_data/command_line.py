@@ -9,7 +9,7 @@ import sys
 from argparse import SUPPRESS, Action, RawDescriptionHelpFormatter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from difflib import get_close_matches
-from typing import Any, NoReturn, get_args
+from typing import Any, Literal, NoReturn, get_args, get_origin
 
 from jsonargparse import ArgumentParser
 
@@ -162,9 +162,19 @@ def as_spelt(parser: ArgumentParser, arguments: Sequence[str]) -> list[str]:
         told.append(word)
         following = arguments[number + 1] if number + 1 < len(arguments) else ""
         action = known.get(word)
-        if action is not None and action.metavar == SWITCH and following.lower() not in SWITCHED:
+        if (values := _switch_values(action)) and following.lower() not in values:
             told.append("true")
     return told
+
+
+def _switch_values(action: Action | None) -> tuple[str, ...]:
+    """What may follow an option that is true or false, or either of them or a word; empty for any other."""
+    if getattr(action, "metavar", None) == SWITCH:
+        return SWITCHED
+    kinds = get_args(getattr(action, "_typehint", None))
+    if bool not in kinds or not all(kind is bool or get_origin(kind) is Literal for kind in kinds):
+        return ()
+    return (*SWITCHED, *(word for kind in kinds for word in get_args(kind)))
 
 
 def _takes_names(action: Action | None) -> bool:

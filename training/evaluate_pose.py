@@ -11,8 +11,9 @@ from typing import Any
 
 from rpl_data.pose.estimate import Method
 from rpl_data.types import DataError
+from rpl_data.wording import counted
 
-from .runs.options import Crops
+from .runs.options import Crops, UseDepth
 
 TYPE_CHECKING = False  # not typing's: the parser of the options would import what follows, torch and all
 if TYPE_CHECKING:
@@ -26,8 +27,9 @@ def evaluate_pose(
     split: str = "test",
     crops: Crops = "detected",
     methods: list[Method] = ["epnp", "consensus"],  # noqa: B006
-    depth: bool = False,
+    depth: UseDepth = "auto",
     metres_per_unit: float | None = None,
+    symmetric: bool = False,
     bop: bool = False,
     out: Path | None = None,
     threads: int | None = None,
@@ -46,9 +48,11 @@ def evaluate_pose(
         split: train, val or test.
         crops: `given` takes the labels' boxes, `detected` the detector's.
         methods: of PnP. Only ransac and consensus use depth.
-        depth: poses use the depth at the keypoints too.
-        metres_per_unit: of the depth images (0.001 for millimetres), for an export that does not say it; then
-            poses use depth.
+        depth: whether poses use the depth at the keypoints too; `auto` where an image has depth in a known
+            unit. The paper's do not.
+        metres_per_unit: of the depth images (0.001 for millimetres), for an export that does not say it.
+        symmetric: compare each pose with the nearest of those that look the same, by the symmetries in the
+            export, and PCK with its keypoints: for networks that were trained with --canonical true.
         bop: also score as the BOP benchmark does (VSD, MSSD, MSPD and their average recall; VSD needs
             depth images), with the areas under the curves of ADD and ADD-S up to 0.1 m and COCO's keypoint
             precision, and write the poses as its CSV files, <method>_rpl-<split>.csv, into --out.
@@ -69,6 +73,8 @@ def evaluate_pose(
     pipeline = load_pipeline([keypoints] if isinstance(keypoints, Path) else keypoints, detector)
     coco_json = split_file(coco, split)
     truth = true_objects(coco_json)
+    if depth == "auto":
+        say_depth(coco_json, metres_per_unit)
     unreadable: Counter[str] = Counter()
     judged = list(
         evaluate(
@@ -79,6 +85,7 @@ def evaluate_pose(
             truth=truth,
             use_depth=depth,
             metres_per_unit=metres_per_unit,
+            symmetric=symmetric,
             unreadable=unreadable,
         )
     )
@@ -93,6 +100,17 @@ def evaluate_pose(
     say_left_out(unreadable)
     if out is not None:
         write_figures(out / f"{split}_poses.json", figures, judged)
+
+
+def say_depth(coco_json: Path, metres_per_unit: float | None) -> None:
+    """Say how many images have depth that the poses will use."""
+    from rpl_data.formats.datasets.coco import read_coco
+
+    from .pose.evaluation import has_depth
+
+    images = read_coco(coco_json)["images"]
+    known = sum(has_depth(image, metres_per_unit) for image in images)
+    print(f"ransac and consensus use the depth of {known} of {counted(len(images), 'image')}")
 
 
 def figures_of(

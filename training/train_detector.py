@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Collection
 from dataclasses import asdict
 from pathlib import Path
 
@@ -24,6 +25,8 @@ def train_detector(
     learning: Learning = Learning(),  # noqa: B008
     augment: Augmentation = UPRIGHT,
     machine: Machine = Machine(),  # noqa: B008
+    weights: str = "scratch",
+    validate_scenes: int = 0,
     validate_every: int = 1,
     seed: int = 0,
     resume: bool = False,
@@ -44,6 +47,11 @@ def train_detector(
         learning: how long and how fast it is trained.
         augment: shift (a share of the image's width), scale and colours; rotation_deg must be 0.
         machine: the hardware.
+        weights: what the training starts from: `scratch`; `imagenet` (torchvision fetches it; for fcos); or
+            the path of a file: a network of torchvision's, or a checkpoint of this program, also of other
+            objects.
+        validate_scenes: how many scenes of the training split to hold out and validate on, beside the random
+            frames of val: best.ckpt then goes by these unseen scenes. The test split is never looked at.
         validate_every: epochs from one validation to the next; 0 never validates.
         seed: of everything that is drawn at random.
         resume: go on with the run in `out`, after its last finished epoch.
@@ -52,40 +60,52 @@ def train_detector(
     """
     from rpl_data.torch.detection import DetectionDataset
     from rpl_data.torch.readable import collate_readable_lists
+    from rpl_data.torch.scenes import hold_out_scenes
 
-    from .detection.module import load_detector, untrained_detector
-    from .runs.folder import check_same_network
-    from .runs.trainer import Lesson, fit, say, start
+    from .detection.module import load_detector, start_of, untrained_detector
+    from .runs.folder import HELD_OUT, check_same_network
+    from .runs.trainer import Lesson, fit, say, say_held_out, start
+    from .runs.weights import start_from
 
     run = Run(out, learning, machine, validate_every, seed, resume, overwrite, until)
     resumed = start(run)
-    train = DetectionDataset(coco, split="train", width_px=network.width_px, augment=augment)
-    val = _validation(coco / "val.json", network)
+    scenes = hold_out_scenes(coco, validate_scenes)
+    train = DetectionDataset(
+        coco, split="train", width_px=network.width_px, augment=augment, scenes=scenes.trained
+    )
+    val = _validation(coco / "val.json", network, scenes.trained)
+    unseen = _validation(coco / "train.json", network, scenes.unseen) if scenes.unseen else None
     module = untrained_detector(train.names, network, learning)
-    if resumed is not None:
+    if resumed is None:
+        say(start_from(start_of(module), weights))
+    else:
         trained = load_detector(resumed)
         check_same_network(resumed, (trained.names, trained.options), (module.names, network))
     say(f"{', '.join(train.names[1:])}: {len(train)} images to train on, {len(val or [])} to validate on")
+    say_held_out(scenes, len(unseen or []))
     lesson = Lesson(
         module,
-        module.unreadable,
         train,
         val,
         collate=collate_readable_lists,
-        monitor="val_found",
-        settings={"augment": asdict(augment)},
+        figure="found",
+        settings={"augment": asdict(augment), "weights": weights, HELD_OUT: list(scenes.unseen)},
+        unseen=unseen,
     )
     return fit(lesson, run, resumed=resumed)
 
 
-def _validation(coco_json: Path, network: DetectorNetwork) -> DetectionDataset | None:
+def _validation(
+    coco_json: Path, network: DetectorNetwork, scenes: Collection[str] | None
+) -> DetectionDataset | None:
     """None where there is nothing to validate on."""
     from rpl_data.formats.datasets.coco import read_coco
     from rpl_data.torch.detection import DetectionDataset
+    from rpl_data.torch.scenes import only_scenes
 
-    if not coco_json.exists() or not read_coco(coco_json)["images"]:
+    if not coco_json.exists() or not only_scenes(read_coco(coco_json), scenes)["images"]:
         return None
-    return DetectionDataset(coco_json, width_px=network.width_px)
+    return DetectionDataset(coco_json, width_px=network.width_px, scenes=scenes)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Train the hourglass of one object: `rpl train keypoints --help`."""
+"""Train the keypoint network of one object: `rpl train keypoints --help`."""
 
 from __future__ import annotations
 
@@ -25,13 +25,15 @@ def train_keypoints(
     machine: Machine = Machine(),  # noqa: B008
     cache: bool = True,
     canonical: bool = False,
+    weights: str = "scratch",
+    validate_scenes: int = 0,
     validate_every: int = 1,
     seed: int = 0,
     resume: bool = False,
     overwrite: bool = False,
     until: int | None = None,
 ) -> Path:
-    """Train an hourglass on one object; the path of its last checkpoint comes back.
+    """Train a keypoint network on one object; the path of its last checkpoint comes back.
 
     Presets: --config keypoints_paper (for a GPU) or keypoints_cpu (minutes on a CPU), or a YAML file of your
     own; options after it win. For example: rpl train keypoints my-workspace/export/coco --object cube
@@ -42,13 +44,18 @@ def train_keypoints(
         coco: folder that `rpl export` wrote: export/coco, or export/coco_truth for true labels.
         object: name of the object; may be left out when the dataset has one object.
         out: folder of the run.
-        network: size of the network, its input and its loss.
+        network: which network, its size, its input and its loss.
         learning: how long and how fast it is trained.
         augment: how far training crops may stray from the box.
         machine: the hardware.
         cache: keep the decoded pixels around the boxes in memory.
         canonical: teach all poses of a symmetric object that look the same as one, by the symmetries that
-            `rpl symmetry` found and you confirmed. `rpl evaluate poses` still compares with the labelled one.
+            `rpl symmetry` found and you confirmed. Then evaluate by `rpl evaluate poses --symmetric true`.
+        weights: what the training starts from: `scratch`; `imagenet` (torchvision fetches it; for the
+            architectures that are torchvision's); or the path of a file: a network of torchvision's, or a
+            checkpoint of this program, also of another object.
+        validate_scenes: how many scenes of the training split to hold out and validate on, beside the random
+            frames of val: best.ckpt then goes by these unseen scenes. The test split is never looked at.
         validate_every: epochs from one validation to the next; 0 never validates.
         seed: of everything that is drawn at random.
         resume: go on with the run in `out`, after its last finished epoch.
@@ -59,7 +66,10 @@ def train_keypoints(
     from rpl_data.torch.readable import collate_readable
 
     from .keypoints.module import untrained
-    from .runs.trainer import Lesson, fit, say, start
+    from .keypoints.networks import start_of
+    from .runs.folder import HELD_OUT
+    from .runs.trainer import Lesson, fit, say, say_held_out, start
+    from .runs.weights import start_from
 
     run = Run(out, learning, machine, validate_every, seed, resume, overwrite, until)
     resumed = start(run)
@@ -72,20 +82,29 @@ def train_keypoints(
         augment=augment,
         cache=cache,
         canonical=canonical,
+        validate_scenes=validate_scenes,
     )
     module = untrained(data.train.model, network, learning)
-    if resumed is not None:
+    if resumed is None:
+        say(start_from(start_of(module.network, network), weights))
+    else:
         check_resumable(resumed, module)
     name = data.train.model.name
     say(f"{name}: {len(data.train)} instances to train on, {len(data.val or [])} to validate on")
+    say_held_out(data.scenes, len(data.unseen or []))
     lesson = Lesson(
         module,
-        module.unreadable,
         data.train,
         data.val,
         collate=collate_readable,
-        monitor="val_pck",
-        settings={"augment": asdict(data.train.augment or augment), "canonical": canonical},
+        figure="pck",
+        settings={
+            "augment": asdict(data.train.augment or augment),
+            "canonical": canonical,
+            "weights": weights,
+            HELD_OUT: list(data.scenes.unseen),
+        },
+        unseen=data.unseen,
     )
     return fit(lesson, run, resumed=resumed)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Collection
 from dataclasses import asdict
 from pathlib import Path
 
@@ -27,6 +28,7 @@ def train_masks(
     machine: Machine = MACHINE,
     weights: str = "imagenet",
     head_epochs: int = 20,
+    validate_scenes: int = 0,
     validate_every: int = 1,
     seed: int = 0,
     resume: bool = False,
@@ -48,8 +50,10 @@ def train_masks(
         augment: how far the square training crops may stray; shift may take them over the image's edge.
         machine: the hardware.
         weights: what the training starts from: `scratch`, `imagenet` (torchvision fetches it), or the path of
-            trained weights.
+            trained weights: a ResNet's, a torchvision Mask R-CNN's, or a checkpoint of this program.
         head_epochs: how many epochs, from the first one, the ResNet is frozen (the paper's first stage).
+        validate_scenes: how many scenes of the training split to hold out and validate on, beside the random
+            frames of val: best.ckpt then goes by these unseen scenes. The test split is never looked at.
         validate_every: epochs from one validation to the next; 0 never validates.
         seed: of everything that is drawn at random.
         resume: go on with the run in `out`, after its last finished epoch.
@@ -57,47 +61,56 @@ def train_masks(
         until: stop after this epoch; the learning rate still follows learning.epochs.
     """
     from rpl_data.torch.readable import collate_readable_lists
+    from rpl_data.torch.scenes import hold_out_scenes
     from rpl_data.torch.splits import split_file
 
     from .masks.crops import SquareCrops
     from .masks.mask_rcnn import with_norm
     from .masks.module import MaskTraining
     from .masks.weights import load_weights
-    from .runs.trainer import Lesson, fit, say, start
+    from .runs.folder import HELD_OUT
+    from .runs.trainer import Lesson, fit, say, say_held_out, start
 
     MaskSettings(learning=learning, head_epochs=head_epochs)  # refuses stages that do not fit
     run = Run(out, learning, machine, validate_every, seed, resume, overwrite, until)
     resumed = start(run)
     network = with_norm(network, weights)
-    train, val = (
-        SquareCrops(split_file(coco, "train"), network.size_px, augment),
-        _validation(coco / "val.json"),
-    )
+    scenes = hold_out_scenes(coco, validate_scenes)
+    train_json = split_file(coco, "train")
+    train = SquareCrops(train_json, network.size_px, augment, scenes.trained)
+    val = _validation(coco / "val.json", scenes.trained)
+    unseen = _validation(train_json, scenes.unseen) if scenes.unseen else None
     module = MaskTraining(train.names, network, learning, head_epochs=head_epochs)
     if resumed is None:
         say(load_weights(module.model, network, weights))
     else:
         check_resumable(resumed, module)
     say(f"{', '.join(train.names[1:])}: {len(train)} images to train on, {len(val or [])} to validate on")
+    say_held_out(scenes, len(unseen or []))
     lesson = Lesson(
         module,
-        module.unreadable,
         train,
         val,
         collate=collate_readable_lists,
-        monitor="val_iou",
-        settings={"augment": asdict(augment), "weights": weights, "head_epochs": head_epochs},
+        figure="iou",
+        settings={
+            "augment": asdict(augment),
+            "weights": weights,
+            "head_epochs": head_epochs,
+            HELD_OUT: list(scenes.unseen),
+        },
+        unseen=unseen,
         drop_last=len(train) > learning.batch,  # batch norm learns little from a last batch of one image
         val_batch=1,  # whole images are larger than the training's crops
     )
     return fit(lesson, run, resumed=resumed)
 
 
-def _validation(coco_json: Path) -> InstanceDataset | None:
+def _validation(coco_json: Path, scenes: Collection[str] | None) -> InstanceDataset | None:
     """None where there is nothing to validate on."""
     from rpl_data.torch.instances import InstanceDataset
 
-    dataset = InstanceDataset(coco_json) if coco_json.exists() else None
+    dataset = InstanceDataset(coco_json, scenes=scenes) if coco_json.exists() else None
     return dataset if dataset is not None and len(dataset) else None
 
 

@@ -10,7 +10,13 @@ from jaxtyping import Float64, Int64
 
 from rpl_data.geometry import spread_m
 from rpl_data.pose.correspondences import Correspondences
-from rpl_data.pose.refine import covariance_of, refined, reprojection_sigmas
+from rpl_data.pose.refine import (
+    covariance_of,
+    nearest_to_depth,
+    refined,
+    reprojection_sigmas,
+    with_own_depth,
+)
 from rpl_data.pose.solvers import FEWEST, INLIER_SIGMAS, SOLVERS
 
 Method = Literal["epnp", "sqpnp", "ransac", "consensus"]
@@ -88,7 +94,10 @@ def estimate_pose(
         return PoseFailure("keypoints disagree") if refusal.reason == "too few keypoints" else refusal
     try:
         if refine:
-            pose = refined(pose[None], rest, robust=bool(np.isfinite(rest.depth_m).any()))[0]
+            deep = bool(np.isfinite(rest.depth_m).any())
+            pose = nearest_to_depth(pose, rest) if deep else pose
+            pose = refined(pose[None], rest, robust=deep)[0]
+            rest = with_own_depth(pose, rest, largest_sigmas=INLIER_SIGMAS) if deep else rest
         covariance = covariance_of(pose, rest)
     except np.linalg.LinAlgError:  # the keypoints leave a direction of the pose free
         return PoseFailure("keypoints disagree")

@@ -7,6 +7,8 @@ one matrix product moves all keypoints by all poses.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Float64
 
@@ -54,6 +56,25 @@ def refined(
     return poses
 
 
+def nearest_to_depth(
+    camera_from_object: Float64[np.ndarray, "4 4"], given: Correspondences
+) -> Float64[np.ndarray, "4 4"]:
+    """Move a pose along its line of sight to the distance that the measured depths agree with best.
+
+    A distance from keypoints alone may be wrong by more than the robust cost feels, and some depths are those
+    of a surface in front of the keypoint or behind it. So each measured depth proposes a distance, and the
+    robust cost of all residuals decides between these and the distance as it is.
+    """
+    measured = np.isfinite(given.depth_m)
+    z = _turned(camera_from_object[None], given)[2, 0] + camera_from_object[2, 3]
+    farther = given.depth_m[measured] / np.maximum(z[measured], NEAREST_M)
+    tried = np.repeat(camera_from_object[None], 1 + len(farther), axis=0)
+    tried[1:, :3, 3] *= farther[:, None]
+    costs, _ = _costs(_linearised(tried, given)[0], robust=True)
+    nearest: Float64[np.ndarray, "4 4"] = tried[int(np.argmin(costs))]
+    return nearest
+
+
 def covariance_of(
     camera_from_object: Float64[np.ndarray, "4 4"], given: Correspondences
 ) -> Float64[np.ndarray, "6 6"]:
@@ -74,6 +95,15 @@ def reprojection_sigmas(camera_from_object: Poses, given: Correspondences) -> Fl
     white = given.whitening
     squares = (white[:, 0, 0] * u) ** 2 + (white[:, 1, 0] * u + white[:, 1, 1] * v) ** 2
     return np.where(ahead, np.sqrt(squares), np.inf)
+
+
+def with_own_depth(
+    camera_from_object: Float64[np.ndarray, "4 4"], given: Correspondences, *, largest_sigmas: float
+) -> Correspondences:
+    """Forget the depths that are not the keypoints' own: of what hides them, or of what is behind them."""
+    z = _turned(camera_from_object[None], given)[2, 0] + camera_from_object[2, 3]
+    own = np.abs(z - given.depth_m) < largest_sigmas * given.depth_sigma_m  # False for NaN
+    return replace(given, depth_m=np.where(own, given.depth_m, np.nan))
 
 
 def robust_cost(sigmas: Float64[np.ndarray, "m n"]) -> Float64[np.ndarray, " m"]:

@@ -11,6 +11,7 @@ from torch.utils.data import DataLoader
 from rpl_data.torch.epochs import training_batches, validation_batches
 from rpl_data.torch.keypoints import KeypointDataset, NoInstance
 from rpl_data.torch.readable import collate_readable
+from rpl_data.torch.scenes import hold_out_scenes
 from rpl_data.torch.transforms import Augmentation
 from rpl_data.types import DataError
 
@@ -25,6 +26,8 @@ class KeypointDataModule(LightningDataModule):
     Attributes:
         train: the training set.
         val: the validation set; None where the folder has none or the object is not in it.
+        scenes: which scenes are trained on and which are held out.
+        unseen: the scenes that were held out, without augmentation; None without any.
     """
 
     def __init__(
@@ -40,6 +43,7 @@ class KeypointDataModule(LightningDataModule):
         workers: int = 0,
         cache: bool = True,
         canonical: bool = False,
+        validate_scenes: int = 0,
         seed: int = 0,
     ) -> None:
         """Read the annotations, and the pixels around the boxes when `cache`.
@@ -50,6 +54,8 @@ class KeypointDataModule(LightningDataModule):
             input_px, heatmap_px, sigma_px, cache, canonical: see `KeypointDataset`.
             batch: instances per step.
             workers: processes that load data; 0 loads in this process, which suits cached crops.
+            validate_scenes: how many scenes of the training split are held out of training and validation,
+                and are what `unseen` holds.
             seed: determines, together with the epoch alone, the order of the training instances and their
                 augmentation.
 
@@ -60,13 +66,17 @@ class KeypointDataModule(LightningDataModule):
         sizes: dict[str, Any] = {"input_px": input_px, "heatmap_px": heatmap_px, "sigma_px": sigma_px}
         sizes |= {"object": object, "cache": cache, "canonical": canonical}
         folder = Path(folder).expanduser()
-        self.train = KeypointDataset(folder, split="train", augment=augment, **sizes)
+        self.scenes = hold_out_scenes(folder, validate_scenes, object=object)
+        shown = self.scenes.trained
+        self.train = KeypointDataset(folder, split="train", augment=augment, scenes=shown, **sizes)
         if not self.train.model.keypoints:
             raise DataError(
                 f"{folder / 'train.json'}: {self.train.model.name} has no keypoints; name them in the recipe "
                 "and click them"
             )
-        self.val = _validation(folder / "val.json", sizes)
+        self.val = _validation(folder / "val.json", {**sizes, "scenes": shown})
+        unseen = self.scenes.unseen
+        self.unseen = _validation(folder / "train.json", {**sizes, "scenes": unseen}) if unseen else None
         self._batch, self._workers, self._seed = batch, workers, seed
 
     def train_dataloader(self) -> DataLoader[Any]:
@@ -84,12 +94,13 @@ class KeypointDataModule(LightningDataModule):
         )
 
     def val_dataloader(self) -> DataLoader[Any] | list[DataLoader[Any]]:
-        """Batches of the validation set, in order; empty without one."""
-        if self.val is None:
-            return []
-        return validation_batches(
-            self.val, batch=self._batch, workers=self._workers, collate=collate_readable
-        )
+        """Batches of the validation set, in order, and of the unseen scenes; empty without any."""
+        found = [
+            validation_batches(each, batch=self._batch, workers=self._workers, collate=collate_readable)
+            for each in (self.val, self.unseen)
+            if each is not None
+        ]
+        return found[0] if len(found) == 1 else found
 
 
 def _validation(coco_json: Path, sizes: dict[str, Any]) -> KeypointDataset | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any, TypedDict
 
@@ -15,6 +16,7 @@ from rpl_data.formats.datasets.coco import read_coco
 from rpl_data.torch.augmentation import refuse_pasting
 from rpl_data.torch.colours import jittered
 from rpl_data.torch.image_files import read_image, to_unit_range
+from rpl_data.torch.scenes import only_scenes
 from rpl_data.torch.splits import split_file
 from rpl_data.torch.transforms import Augmentation, moved, random_crop_from_square, warped
 from rpl_data.types import DataError
@@ -59,6 +61,7 @@ class DetectionDataset(Dataset[tuple[Tensor, DetectionTarget]]):
         split: str | None = None,
         width_px: int = 256,
         augment: Augmentation | None = None,
+        scenes: Collection[str] | None = None,
     ) -> None:
         """Read the annotations; an image is decoded when it is first asked for.
 
@@ -68,6 +71,7 @@ class DetectionDataset(Dataset[tuple[Tensor, DetectionTarget]]):
             width_px: width of the shrunk images; they keep their aspect ratio.
             augment: random shifts (as a share of the width), zooms and colours; boxes stay upright, so
                 `rotation_deg` must be 0.
+            scenes: only the images of these; None for all.
 
         Raises:
             DataError: there is no such split (the message says why), the file is not an export of rpl-data,
@@ -80,7 +84,7 @@ class DetectionDataset(Dataset[tuple[Tensor, DetectionTarget]]):
         if augment is not None:
             refuse_pasting(augment)
         coco_json = split_file(path, split)
-        data = read_coco(coco_json)
+        data = only_scenes(read_coco(coco_json), scenes)
         if not data["images"]:
             raise DataError(f"{coco_json} has no images; train on another split")
         by_id = sorted(data["categories"], key=lambda category: int(category["id"]))

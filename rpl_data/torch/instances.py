@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 
 import cv2
@@ -13,6 +13,7 @@ from torchvision import tv_tensors
 from rpl_data.formats.datasets.coco import read_coco
 from rpl_data.json_arrays import Json
 from rpl_data.torch.image_files import read_image, to_unit_range
+from rpl_data.torch.scenes import only_scenes
 from rpl_data.torch.splits import split_file
 from rpl_data.torch.targets import InstanceSample as InstanceSample
 from rpl_data.torch.targets import InstanceTarget as InstanceTarget
@@ -64,6 +65,7 @@ class InstanceDataset(Dataset[InstanceSample]):
         *,
         split: str | None = None,
         crowds: bool = False,
+        scenes: Collection[str] | None = None,
     ) -> None:
         """Read the annotations; images stay on disk.
 
@@ -75,6 +77,7 @@ class InstanceDataset(Dataset[InstanceSample]):
             split: train, val or test, when `path` is a folder.
             crowds: whether to give regions that a person marked as ignored in a labelling tool as well, with
                 `iscrowd` 1. That is for evaluators: torchvision's models would learn them as objects.
+            scenes: only the images of these; None for all.
 
         Raises:
             DataError: there is no such split (the message says why), or the file is not an export of
@@ -82,7 +85,7 @@ class InstanceDataset(Dataset[InstanceSample]):
         """
         coco_json = split_file(path, split)
         self._coco_json = coco_json
-        data = read_coco(coco_json)
+        data = only_scenes(read_coco(coco_json), scenes)
         by_id = sorted(data["categories"], key=lambda category: int(category["id"]))
         self.names = ["background", *(category["name"] for category in by_id)]
         self._most_keypoints = max((len(c["keypoints"]) for c in data["categories"]), default=0)

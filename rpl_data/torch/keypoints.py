@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NotRequired, TypedDict
@@ -21,6 +21,7 @@ from rpl_data.torch.keypoint_rows import canonical_rows, choose_object, keypoint
 from rpl_data.torch.on_device import batch_on_device
 from rpl_data.torch.pasting import hide, pasted, pasting_of
 from rpl_data.torch.pixel_cache import PixelCache, Rectangle, rectangle_around
+from rpl_data.torch.scenes import only_scenes
 from rpl_data.torch.splits import split_file
 from rpl_data.torch.transforms import (
     Affine,
@@ -114,6 +115,7 @@ class KeypointDataset(Dataset[KeypointSample]):
         canonical: bool = False,
         transforms: Transforms | None = None,
         heatmaps: bool = True,
+        scenes: Collection[str] | None = None,
     ) -> None:
         """Read the annotations; images stay on disk unless cached.
 
@@ -138,6 +140,7 @@ class KeypointDataset(Dataset[KeypointSample]):
                 are then those of the changed image; where it was moved, no camera is known: `camera_matrix`,
                 `distortion` and `camera_from_object` are NaN.
             heatmaps: False leaves them out, for `to_device` to draw.
+            scenes: only the images of these; None for all.
 
         Raises:
             DataError: there is no such split (the message says why), the file is not an export of rpl-data,
@@ -148,7 +151,7 @@ class KeypointDataset(Dataset[KeypointSample]):
                 f"input_px is {input_px}, heatmap_px {heatmap_px}, sigma_px {sigma_px}; all must be above 0"
             )
         coco_json = split_file(path, split)
-        data = read_coco(coco_json)
+        data = only_scenes(read_coco(coco_json), scenes)
         self._coco_json = coco_json
         chosen, category_id = choose_object(data, object, coco_json)
         self.model = chosen.model

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import subprocess
 from pathlib import Path
+from typing import Literal
 
 import pytest
+from jsonargparse import ArgumentParser
 
 from rpl_data.cli.main import COMMANDS, main
 from rpl_data.command_line import as_spelt, one_line, parser_of
@@ -102,3 +104,13 @@ def test_a_shell_completes_commands_and_options(tmp_path: Path, capsys: pytest.C
         )
         done = subprocess.run(["bash", "-c", script], capture_output=True, text=True)
         assert offered in done.stdout.split(), line
+
+
+def test_an_option_may_be_true_false_or_a_word() -> None:
+    def look(depth: bool | Literal["auto"] = "auto", bop: bool = False) -> None:
+        """Look."""
+
+    parser = ArgumentParser(exit_on_error=False)
+    parser.add_function_arguments(look)
+    for words, found in ((["--depth"], True), (["--depth", "auto"], "auto"), (["--depth", "--bop"], True)):
+        assert parser.parse_args(as_spelt(parser, words)).depth == found

@@ -15,7 +15,7 @@ from rpl_data.pose.depth import depths_at
 from rpl_data.pose.errors import INFINITE, pose_errors
 from rpl_data.pose.estimate import PoseEstimate, PoseFailure, estimate_pose
 from rpl_data.pose.p3p import poses_from_triples
-from rpl_data.pose.refine import covariance_of, refined
+from rpl_data.pose.refine import covariance_of, nearest_to_depth, refined, with_own_depth
 from rpl_data.types import Intrinsics
 
 CAMERA = Intrinsics(585.0, 580.0, 320.5, 238.0, 640, 480)
@@ -239,6 +239,42 @@ def test_small_algebra():
     np.testing.assert_allclose(small_rotations(turns), Rotation.from_rotvec(turns).as_matrix(), atol=1e-9)
     large = small_rotations(1e3 * turns)
     np.testing.assert_allclose(large @ np.swapaxes(large, 1, 2), np.tile(np.eye(3), (5, 1, 1)), atol=1e-12)
+
+
+def test_depth_brings_back_a_pose_that_keypoints_alone_put_far_away():
+    """Keypoints off by 12 px; a third of the depths are of what hides the keypoint."""
+    without, with_depth = [], []
+    for seed in range(30):
+        rng, points, pose = some_pose(seed)
+        points = 0.6 * points  # a small object's distance is the least known
+        pixels = seen(pose, points) + rng.normal(0, 12, (8, 2))
+        covariance = np.tile(144.0 * np.eye(2), (8, 1, 1))
+        depth = transform(pose, points)[:, 2] + rng.normal(0, 0.01, 8)
+        depth[:3] -= 0.09
+        known = {"depth_m": depth, "depth_sigma_m": np.full(8, 0.012)}
+        for off, more in ((without, {}), (with_depth, known)):
+            found = estimate_pose(correspondences(points, pixels, CAMERA, covariance_px=covariance, **more))
+            if isinstance(found, PoseEstimate):
+                off.append(np.linalg.norm(found.camera_from_object[:3, 3] - pose[:3, 3]))
+    assert len(with_depth) >= len(without) - 3
+    assert np.median(with_depth) < 0.4 * np.median(without)
+
+
+def test_depths_that_are_not_a_keypoints_own():
+    _, points, pose = some_pose(5)
+    depth = transform(pose, points)[:, 2]
+    depth[[1, 4]] += [-0.09, 0.13]
+    depth[6] = np.nan
+    given = correspondences(
+        points, seen(pose, points), CAMERA, depth_m=depth, depth_sigma_m=np.full(8, 0.005)
+    )
+    far = pose.copy()
+    far[:3, 3] *= 1.3
+    np.testing.assert_allclose(nearest_to_depth(far, given), pose, atol=0.03)
+    kept = with_own_depth(pose, given, largest_sigmas=4.0)
+    assert np.flatnonzero(np.isfinite(kept.depth_m)).tolist() == [0, 2, 3, 5, 7]
+    # A depth of another surface tells nothing, so it must not make the pose look more certain.
+    assert covariance_of(pose, kept)[5, 5] > covariance_of(pose, given)[5, 5]
 
 
 def test_depth_about_a_keypoint():

@@ -1,4 +1,4 @@
-"""Whose estimate is whose, where an image shows an object twice."""
+"""Whose estimate is whose where an image shows an object twice, and which pose it is compared with."""
 
 from __future__ import annotations
 
@@ -8,8 +8,10 @@ from typing import Any, cast
 
 import numpy as np
 
-from rpl_data.types import InstanceLabel, Rle, SquareBox
-from training.pose.evaluation import _seen_of
+from rpl_data.geometry import project, transform
+from rpl_data.pose.estimate import PoseEstimate
+from rpl_data.types import InstanceLabel, Intrinsics, KeypointModel, Rle, SquareBox
+from training.pose.evaluation import TrueObject, _judged, _seen_of
 from training.pose.pipeline import PosePipeline, SeenKeypoints
 
 IMAGE = np.zeros((4, 4, 3), dtype=np.uint8)
@@ -52,3 +54,33 @@ def test_each_instance_is_seen_in_its_own_crop() -> None:
 def test_the_one_detection_counts_for_the_nearest_instance() -> None:
     left, right = seen("detected")
     assert left is None and right is not None
+
+
+def test_a_pose_that_looks_the_same_is_right_where_symmetries_are_known() -> None:
+    """A plate seen from ahead, turned by half a turn about its normal, which leaves it looking the same."""
+    points = np.array([[-0.1, -0.05, 0.0], [0.1, -0.05, 0.0], [0.1, 0.05, 0.02], [-0.1, 0.05, 0.02]])
+    camera = Intrinsics(500.0, 500.0, 320.0, 240.0, 640, 480)
+    half = np.diag([-1.0, -1.0, 1.0, 1.0])
+    pose = np.eye(4)
+    pose[2, 3] = 0.8
+    model = KeypointModel("plate", ("a", "b", "c", "d"), points)
+    label = replace(
+        LEFT, object="plate", camera_from_object=pose, keypoints_px=project(camera, transform(pose, points)),
+        visibility=np.array([2, 2, 1, 0]), sigma_px=np.ones(4), square_box=SquareBox(320.0, 240.0, 190.0),
+    )  # fmt: skip
+    turned = pose @ half
+    positions = project(camera, transform(turned, points))
+    saw = SeenKeypoints("plate", np.zeros(3), 1.0, positions, np.ones(4), np.tile(np.eye(2), (4, 1, 1)))
+    found = PoseEstimate(turned, np.arange(4), np.eye(6), 1.0)
+    truth = TrueObject(1, model, np.stack([np.eye(4), half]), points, np.zeros(3))
+    plain = replace(truth, symmetries=np.eye(4)[None])
+    right, wrong = (
+        _judged(
+            saw, found, label, image="0.png", method="epnp", truth=each, intrinsics=camera,
+            truth_from_trained=np.eye(4),
+        )
+        for each in (truth, plain)
+    )  # fmt: skip
+    assert right.errors.orientation_rad < 1e-6 and right.errors.add_m < 1e-9
+    assert len(right.keypoint_errors) == 3 and right.keypoint_errors.max() < 1e-9
+    assert wrong.errors.orientation_rad > 3 and wrong.keypoint_errors.min() > 0.5

@@ -33,6 +33,7 @@ from training.train_masks import train_masks
 
 ONE = Machine(accelerator="cpu", threads=1)
 CYCLE = Learning(epochs=3, batch=2, optimizer="adam", rate=2e-3, schedule="one_cycle")
+AVERAGED = replace(CYCLE, ema=0.9)
 HOURGLASS = Network(stacks=1, features=16, levels=2, input_px=32, heatmap_px=8, loss="entropy")
 MASKS = MaskNetwork(
     backbone="resnet18", size_px=64, stages=3, channels=32, hidden=32, proposals=50, rois=16, norm="group"
@@ -41,7 +42,7 @@ STAGED = Learning(epochs=3, batch=2, optimizer="adamw", rate=1e-3, warmup_steps=
 
 TRAININGS: dict[str, Callable[..., Path]] = {
     "keypoints": lambda coco, out, **more: train_keypoints(
-        coco, "box", out, **{"network": HOURGLASS, "learning": CYCLE, "machine": ONE, **more}
+        coco, "box", out, **{"network": HOURGLASS, "learning": AVERAGED, "machine": ONE, **more}
     ),
     "detector": lambda coco, out, **more: train_detector(
         coco,
@@ -93,8 +94,10 @@ def interruption(*, epoch: int, batch: int) -> Iterator[None]:
 
 
 def weights(folder: Path, name: str = "last.ckpt") -> dict[str, torch.Tensor]:
+    """The weights of a checkpoint, and those of the last step where these are an average."""
     content = torch.load(folder / name, weights_only=True)
-    return dict(content["state_dict"])
+    of_the_step = content.get("trained_state_dict", {})
+    return content["state_dict"] | {f"trained.{key}": value for key, value in of_the_step.items()}
 
 
 def assert_same(one: dict[str, torch.Tensor], other: dict[str, torch.Tensor]) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter, OrderedDict
+from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -10,23 +10,29 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from pytorch_lightning import LightningModule
 from torch import Tensor, nn
 from torchvision.models.detection import fcos_resnet50_fpn, ssdlite320_mobilenet_v3_large
 from torchvision.models.detection.anchor_utils import AnchorGenerator
 from torchvision.models.detection.fcos import FCOS, FCOSHead
 from torchvision.ops import box_iou
+from torchvision.utils import draw_bounding_boxes
 
 from rpl_data.torch.detection import DetectionTarget, shrunk, square_from_box
 from rpl_data.torch.image_files import to_unit_range
 
 from ..keypoints.hourglass import Hourglass, Residual
+from ..runs.network_module import NetworkModule
 from ..runs.options import DetectorNetwork, Learning
 from ..runs.schedule import optimizer_of
 from ..runs.trainer import load_module, nothing_read, stop_if_not_finite
+from ..runs.weights import Start
 
 Collated = tuple[list[Tensor], list[DetectionTarget], Sequence[str]]
 """What `collate_readable_lists` makes of a batch: images, targets, messages about unreadable images."""
+
+
+LIKELY = 0.3
+"""Least score of the detections that pictures show."""
 
 
 class HourglassBackbone(nn.Module):
@@ -105,13 +111,12 @@ class Detection(NamedTuple):
     score: float
 
 
-class DetectorTraining(LightningModule):
+class DetectorTraining(NetworkModule):
     """One detector for all objects of a dataset.
 
     Attributes:
         names: of the labels; `names[0]` is the background.
         options: the options of the network.
-        unreadable: how often images could not be read, by message.
     """
 
     def __init__(self, names: list[str], network: dict[str, Any], learning: dict[str, Any]) -> None:
@@ -128,7 +133,6 @@ class DetectorTraining(LightningModule):
         self.detector = ARCHITECTURES[self.options.architecture](len(names), self.options)
         if self._learning.channels_last:
             self.detector = self.detector.to(memory_format=torch.channels_last)
-        self.unreadable: Counter[str] = Counter()
 
     def training_step(self, collated: Collated, number: int) -> Tensor | None:
         """The sum of torchvision's losses; None when no image of the batch could be read."""
@@ -142,14 +146,20 @@ class DetectorTraining(LightningModule):
         self.log("train_loss", loss, on_step=False, on_epoch=True, batch_size=len(images))
         return loss
 
-    def validation_step(self, collated: Collated, _: int) -> None:
+    def validation_step(self, collated: Collated, number: int, dataloader_idx: int = 0) -> None:
         """Log the share of objects whose best detection overlaps them with an IoU of at least 0.5."""
         images, targets, messages = collated
         self.unreadable.update(messages)
         found = self.detector(images) if images else []
         hits = [hit for output, target in zip(found, targets, strict=True) for hit in _hits(output, target)]
         if hits:
-            self.log("val_found", sum(hits) / len(hits), batch_size=len(hits))
+            self.log_validated("found", sum(hits) / len(hits), loader=dataloader_idx, batch_size=len(hits))
+        if images and self.wants_picture(number):
+            self.show(_boxed(images[0], found[0], self.names), loader=dataloader_idx)
+
+    def compiled_part(self) -> nn.Module:
+        """What makes the feature maps; the rest sees another number of boxes every time."""
+        return self.detector.get_submodule("backbone")
 
     def configure_optimizers(self) -> torch.optim.Optimizer:
         """The optimizer that the options name; `Steps` sets its rate."""
@@ -170,6 +180,14 @@ class DetectorTraining(LightningModule):
         return best
 
 
+def start_of(training: DetectorTraining) -> Start:
+    """What of the detector can be given weights: heads stay random where other objects were trained."""
+    detector, name = training.detector, training.options.architecture
+    if name == "fcos":
+        return Start(detector, "resnet50", body="backbone.body.", prefix="detector.")
+    return Start(detector, name, body="", must=("backbone.",), prefix="detector.")
+
+
 def untrained_detector(names: list[str], network: DetectorNetwork, learning: Learning) -> DetectorTraining:
     """Build a new detector."""
     return DetectorTraining(names, asdict(network), asdict(learning))
@@ -182,6 +200,17 @@ def load_detector(checkpoint: Path) -> DetectorTraining:
         DataError: the checkpoint is missing, or another program wrote it.
     """
     return load_module(DetectorTraining, checkpoint, "`rpl train detector`")
+
+
+def _boxed(image: Tensor, output: dict[str, Tensor], names: list[str]) -> Tensor:
+    """The image with the boxes of the likely detections, for TensorBoard; uint8."""
+    likely = output["scores"] >= LIKELY
+    words = [names[int(label)] for label in output["labels"][likely]]
+    picture = (255 * image.detach().float().cpu().clamp(0, 1)).round().to(torch.uint8)
+    if not words:  # of which torchvision warns
+        return picture
+    drawn: Tensor = draw_bounding_boxes(picture, output["boxes"][likely].cpu(), words)
+    return drawn
 
 
 def _hits(output: dict[str, Tensor], target: DetectionTarget) -> list[bool]:

@@ -1,8 +1,7 @@
-"""The hourglass of one object as a Lightning module: losses, validation, checkpoints."""
+"""The keypoint network of one object as a Lightning module: losses, validation, checkpoints."""
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -10,18 +9,20 @@ from typing import Any
 
 import numpy as np
 import torch
-from pytorch_lightning import LightningModule
-from torch import Tensor
+from torch import Tensor, nn
 
 from rpl_data.torch.decoding import Keypoints, in_image, locate, probabilities
 from rpl_data.torch.heatmaps import positions_in_image
 from rpl_data.torch.keypoints import KeypointSample
 from rpl_data.types import DataError, KeypointModel
 
+from ..runs.network_module import NetworkModule
 from ..runs.options import Learning, Network
 from ..runs.schedule import optimizer_of
 from ..runs.trainer import load_module, nothing_read, stop_if_not_finite
-from .hourglass import StackedHourglass, cross_entropy, mean_squares
+from .hourglass import cross_entropy, mean_squares
+from .networks import network_of
+from .pictures import heatmap_picture
 
 Collated = tuple[KeypointSample | None, Sequence[str]]
 """What `collate_readable` makes of a batch: samples, and messages about unreadable images."""
@@ -30,13 +31,12 @@ PCK_SHARE = 0.1
 """A keypoint counts as correct (PCK) within this share of the side of its square box."""
 
 
-class KeypointTraining(LightningModule):
-    """An hourglass with its object. Its checkpoint holds all that predicting poses needs.
+class KeypointTraining(NetworkModule):
+    """A keypoint network with its object. Its checkpoint holds all that predicting poses needs.
 
     Attributes:
         model: the sparse model whose keypoints the heatmaps are.
         options: the options of the network.
-        unreadable: how often images could not be read, by message.
     """
 
     def __init__(self, model: dict[str, Any], options: dict[str, Any], learning: dict[str, Any]) -> None:
@@ -50,24 +50,8 @@ class KeypointTraining(LightningModule):
         super().__init__()
         self.save_hyperparameters()
         self.model = _model_from(model)
-        self.unreadable: Counter[str] = Counter()
         self.options, self._learning = Network(**options), Learning(**learning)
-        if self.options.input_px != StackedHourglass.shrink * self.options.heatmap_px:
-            raise DataError(
-                f"heatmaps of {self.options.heatmap_px} px do not go with an input of "
-                f"{self.options.input_px} px: the hourglass makes them a quarter as wide"
-            )
-        if self.options.heatmap_px % 2**self.options.levels:
-            raise DataError(
-                f"an hourglass of {self.options.levels} levels halves heatmaps that often; "
-                f"{self.options.heatmap_px} px is no multiple of {2**self.options.levels}"
-            )
-        self.network = StackedHourglass(
-            len(self.model.keypoints),
-            stacks=self.options.stacks,
-            features=self.options.features,
-            levels=self.options.levels,
-        )
+        self.network = network_of(len(self.model.keypoints), self.options)
         if self._learning.channels_last:
             self.network = self.network.to(memory_format=torch.channels_last)
 
@@ -77,17 +61,20 @@ class KeypointTraining(LightningModule):
 
     def located(self, output: Tensor) -> Keypoints:
         """Decode the output of the last stack into keypoints, in pixels of the heatmap."""
-        sigma_px = self.options.sigma_px
-        heatmaps = (
-            probabilities(output.float(), sigma_px=sigma_px)
-            if self.options.loss == "entropy"
-            else output.float()
-        )
-        return locate(heatmaps, sigma_px=sigma_px)
+        return locate(self._heatmaps(output), sigma_px=self.options.sigma_px)
+
+    def _heatmaps(self, output: Tensor) -> Tensor:
+        """The output of the last stack as heatmaps, 1 high where it is sure."""
+        if self.options.loss == "entropy":
+            return probabilities(output.float(), sigma_px=self.options.sigma_px)
+        return output.float()
 
     def keypoints_in_image(self, images: Tensor, crop_from_image: Tensor) -> Keypoints:
         """Find the keypoints of crops, in pixels of the full images, float64."""
-        found = self(images)
+        return self._in_image(self(images), crop_from_image)
+
+    def _in_image(self, found: Keypoints, crop_from_image: Tensor) -> Keypoints:
+        """Keypoints in pixels of the full images instead of the heatmaps."""
         sizes = {"input_px": self.options.input_px, "heatmap_px": self.options.heatmap_px}
         return Keypoints(
             positions_in_image(found.positions, crop_from_image, **sizes),
@@ -111,18 +98,26 @@ class KeypointTraining(LightningModule):
         self.log("train_loss", loss, on_step=False, on_epoch=True, batch_size=len(batch["image"]))
         return loss
 
-    def validation_step(self, collated: Collated, _: int) -> None:
+    def validation_step(self, collated: Collated, number: int, dataloader_idx: int = 0) -> None:
         """Log the share of correct keypoints (PCK), and their mean distance as a share of the box's side."""
         batch = self._read(collated)
         if batch is None:
             return
         output = self.network(self._laid_out(batch["image"]))
         size = len(batch["image"])
-        self.log("val_loss", self.loss_of(output, batch), batch_size=size)
-        found = self.keypoints_in_image(batch["image"], batch["crop_from_image"])
+        self.log_validated("loss", self.loss_of(output, batch), loader=dataloader_idx, batch_size=size)
+        found = self._in_image(self.located(output[-1]), batch["crop_from_image"])
         distances = distances_by_box(found.positions, batch)
-        self.log("val_pck", (distances < PCK_SHARE).double().mean(), batch_size=distances.numel())
-        self.log("val_error", distances.clamp_max(1).mean(), batch_size=distances.numel())
+        right, count = (distances < PCK_SHARE).double().mean(), distances.numel()
+        self.log_validated("pck", right, loader=dataloader_idx, batch_size=count)
+        self.log_validated("error", distances.clamp_max(1).mean(), loader=dataloader_idx, batch_size=count)
+        if self.wants_picture(number):
+            heatmaps = self._heatmaps(output[-1])
+            self.show(heatmap_picture(batch["image"], heatmaps), loader=dataloader_idx)
+
+    def compiled_part(self) -> nn.Module:
+        """The network; decoding is not worth it."""
+        return self.network
 
     def configure_optimizers(self) -> torch.optim.Optimizer:
         """The optimizer that the options name; `Steps` sets its rate."""

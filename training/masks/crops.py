@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 
 import numpy as np
@@ -28,14 +29,20 @@ class SquareCrops(Dataset[InstanceSample]):
         names: of the labels; `names[0]` is the background.
     """
 
-    def __init__(self, coco_json: Path, size_px: int, augmentation: Augmentation) -> None:
-        """Read the annotations; images stay on disk.
+    def __init__(
+        self,
+        coco_json: Path,
+        size_px: int,
+        augmentation: Augmentation,
+        scenes: Collection[str] | None = None,
+    ) -> None:
+        """Read the annotations of all scenes, or of some; images stay on disk.
 
         Raises:
             DataError: the file is not ours, or it has no image.
         """
         refuse_pasting(augmentation)
-        self._images = InstanceDataset(coco_json)
+        self._images = InstanceDataset(coco_json, scenes=scenes)
         if not len(self._images):
             raise DataError(f"{coco_json} has no images; export a dataset with a train split")
         self.names = tuple(self._images.names)

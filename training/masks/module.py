@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
 import torch
-from pytorch_lightning import LightningModule
-from torch import Tensor
+from torch import Tensor, nn
 
 from rpl_data.torch.instances import InstanceTarget
 
+from ..runs.network_module import NetworkModule
 from ..runs.options import Learning, MaskNetwork
 from ..runs.schedule import optimizer_of
 from ..runs.trainer import nothing_read, stop_if_not_finite
 from .mask_rcnn import build_model, train_body
+from .pictures import tinted
 from .results import MASK_THRESHOLD
 from .settings import SCORE_THRESHOLD
 from .weights import description
@@ -24,14 +24,13 @@ Collated = tuple[list[Tensor], list[InstanceTarget], Sequence[str]]
 """What `collate_readable_lists` makes of a batch: images, targets, messages about unreadable images."""
 
 
-class MaskTraining(LightningModule):
+class MaskTraining(NetworkModule):
     """A Mask R-CNN in training. First its heads alone are trained, then all of it.
 
     Attributes:
         model: torchvision's network.
         network: the options it was built with.
         names: of the labels; `names[0]` is the background.
-        unreadable: how often images could not be read, by message.
     """
 
     def __init__(
@@ -48,7 +47,6 @@ class MaskTraining(LightningModule):
         super().__init__()
         self.names, self.network, self._learning = tuple(names), network, learning
         self._head_epochs = head_epochs
-        self.unreadable: Counter[str] = Counter()
         self.model = build_model(network, len(names) - 1)
         if learning.channels_last:
             self.model = self.model.to(memory_format=torch.channels_last)
@@ -75,7 +73,7 @@ class MaskTraining(LightningModule):
         self.log_dict(shown, on_step=False, on_epoch=True, batch_size=len(images))
         return total
 
-    def validation_step(self, collated: Collated, _: int) -> None:
+    def validation_step(self, collated: Collated, number: int, dataloader_idx: int = 0) -> None:
         """Mean IoU over the images and the classes that each of them shows (the paper's figure)."""
         images, targets, messages = collated
         self.unreadable.update(messages)
@@ -84,7 +82,16 @@ class MaskTraining(LightningModule):
             iou for output, target in zip(found, targets, strict=True) for iou in class_ious(output, target)
         ]
         if ious:
-            self.log("val_iou", sum(ious) / len(ious), batch_size=len(ious))
+            self.log_validated("iou", sum(ious) / len(ious), loader=dataloader_idx, batch_size=len(ious))
+        if images and self.wants_picture(number):
+            sure = found[0]["scores"] >= SCORE_THRESHOLD
+            masks, labels = found[0]["masks"][sure, 0] > MASK_THRESHOLD, found[0]["labels"][sure]
+            self.show(tinted(images[0], masks, labels, len(self.names)), loader=dataloader_idx)
+
+    def compiled_part(self) -> nn.Module:
+        """ResNet and pyramid; the heads see another number of boxes every time."""
+        part: nn.Module = self.model.backbone
+        return part
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """All that building the network again needs."""

@@ -7,7 +7,10 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
+import torch
 from pycocotools import mask as masks
+from torch import Tensor
+from torchvision.utils import draw_segmentation_masks
 
 from rpl_data.json_arrays import Json
 
@@ -32,6 +35,23 @@ def draw(pixels: np.ndarray, results: Sequence[Json], names: Sequence[str]) -> n
         cv2.rectangle(picture, (left, top), (left + width - 1, top + height - 1), color, 1)
         _write(picture, f"{names[label]} {entry['score']:.2f}", (left, max(12, top - 4)), color)
     return picture
+
+
+def tinted(image: Tensor, found: Tensor, labels: Tensor, classes: int) -> Tensor:
+    """An image with masks tinted, for TensorBoard; 3 x height x width, uint8.
+
+    Args:
+        image: 3 x height x width, 0 to 1.
+        found: n x height x width, true inside.
+        labels: n, of the masks.
+        classes: number of labels, with the background.
+    """
+    picture = (255 * image.detach().float().cpu().clamp(0, 1)).round().to(torch.uint8)
+    if not len(found):
+        return picture
+    colours = [class_color(int(label), classes - 1) for label in labels]
+    drawn: Tensor = draw_segmentation_masks(picture, found.cpu(), alpha=0.4, colors=colours)
+    return drawn
 
 
 def _write(picture: np.ndarray, words: str, corner: tuple[int, int], color: tuple[int, int, int]) -> None:

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
-from urllib.error import URLError
 
-from torch import Tensor, nn
-from torchvision.models import get_model_weights
 from torchvision.models.detection import MaskRCNN
 
 from rpl_data.types import DataError
 
 from ..runs.folder import read_checkpoint, reading_checkpoint
 from ..runs.options import MaskNetwork
+from ..runs.weights import Start, start_from
 from .mask_rcnn import build_model
 
 
@@ -32,46 +29,8 @@ def load_weights(model: MaskRCNN, config: MaskNetwork, weights: str) -> str:
     Raises:
         DataError: nothing can be fetched, or the file does not hold this network.
     """
-    if weights == "scratch":
-        return f"{config.backbone} from scratch, {config.norm} norm"
-    state = _fetched(config.backbone) if weights == "imagenet" else _read(Path(weights))
-    resnet_only = "layer1.0.conv1.weight" in state
-    target: nn.Module = model.backbone.body if resnet_only else model
-    wanted = target.state_dict()
-    fitting = {key: value for key, value in state.items() if _fits(wanted.get(key), value)}
-    needed = {key for key in wanted if not key.endswith("num_batches_tracked")}
-    body = {key for key in needed if resnet_only or key.startswith("backbone.body.")}
-    if missing := sorted(body - set(fitting)):
-        raise DataError(
-            f"{weights} does not hold a {config.backbone}: {len(missing)} of its {len(body)} tensors are "
-            f"missing or of another shape ({missing[0]}); choose the backbone the weights belong to"
-        )
-    target.load_state_dict(fitting, strict=False)
-    left = len(needed - set(fitting))
-    return f"{weights}: {len(fitting)} tensors taken, {left} stay random, {config.norm} norm"
-
-
-def _fits(wanted: Tensor | None, value: Any) -> bool:
-    return wanted is not None and isinstance(value, Tensor) and wanted.shape == value.shape
-
-
-def _fetched(backbone: str) -> Mapping[str, Tensor]:
-    try:
-        state: Mapping[str, Tensor] = get_model_weights(backbone).DEFAULT.get_state_dict(check_hash=True)
-    except (URLError, OSError) as error:
-        raise DataError(
-            f"cannot fetch torchvision's weights of {backbone}: {error}; give the path of a file as "
-            "`weights`, or `scratch`"
-        ) from error
-    return state
-
-
-def _read(path: Path) -> Mapping[str, Tensor]:
-    """Read the state dict of a file. Our own checkpoints hold it one level down, with a prefix."""
-    content = read_checkpoint(path)
-    with reading_checkpoint(path, "weights"):
-        state = content.get("state_dict", content)
-        return {key.removeprefix("model."): value for key, value in state.items()}
+    start = Start(model, config.backbone, body="backbone.body.", prefix="model.")
+    return f"{start_from(start, weights)}, {config.norm} norm"
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -18,16 +18,20 @@ from rpl_data.formats.datasets.coco import (
     objects_from_coco,
     read_coco,
 )
-from rpl_data.geometry import fit_rigid
+from rpl_data.geometry import fit_rigid, project, transform
 from rpl_data.meshes import load_mesh, sampled
 from rpl_data.pose.errors import INFINITE, pose_errors
 from rpl_data.pose.estimate import Method, PoseEstimate, PoseFailure
+from rpl_data.symmetries import symmetry_transforms
 from rpl_data.torch.image_files import read_image
-from rpl_data.types import DataError, InstanceLabel, KeypointModel
+from rpl_data.types import DataError, InstanceLabel, Intrinsics, KeypointModel
 
-from ..runs.options import Crops
+from ..runs.options import Crops, UseDepth
 from .pipeline import PosePipeline, SeenKeypoints, read_depth_like
 from .scores import Judged
+
+SYMMETRY_STEP = 0.05
+"""How far a point moves between two steps about an axis of full rotation, as a part of the diameter."""
 
 
 @dataclass(frozen=True)
@@ -37,12 +41,14 @@ class TrueObject:
     Attributes:
         category: its category id in the COCO file.
         model: its keypoints.
+        symmetries: the transforms after which it looks the same, n x 4 x 4, the identity first.
         surface: points of its surface, n x 3, metres, in the truth's object frame.
         centre: centre of the surface's bounding box, where position errors are measured.
     """
 
     category: int
     model: KeypointModel
+    symmetries: np.ndarray
     surface: np.ndarray
     centre: np.ndarray
 
@@ -59,7 +65,8 @@ def true_objects(coco_json: Path, *, points: int = 1000) -> dict[str, TrueObject
             raise DataError(f"{coco_json}: {item.model.name} has no mesh; ADD needs one: export again")
         surface = sampled(load_mesh(coco_json.parent / item.mesh), count=points)
         centre = (surface.min(axis=0) + surface.max(axis=0)) / 2
-        found[item.model.name] = TrueObject(category, item.model, surface, centre)
+        same = symmetry_transforms(item.symmetries, max_deviation=SYMMETRY_STEP)
+        found[item.model.name] = TrueObject(category, item.model, same, surface, centre)
     return found
 
 
@@ -70,8 +77,9 @@ def evaluate(
     crops: Crops,
     methods: Sequence[Method],
     truth: Mapping[str, TrueObject],
-    use_depth: bool = False,
+    use_depth: UseDepth = False,
     metres_per_unit: float | None = None,
+    symmetric: bool = False,
     least_visible: float = 0.1,
     unreadable: Counter[str] | None = None,
 ) -> Iterator[Judged]:
@@ -84,8 +92,9 @@ def evaluate(
         crops: the true boxes, or what the detector finds.
         methods: methods of PnP.
         truth: what `true_objects` read.
-        use_depth: poses use the depth at the keypoints, too; also when metres_per_unit is given.
+        use_depth: poses use the depth at the keypoints, too; `auto` where an image has some.
         metres_per_unit: unit of the depth images of an export that does not say it.
+        symmetric: compare with the nearest of the poses that look the same, and its keypoints.
         least_visible: instances that show a smaller share of themselves are left out.
         unreadable: counts the images that cannot be read, by message; they are left out. Without it the first
             of them is a DataError.
@@ -114,7 +123,7 @@ def evaluate(
             continue
         seen = _seen_of(pipeline, pixels, labels, crops)
         depth = None
-        if use_depth or metres_per_unit is not None:
+        if use_depth is True or (use_depth == "auto" and has_depth(image, metres_per_unit)):
             depth_file = _depth_file(coco_json.parent, image)
             depth = read_depth_like(depth_file, depth_unit_m(image, metres_per_unit), like=pixels)
         for (label, found), method in product(zip(labels, seen, strict=True), methods):
@@ -128,9 +137,16 @@ def evaluate(
                 label,
                 image=image["file_name"],
                 method=method,
-                truth=truth[name],
+                truth=truth[name] if symmetric else replace(truth[name], symmetries=np.eye(4)[None]),
+                intrinsics=intrinsics_from_coco(image),
                 truth_from_trained=truth_from_trained[name],
             )
+
+
+def has_depth(image: Mapping[str, Any], metres_per_unit: float | None) -> bool:
+    """Whether an image of an export has depth whose unit the export or somebody says."""
+    unit_m = image.get("metres_per_unit") or metres_per_unit
+    return image["depth_file_name"] is not None and bool(unit_m)
 
 
 def _seen_of(
@@ -189,19 +205,36 @@ def _judged(
     image: str,
     method: Method,
     truth: TrueObject,
+    intrinsics: Intrinsics,
     truth_from_trained: np.ndarray,
 ) -> Judged:
-    """Compare the predicted keypoints and pose with a true label."""
+    """Compare the predicted keypoints and pose with a true label, or with the nearest that looks the same."""
     known = label.visibility > 0
     if seen is None or solved is None:
         missed = np.full(int(known.sum()), np.inf)
         return Judged(label.object, image, method, "not detected", INFINITE, missed, None, None)
-    off = np.linalg.norm(seen.positions_px - label.keypoints_px, axis=1)[known] / label.square_box.side_px
+    off = _keypoints_off(seen, label, truth, intrinsics)
     if isinstance(solved, PoseFailure):
         return Judged(label.object, image, method, solved.reason, INFINITE, off, None, seen)
     pose = solved.camera_from_object @ np.linalg.inv(truth_from_trained)
-    errors = pose_errors(pose, label.camera_from_object, truth.surface, centre_object=truth.centre)
+    same = truth.symmetries
+    apart = np.abs((pose - label.camera_from_object @ same)[:, :3, :3]).sum(axis=(1, 2))
+    true_pose = label.camera_from_object @ same[int(np.argmin(apart))]
+    errors = pose_errors(pose, true_pose, truth.surface, centre_object=truth.centre)
     return Judged(label.object, image, method, "ok", errors, off, pose, seen)
+
+
+def _keypoints_off(
+    seen: SeenKeypoints, label: InstanceLabel, truth: TrueObject, intrinsics: Intrinsics
+) -> np.ndarray:
+    """Distance of each labelled keypoint, as a share of the box's side; of the symmetry that fits best."""
+    known = label.visibility > 0
+    found = [np.linalg.norm(seen.positions_px - label.keypoints_px, axis=1)[known]]
+    for symmetry in truth.symmetries[1:]:
+        points = transform(label.camera_from_object @ symmetry, truth.model.points_object)
+        found.append(np.linalg.norm(seen.positions_px - project(intrinsics, points), axis=1)[known])
+    best: np.ndarray = min(found, key=lambda off: float(np.mean(off)) if len(off) else 0.0)
+    return best / label.square_box.side_px
 
 
 def _depth_file(folder: Path, image: Mapping[str, Any]) -> Path:

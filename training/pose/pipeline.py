@@ -99,19 +99,20 @@ class PosePipeline:
         """
         used = np.where(seen.confidence[:, None] >= LEAST_CONFIDENCE, seen.positions_px, np.nan)
         depth_m = None if depth is None else depths_at(depth, used)
+        sigma_m = None if depth_m is None else _depth_sigma_m(depth_m, seen.covariance_px, intrinsics)
         given = correspondences(
             self.networks[seen.object].model.points_object,
             used,
             intrinsics,
             covariance_px=seen.covariance_px,
             depth_m=depth_m,
-            depth_sigma_m=None if depth_m is None else KEYPOINT_DEPTH_SIGMA_M + _sigma(depth_m),
+            depth_sigma_m=sigma_m,
         )
         return estimate_pose(given, method=method, refine=method in ("ransac", "consensus"))
 
 
-KEYPOINT_DEPTH_SIGMA_M = 0.006
-"""Added to the sensor's standard deviation: at a corner, the depth may be that of a neighbouring point."""
+KEYPOINT_DEPTH_SIGMA_M = 0.003
+"""Joins the sensor's standard deviation: at a corner, the depth may be that of a neighbouring point."""
 
 
 def read_depth_like(path: Path, metres_per_unit: float, *, like: np.ndarray) -> DepthImage:
@@ -166,6 +167,14 @@ def _keypoints(network: KeypointTraining, image: np.ndarray, detection: Detectio
     )
 
 
-def _sigma(depth_m: np.ndarray) -> np.ndarray:
-    sigma: np.ndarray = np.asarray(depth_sigma_m(depth_m))
-    return sigma
+def _depth_sigma_m(depth_m: np.ndarray, covariance_px: np.ndarray, intrinsics: Intrinsics) -> np.ndarray:
+    """Standard deviation of the depth measured where a keypoint was found, metres.
+
+    What the sensor leaves open, what the corner does, and how much the depth of a surface that is inclined by
+    45 degrees changes over the uncertainty of the keypoint's place.
+    """
+    place_px = np.sqrt(np.trace(covariance_px, axis1=1, axis2=2) / 2)
+    inclined_m = place_px * depth_m / np.sqrt(intrinsics.fx * intrinsics.fy)
+    sensor_m = np.asarray(depth_sigma_m(depth_m))
+    sigma_m: np.ndarray = np.sqrt(sensor_m**2 + KEYPOINT_DEPTH_SIGMA_M**2 + inclined_m**2)
+    return sigma_m

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,6 +14,7 @@ from pytorch_lightning import Callback, LightningModule, Trainer
 from torch import Tensor
 
 from rpl_data.torch.epochs import seed_of
+from rpl_data.wording import counted
 
 from .folder import BEST, LAST
 from .options import Learning
@@ -60,18 +62,42 @@ class Checkpoints(Callback):
     the checkpoint of the epoch before, from which the interrupted epoch is trained again.
     """
 
-    def __init__(self, out: Path, *, monitor: str, settings: Mapping[str, Any]) -> None:
-        """`monitor` is a validated figure of which more is better; `settings` go into every checkpoint."""
-        self._out, self._monitor, self._settings = out, monitor, settings
-        self._best = -math.inf
+    def __init__(self, out: Path, *, monitor: str, settings: Mapping[str, Any], patience: int = 0) -> None:
+        """Start without a best figure.
+
+        Args:
+            out: folder of the checkpoints.
+            monitor: a validated figure of which more is better.
+            settings: go into every checkpoint.
+            patience: the training ends after so many validations in a row without a better figure; 0 trains
+                on.
+        """
+        self._out, self._monitor, self._settings, self._patience = out, monitor, settings, patience
+        self._best, self._in_vain = -math.inf, 0
+
+    def on_train_start(self, trainer: Trainer, module: LightningModule) -> None:
+        """A training that had ended for want of a better figure does not go on."""
+        self._stop_in_vain(trainer)
 
     def on_validation_end(self, trainer: Trainer, module: LightningModule) -> None:
         """Write best.ckpt; images that cannot be read may leave nothing to judge by."""
         figure = trainer.callback_metrics.get(self._monitor)
         better = figure is not None and float(figure) > self._best
-        if figure is not None and trainer.strategy.broadcast(better):
-            self._best = float(figure)
+        if figure is None:
+            return
+        if trainer.strategy.broadcast(better):
+            self._best, self._in_vain = float(figure), 0
             trainer.save_checkpoint(self._out / BEST)
+        else:
+            self._in_vain += 1
+            self._stop_in_vain(trainer)
+
+    def _stop_in_vain(self, trainer: Trainer) -> None:
+        if self._patience and self._in_vain >= self._patience:
+            trainer.should_stop = True
+            if trainer.is_global_zero:
+                validations = counted(self._in_vain, "validation")
+                print(f"stops: {self._monitor} is no better after {validations} (learning.patience)")
 
     def on_train_epoch_end(self, trainer: Trainer, module: LightningModule) -> None:
         """Write last.ckpt."""
@@ -84,12 +110,13 @@ class Checkpoints(Callback):
         checkpoint["run"] = dict(self._settings)
 
     def state_dict(self) -> dict[str, float]:
-        """The best figure so far."""
-        return {"best": self._best}
+        """The best figure so far, and how many validations were no better since."""
+        return {"best": self._best, "in_vain": self._in_vain}
 
     def load_state_dict(self, state_dict: dict[str, float]) -> None:
         """The best figure before the interruption."""
         self._best = state_dict["best"]
+        self._in_vain = int(state_dict.get("in_vain", 0))
 
     def on_load_checkpoint(
         self, trainer: Trainer, module: LightningModule, checkpoint: dict[str, Any]
@@ -102,18 +129,59 @@ class Checkpoints(Callback):
 
 
 class EpochLines(Callback):
-    """Prints one line per epoch, and logs the CPU time at each validation."""
+    """Prints one line per epoch with the time left, and logs the CPU time at each validation.
+
+    Where a person watches, a line that is written over says how far the epoch is.
+    """
+
+    def __init__(self) -> None:
+        self._started_s, self._first, self._shown_s = 0.0, 0, 0.0
+
+    def on_train_start(self, trainer: Trainer, module: LightningModule) -> None:
+        """From here on time is measured; a resumed training begins at a later epoch."""
+        self._started_s, self._first = time.perf_counter(), trainer.current_epoch
+
+    def on_train_batch_end(
+        self, trainer: Trainer, module: LightningModule, outputs: object, batch: object, batch_idx: int
+    ) -> None:
+        """Twice a second on a terminal: epoch, step, time left."""
+        now_s = time.perf_counter()
+        if not (trainer.is_global_zero and sys.stderr.isatty()) or now_s - self._shown_s < 0.5:
+            return
+        self._shown_s = now_s
+        steps = int(trainer.num_training_batches)
+        done = trainer.current_epoch + (batch_idx + 1) / steps
+        where = f"epoch {trainer.current_epoch + 1}/{trainer.max_epochs}, step {batch_idx + 1}/{steps}"
+        print(f"\r{where}{self._left(trainer, done)}\x1b[K", end="", file=sys.stderr, flush=True)
 
     def on_validation_epoch_end(self, trainer: Trainer, module: LightningModule) -> None:
         """CPU seconds of this process so far, as `cpu_s`."""
         module.log("cpu_s", time.process_time())
 
     def on_train_epoch_end(self, trainer: Trainer, module: LightningModule) -> None:
-        """The loss, and the figures of the validation where there was one."""
+        """The loss, the figures of the validation where there was one, and the time left."""
         if not trainer.is_global_zero:
             return
-        metrics = trainer.callback_metrics
-        validated = (trainer.current_epoch + 1) % (trainer.check_val_every_n_epoch or 1) == 0
-        names = [name for name in metrics if name.startswith("val_") and name != "val_loss" and validated]
-        shown = [f"{name} {float(metrics[name]):.4f}" for name in ["train_loss", *names] if name in metrics]
-        print(f"epoch {trainer.current_epoch + 1}/{trainer.max_epochs}: {', '.join(shown)}", flush=True)
+        metrics, done = trainer.callback_metrics, trainer.current_epoch + 1
+        validated = done % (trainer.check_val_every_n_epoch or 1) == 0
+        names = [name for name in metrics if name.startswith("val_") and not name.endswith("_loss")]
+        names = ["train_loss", *(names if validated else [])]
+        shown = [f"{name} {float(metrics[name]):.4f}" for name in names if name in metrics]
+        if sys.stderr.isatty():
+            print("\r\x1b[K", end="", file=sys.stderr, flush=True)
+        left = self._left(trainer, done)
+        print(f"epoch {done}/{trainer.max_epochs}: {', '.join(shown)}{left}", flush=True)
+
+    def _left(self, trainer: Trainer, done: float) -> str:
+        """How long the other epochs will take, if they take as long as those before."""
+        epochs = max(done - self._first, 1e-9)
+        left_s = (time.perf_counter() - self._started_s) / epochs * ((trainer.max_epochs or 0) - done)
+        return f"; {time_left(left_s)} left" if left_s >= 1 else ""
+
+
+def time_left(seconds: float) -> str:
+    """A duration as a person would say it: 42 s, 7 min, 3 h 20 min."""
+    if seconds < 100:
+        return f"{seconds:.0f} s"
+    minutes = round(seconds / 60)
+    return f"{minutes} min" if minutes < 100 else f"{minutes // 60} h {minutes % 60} min"

@@ -20,6 +20,9 @@ from .options import Learning, Run
 
 LAST, BEST = "last.ckpt", "best.ckpt"
 
+HELD_OUT = "held_out_scenes"
+"""The setting that names the scenes of the training split that are only validated on."""
+
 FOREIGN = (
     UnpicklingError,
     RuntimeError,
@@ -131,13 +134,14 @@ def changes(checkpoint: Path, settings: Mapping[str, Any]) -> list[str]:
     Checkpoints of version 0.1 know only some of their settings; the others are not compared.
 
     Raises:
-        DataError: the optimizer or the seed differs, without which no run can be continued.
+        DataError: the optimizer or the seed differs, without which no run can be continued, or the scenes
+            that are held out, of which the network would then have seen some.
     """
     with reading_checkpoint(checkpoint, "a checkpoint of a training"):
-        before = _flat(_recorded(read_checkpoint(checkpoint)))
+        before = {HELD_OUT: []} | _flat(_recorded(read_checkpoint(checkpoint)))
     now = _flat(settings)
     changed = {key: value for key, value in before.items() if key in now and now[key] != value}
-    for key in ("learning.optimizer", "seed"):
+    for key in ("learning.optimizer", "seed", HELD_OUT):
         if key in changed:
             raise DataError(
                 f"{checkpoint} was trained with {key} {changed[key]}, asked for is {now[key]}; resume with "

@@ -11,7 +11,11 @@ from rpl_data.types import DataError
 Crops = Literal["given", "detected"]
 """Where an object's crop comes from: the box of its label, or the detector."""
 
+UseDepth = bool | Literal["auto"]
+"""Whether poses use depth; `auto` where there is some."""
+
 Architecture = Literal["small_fcos", "fcos", "ssdlite"]
+KeypointArchitecture = Literal["hourglass", "resnet18", "resnet34", "resnet50", "convnext_tiny"]
 Precision = Literal["32-true", "16-mixed", "bf16-mixed"]
 
 SMALLEST_IMAGE_PX = 32
@@ -23,16 +27,19 @@ HIGHEST_SEED = 2**32 - 1
 
 @dataclass(frozen=True)
 class Network:
-    """The hourglass, its input and its output. The defaults are the paper's.
+    """The keypoint network, its input and its output. The defaults are the paper's.
 
     Attributes:
         stacks: hourglasses one behind the other.
-        features: channels of the hourglasses.
+        features: channels of the hourglasses, or of the pyramid behind another architecture.
         levels: how often an hourglass halves its feature map.
         input_px: side of the square input crop, in pixels.
         heatmap_px: side of a heatmap in pixels: a quarter of the input.
         sigma_px: standard deviation of the target Gaussians, in heatmap pixels.
         loss: `squares` (the paper's) or `entropy`.
+        architecture: `hourglass` is the paper's. The others are torchvision's, with a heatmap head on a
+            feature pyramid: they can start from trained `weights`, and need inputs of a multiple of 32 px;
+            stacks and levels do not concern them.
     """
 
     stacks: int = 2
@@ -42,6 +49,7 @@ class Network:
     heatmap_px: int = 64
     sigma_px: float = 1.0
     loss: Literal["squares", "entropy"] = "squares"
+    architecture: KeypointArchitecture = "hourglass"
 
     def __post_init__(self) -> None:
         """Refuse what cannot be built; the sizes are judged together with the images."""
@@ -126,6 +134,10 @@ class Learning:
         weight_decay: strength of the pull of the weights towards 0.
         clip: largest norm of the gradient; 0 allows any.
         channels_last: memory layout of the network, faster on CPUs.
+        ema: keep a moving average of the weights (EMA), of which each step leaves this share: 0.999, say,
+            or 0.99 in a short training. It is what is validated and what a checkpoint gives; 0 keeps none.
+        patience: end the training after so many validations in a row that were no better than the best; 0
+            trains all epochs.
     """
 
     epochs: int = 60
@@ -138,6 +150,8 @@ class Learning:
     weight_decay: float = 0.0
     clip: float = 0.0
     channels_last: bool = False
+    ema: float = 0.0
+    patience: int = 0
 
     def __post_init__(self) -> None:
         """Refuse what cannot be run."""
@@ -145,8 +159,10 @@ class Learning:
             raise DataError("learning.epochs and learning.batch must be at least 1")
         if self.rate <= 0 or not 0 <= self.cooldown <= 1:
             raise DataError("learning.rate must be above 0, and learning.cooldown from 0 to 1")
-        if min(self.warmup_steps, self.weight_decay, self.clip) < 0:
-            raise DataError("learning: warmup_steps, weight_decay and clip must be 0 or more")
+        if min(self.warmup_steps, self.weight_decay, self.clip, self.patience) < 0:
+            raise DataError("learning: warmup_steps, weight_decay, clip and patience must be 0 or more")
+        if not 0 <= self.ema < 1:
+            raise DataError(f"learning.ema must be from 0 to below 1, got {self.ema}")
         if self.schedule == "one_cycle" and (self.warmup_steps or self.cooldown):
             raise DataError(
                 "learning.schedule one_cycle rises and falls by itself; leave out warmup_steps and cooldown, "
@@ -164,6 +180,10 @@ class Machine:
         precision: `bf16-mixed` and `16-mixed` are for GPUs; most CPUs are slower with them.
         workers: processes that load images; 0 loads them in the training process.
         threads: processor threads of torch; None leaves the number to torch.
+        compile: let torch.compile make the network faster. The first step of each image size takes a minute;
+            on a CPU it needs a C++ compiler.
+        deterministic: only operations that give the same result every time, also on a GPU; slower. torch
+            warns of those that have no such form. CPUs need no switch.
     """
 
     accelerator: Literal["auto", "cpu", "gpu"] = "auto"
@@ -171,6 +191,8 @@ class Machine:
     precision: Precision = "32-true"
     workers: int = 0
     threads: int | None = None
+    compile: bool = False
+    deterministic: bool = False
 
     def __post_init__(self) -> None:
         """Refuse what no machine has."""
@@ -208,3 +230,5 @@ class Run:
             raise DataError(f"--seed and --validate_every must be 0 or more, --seed at most {HIGHEST_SEED}")
         if self.until is not None and self.until < 1:
             raise DataError("--until must be at least 1")
+        if self.learning.patience and self.validate_every == 0:
+            raise DataError("learning.patience counts validations; give --validate_every 1 or more")

@@ -6,7 +6,6 @@ import logging
 import sys
 import time
 import warnings
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from importlib.util import find_spec
@@ -15,15 +14,17 @@ from typing import Any, TypeVar
 
 import torch
 from pytorch_lightning import Callback, LightningModule, Trainer, seed_everything
-from pytorch_lightning.loggers import CSVLogger, TensorBoardLogger
+from pytorch_lightning.loggers import CSVLogger, Logger, TensorBoardLogger
 from pytorch_lightning.utilities import rank_zero_only
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
 from rpl_data.torch.epochs import Collate, training_batches, validation_batches
+from rpl_data.torch.scenes import SceneSplit
 from rpl_data.types import DataError
 from rpl_data.wording import counted
 
+from .averaging import WeightAverage
 from .callbacks import Checkpoints, EpochLines, Steps
 from .checkpoint_files import WholeCheckpoints, sweep_checkpoints
 from .folder import (
@@ -36,8 +37,9 @@ from .folder import (
     reading_checkpoint,
     trained_epochs,
 )
+from .network_module import RANDOM_FRAMES, UNSEEN_SCENES, NetworkModule
 from .options import Machine, Run
-from .program import EXTRA, say_left_out, use_threads
+from .program import say_left_out, use_threads
 
 Module = TypeVar("Module", bound=LightningModule)
 
@@ -51,23 +53,24 @@ class Lesson:
 
     Attributes:
         module: the network and its losses.
-        unreadable: how often images could not be read, by message; the module counts.
         train: samples to train on, drawn from torch's random state.
-        val: samples to validate on; None where there are none.
+        val: samples to validate on, of the scenes that are trained on; None where there are none.
         collate: makes a batch of samples, some of which may be `Unreadable`.
-        monitor: a figure that the validation logs, of which more is better; best.ckpt has the highest.
+        figure: what the validation logs and of which more is better; best.ckpt has the highest.
+        unseen: samples of scenes that are not trained on, to validate on; best.ckpt goes by these where
+            there are any.
         settings: what else a checkpoint remembers of its run, such as the augmentation.
         drop_last: leave out the last training batch of an epoch when it is smaller than the others.
         val_batch: samples per step of the validation; those of the training when None.
     """
 
-    module: LightningModule
-    unreadable: Counter[str]
+    module: NetworkModule
     train: Dataset[Any]
     val: Dataset[Any] | None
     collate: Collate
-    monitor: str
+    figure: str
     settings: Mapping[str, Any]
+    unseen: Dataset[Any] | None = None
     drop_last: bool = False
     val_batch: int | None = None
 
@@ -77,18 +80,22 @@ def start(run: Run) -> Path | None:
 
     Raises:
         DataError: the folder holds a run, and the options do not say what to do with it; or they ask for
-            more GPUs than there are; or tensorboard is missing.
+            more GPUs than there are.
     """
     import cv2
 
-    if find_spec("tensorboard") is None:
-        raise DataError(f"tensorboard is not installed; {EXTRA}")
     _check_machine(run.machine)
     resumed = checkpoint_to_resume(run)
     use_threads(run.machine.threads)
     cv2.setNumThreads(1)  # its threads would compete with torch's
     seed_everything(run.seed, workers=True, verbose=False)
     return resumed
+
+
+def say_held_out(scenes: SceneSplit, count: int) -> None:
+    """Name the scenes of the training split that are only validated on, with the images in them."""
+    if scenes.unseen:
+        say(f"held out, to choose the best by: {', '.join(scenes.unseen)} ({count} to validate on)")
 
 
 def _check_machine(machine: Machine) -> None:
@@ -126,19 +133,26 @@ def fit(lesson: Lesson, run: Run, *, resumed: Path | None) -> Path:
         rank_zero_only(delete_run)(run.out)
     steps = Steps(run.learning, run.seed)
     train, val = _batches(lesson, run, done)
-    kept = Checkpoints(run.out, monitor=lesson.monitor, settings=settings)
-    trainer = _trainer(run, [steps, EpochLines(), kept])
+    lesson.module.validated_on = tuple(val)
+    strict = UNSEEN_SCENES if lesson.unseen is not None else RANDOM_FRAMES
+    monitor = f"{strict}_{lesson.figure}"
+    kept = Checkpoints(run.out, monitor=monitor, settings=settings, patience=run.learning.patience)
+    # The average puts the trained weights back before a checkpoint is written, so it comes first.
+    average = [WeightAverage(run.learning.ema)] if run.learning.ema else []
+    if run.machine.compile:
+        lesson.module.compiled_part().compile()
+    trainer = _trainer(run, [steps, *average, EpochLines(), kept])
     started = time.process_time(), time.perf_counter()
-    _fit(trainer, steps, lesson.module, train, val, resumed, last)
+    _fit(trainer, steps, lesson.module, train, list(val.values()), resumed, last)
     cpu_s, wall_s = time.process_time() - started[0], time.perf_counter() - started[1]
     waiting = f"{steps.waiting_s / wall_s:.0%} of {wall_s:.0f} s spent waiting for images"
     say(f"{last}: {cpu_s:.0f} s of CPU time, {waiting}")
-    say_left_out(lesson.unreadable)  # each process says its own, where several train
+    say_left_out(lesson.module.unreadable)  # each process says its own, where several train
     return last
 
 
-def _batches(lesson: Lesson, run: Run, done: int) -> tuple[DataLoader[Any], DataLoader[Any] | None]:
-    """Batches to train on after `done` epochs, and those to validate on where there is something."""
+def _batches(lesson: Lesson, run: Run, done: int) -> tuple[DataLoader[Any], dict[str, DataLoader[Any]]]:
+    """Batches to train on after `done` epochs, and those to validate on by what they hold."""
     batch, workers = run.learning.batch, run.machine.workers
     train = training_batches(
         lesson.train,
@@ -149,18 +163,23 @@ def _batches(lesson: Lesson, run: Run, done: int) -> tuple[DataLoader[Any], Data
         drop_last=lesson.drop_last,
         epoch=done,
     )
-    if lesson.val is None or run.validate_every == 0:
-        return train, None
-    return train, validation_batches(
-        lesson.val, batch=lesson.val_batch or batch, workers=workers, collate=lesson.collate
-    )
+    judges = {RANDOM_FRAMES: lesson.val, UNSEEN_SCENES: lesson.unseen} if run.validate_every else {}
+    val_batch = lesson.val_batch or batch
+    return train, {
+        name: validation_batches(dataset, batch=val_batch, workers=workers, collate=lesson.collate)
+        for name, dataset in judges.items()
+        if dataset is not None
+    }
 
 
 def _trainer(run: Run, callbacks: list[Callback]) -> Trainer:
-    """A trainer that logs to CSV and TensorBoard files in the run's folder."""
+    """A trainer that logs to CSV files in the run's folder, and for TensorBoard where it is installed."""
     _quieten()
     machine = run.machine
     logs = new_logs(run.out)
+    loggers: list[Logger] = [CSVLogger(run.out, name="", version=logs)]
+    if find_spec("tensorboard") is not None:
+        loggers.append(TensorBoardLogger(run.out, name="", version=logs))
     return Trainer(
         max_epochs=min(run.until or run.learning.epochs, run.learning.epochs),
         accelerator=machine.accelerator,
@@ -169,8 +188,9 @@ def _trainer(run: Run, callbacks: list[Callback]) -> Trainer:
         strategy="auto" if machine.devices == 1 else "ddp_find_unused_parameters_true",
         use_distributed_sampler=False,  # `EpochOrder` shares the rows out itself
         precision=machine.precision,
+        deterministic="warn" if machine.deterministic else False,
         gradient_clip_val=run.learning.clip or None,
-        logger=[CSVLogger(run.out, name="", version=logs), TensorBoardLogger(run.out, name="", version=logs)],
+        logger=loggers,
         callbacks=callbacks,
         plugins=[WholeCheckpoints()],
         enable_checkpointing=False,  # `Checkpoints` writes them
@@ -203,13 +223,13 @@ def _fit(
     steps: Steps,
     module: LightningModule,
     train: DataLoader[Any],
-    val: DataLoader[Any] | None,
+    val: list[DataLoader[Any]],
     resumed: Path | None,
     last: Path,
 ) -> None:
     """Lightning's fit, with a word about how to go on after Ctrl-C."""
     try:
-        trainer.fit(module, train, val, ckpt_path=resumed, weights_only=True)
+        trainer.fit(module, train, val or None, ckpt_path=resumed, weights_only=True)
     except FOREIGN:
         if resumed is None or steps.begun:
             raise  # the training itself failed

@@ -1,0 +1,1 @@
+"""What `training.gpu_check` measures: speeds of training steps, and short trainings on an export."""
