@@ -23,6 +23,7 @@ from rpl_data.export import (
     export_ycb_video,
     export_yolo,
 )
+from rpl_data.export.checksums import keeping_edited
 from rpl_data.export.color_images import ColorFormat
 from rpl_data.export.dialect import DialectSummary
 from rpl_data.json_arrays import finite_or_none
@@ -62,7 +63,7 @@ def check_format(name: str) -> None:
 def _export_step(context: Context, name: str) -> Step:
     def run(advance: Advance) -> Outcome:
         refuse_unseen(context)
-        summary = asdict(EXPORTS[name](context))
+        summary = asdict(_written(context, name))
         messages = tuple(summary.pop("messages"))
         return Outcome(sum(summary["images"].values()), messages, finite_or_none(summary))
 
@@ -134,7 +135,14 @@ def export_chosen(
     context = replace(context, recipe=recipe, choice=choice)
     if choice.folder and name != "coco":
         export_labels(context)
-    return context.export_folder(name), EXPORTS[name](context)
+    return context.export_folder(name), _written(context, name)
+
+
+def _written(context: Context, name: str) -> ExportSummary | DialectSummary:
+    """Write a format; what somebody edited in the export that it replaces is kept, and said."""
+    with keeping_edited(context.export_folder(name)) as kept:
+        summary = EXPORTS[name](context)
+    return replace(summary, messages=(*kept, *summary.messages))
 
 
 def _dialect(name: str, write: Callable[[Path, Path], DialectSummary]) -> Export:
