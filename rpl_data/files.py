@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import codecs
+import hashlib
 import json
 import os
 import re
@@ -155,6 +156,15 @@ def read_bytes(path: Path) -> bytes:
         raise DataError(f"{path} does not exist") from error
     except (OSError, ValueError) as error:
         raise _unreadable(path, error) from error
+
+
+def file_hash(path: Path) -> str:
+    """SHA-256 of a file, in memory that does not grow; DataError when it cannot be read."""
+    digest = hashlib.sha256()
+    with opened(path) as file:
+        while block := file.read(2**20):
+            digest.update(block)
+    return digest.hexdigest()
 
 
 MARKS = {codecs.BOM_UTF8: "utf-8", codecs.BOM_UTF16_LE: "utf-16-le", codecs.BOM_UTF16_BE: "utf-16-be"}

@@ -121,14 +121,19 @@ def names(damage: Damage, fault: str) -> bool:
     )
 
 
-def damages(folder: Path) -> Iterator[Damage]:
-    """Every damage to one file of each kind: the largest, as the first may hold nothing."""
+def one_of_each_kind(folder: Path) -> list[Path]:
+    """One file of each kind: the largest, as the first may hold nothing."""
     kinds: dict[str, Path] = {}
     for path in sorted(path for path in folder.rglob("*") if path.is_file()):
         kind = re.sub(SAME, "#", str(path.relative_to(folder)))
         if kind not in kinds or path.stat().st_size > kinds[kind].stat().st_size:
             kinds[kind] = path
-    for path in kinds.values():
+    return list(kinds.values())
+
+
+def damages(folder: Path) -> Iterator[Damage]:
+    """Every damage to one file of each kind."""
+    for path in one_of_each_kind(folder):
         name, content = str(path.relative_to(folder)), path.read_bytes()
         yield Damage(name, (), "missing", None)
         if content:

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from rpl_data.export.checks import CHECKS, check_export, dialect_of, holds_exports
+from rpl_data.export.checksums import EDITED
+from rpl_data.export.checksums import NAME as CHECKSUMS
 from rpl_data.formats.recordings.ros.wanted import Topics
 from rpl_data.pipeline.recipe_file import load_recipe
 from rpl_data.pipeline.sources import recordings_of
@@ -77,7 +79,7 @@ def exports_at(path: Path, dialect: str | None = None) -> list[tuple[Path, str |
     if not holds_exports(path) or not path.is_dir():
         return []
     found: list[tuple[Path, str | None]] = []
-    for folder in sorted(folder for folder in path.iterdir() if folder.is_dir()):
+    for folder in sorted(each for each in path.iterdir() if each.is_dir() and EDITED not in each.name):
         found += exports_at(folder) if holds_exports(folder) else [(folder, dialect_of(folder))]
     return found
 
@@ -95,6 +97,8 @@ def print_faults(exports: Sequence[tuple[Path, str | None]]) -> None:
             continue
         faults = check_export(folder, dialect)
         print(f"{folder}: {dialect}: {counted(len(faults), 'fault') if faults else 'no fault was found'}")
+        if not (folder / CHECKSUMS).exists():
+            print(f"    it has no {CHECKSUMS}, as an older version made it: changed files are not noticed")
         for fault in faults[:MOST_LINES]:
             print(f"    {fault}")
         if len(faults) > MOST_LINES:

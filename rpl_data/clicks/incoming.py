@@ -43,6 +43,11 @@ class Incoming:
         return ", ".join(parts) + stay
 
 
+def click_key(click: Click) -> tuple[int, str, int]:
+    """What there is at most one click of: a keypoint in a frame of a scene."""
+    return click.keypoint, click.scene, click.frame
+
+
 def incoming(
     annotation: Annotation, keypoints: Sequence[str], clicks: Iterable[Click], *, replaces: bool
 ) -> Incoming:
@@ -52,8 +57,8 @@ def incoming(
         keypoints: the names that the object has from then on.
         replaces: the object's other clicks are removed; else they stay.
     """
-    new = {(c.keypoint, c.scene, c.frame): c for c in clicks}
-    old = {(c.keypoint, c.scene, c.frame): c for c in annotation.clicks}
+    new = {click_key(click): click for click in clicks}
+    old = {click_key(click): click for click in annotation.clicks}
     wanted = new if replaces else old | new
     return Incoming(
         tuple(events_to(annotation, keypoints, wanted.values())),

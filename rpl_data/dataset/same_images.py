@@ -6,8 +6,8 @@ from collections.abc import Hashable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from rpl_data.dataset.source import file_hash
 from rpl_data.export.split import FrameKey
+from rpl_data.files import file_hash
 from rpl_data.types import DataError
 
 

@@ -9,7 +9,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from rpl_data.export.split import SplitName
-from rpl_data.files import opened, read_json
+from rpl_data.files import file_hash, read_json
 from rpl_data.formats.datasets.coco import read_coco
 from rpl_data.json_arrays import Json
 from rpl_data.types import DataError
@@ -134,15 +134,6 @@ def content_hash(folder: Path) -> str:
                 line = f"{path.relative_to(folder).as_posix()} {path.stat().st_size}\n"
                 digest.update(line.encode())
     return f"sha256:{digest.hexdigest()}"
-
-
-def file_hash(path: Path) -> str:
-    """SHA-256 of a file, in memory that does not grow; DataError when it cannot be read."""
-    digest = hashlib.sha256()
-    with opened(path) as file:
-        while block := file.read(2**20):
-            digest.update(block)
-    return digest.hexdigest()
 
 
 def recorded_hash(source: Source) -> Any:

@@ -56,7 +56,7 @@ class Kept:
 
     Attributes:
         split: where it goes.
-        objects: names of the objects that are annotated in it.
+        objects: names of the objects that are annotated in it, other than as to be ignored (`iscrowd`).
         file: the image file it was taken from.
     """
 
@@ -105,7 +105,8 @@ class Spool:
         for annotation in annotations:
             self.annotations += 1
             renumbered.append(annotation | {"id": self.annotations, "image_id": kept.image_id})
-            kept.objects.add(names[annotation["category_id"]])
+            if not annotation.get("iscrowd"):
+                kept.objects.add(names[annotation["category_id"]])
         self.file.write(json.dumps([key, image, renumbered], allow_nan=False) + "\n")
 
     def take_file(self, file: Path, name: str) -> None:

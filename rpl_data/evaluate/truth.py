@@ -3,8 +3,9 @@
 The poses come as JSON: `points_<object>` (one row per keypoint, metres, object frame; null where unknown),
 `keypoints_<object>` (their names, by which they are matched; numbers from 0 where it is left out) and
 `camera_from_<object>`: {scene: [one 4x4 matrix per frame, by `Frame.index`]}, with null for a frame whose
-pose is unknown. `mesh_<object>`: {file, metres_per_unit} is its mesh in the object frame, with the file
-relative to the JSON; an object without one is assumed to be the bounding box of its points.
+pose is unknown; further instances of the object in a scene are under `<scene>/2` and so on, as in clicks.
+`mesh_<object>`: {file, metres_per_unit} is its mesh in the object frame, with the file relative to the JSON;
+an object without one is assumed to be the bounding box of its points.
 """
 
 from __future__ import annotations
@@ -40,6 +41,7 @@ from rpl_data.types import (
     Scene,
     Solution,
 )
+from rpl_data.types.instances import instance_of, places_in, scene_of
 from rpl_data.workspace.workspace import Workspace
 
 HIDDEN_BEHIND_M = 0.004
@@ -51,7 +53,7 @@ class TrueObject:
     """An object with its true poses.
 
     Attributes:
-        camera_from_object: poses by scene name and `Frame.index`.
+        camera_from_object: poses by place (`types.instances`) and `Frame.index`.
     """
 
     model: KeypointModel
@@ -67,7 +69,7 @@ def truth_from_poses(workspace: Workspace, truth: Workspace, poses: Path) -> Non
     """
     content = read_json(poses)
     objects = true_objects(content, source=str(poses), meshes=_meshes(content, poses))
-    scenes = {scene for one in objects for scene, _ in one.camera_from_object}
+    scenes = {scene_of(place) for one in objects for place, _ in one.camera_from_object}
     known = [name for name in workspace.video_names() if name in scenes]
     if not known:
         raise DataError(
@@ -139,12 +141,16 @@ def box_mesh(points: Float64[np.ndarray, "n 3"]) -> Mesh:
 
 def true_labels(scene: Scene, objects: tuple[TrueObject, ...]) -> Iterator[FrameLabel]:
     """Make labels of every frame whose truth is known; an object is hidden only by itself."""
-    casters = [RayScene([one.mesh]) for one in objects]
+    shown = [
+        (one, RayScene([one.mesh]), places_in(scene.name, {place for place, _ in one.camera_from_object}))
+        for one in objects
+    ]
     for frame in scene.frames:
         found = [
-            (one, caster, one.camera_from_object[scene.name, frame.index])
-            for one, caster in zip(objects, casters, strict=True)
-            if (scene.name, frame.index) in one.camera_from_object
+            (one, caster, one.camera_from_object[place, frame.index], instance_of(place))
+            for one, caster, places in shown
+            for place in places
+            if (place, frame.index) in one.camera_from_object
         ]
         if found:
             instances = (true_instance(scene.intrinsics, *each) for each in found)
@@ -153,7 +159,11 @@ def true_labels(scene: Scene, objects: tuple[TrueObject, ...]) -> Iterator[Frame
 
 
 def true_instance(
-    intrinsics: Intrinsics, one: TrueObject, caster: RayScene, camera_from_object: Transform
+    intrinsics: Intrinsics,
+    one: TrueObject,
+    caster: RayScene,
+    camera_from_object: Transform,
+    instance: str = "",
 ) -> InstanceLabel | None:
     """Make the label of one object at its true pose; None when it is not in the image."""
     points_camera = transform(camera_from_object, one.model.points_object)
@@ -181,6 +191,7 @@ def true_instance(
         visib_fract=1.0,
         truncated=not bool(inside_image(intrinsics, surface).all()),
         quality=1.0,
+        instance=instance,
     )
 
 

@@ -1,19 +1,21 @@
-"""BOP's static onboarding: for each object one video as it stands, and one as it lies the other way round.
+"""BOP's onboarding: for each object videos as it stands, as it lies the other way round, and as it is moved.
 
 ::
 
     <folder>/onboarding_static/obj_000001_up/     a scene as in `bop`, with this object only
                                obj_000001_down/
+             onboarding_dynamic/obj_000001/       the same of a scene in which it is moved, if there is
              names.json                           object and scene of each folder
 
-From these videos, model-free methods learn an object before they look for it. Layout:
+From these videos, model-free methods learn an object before they look for it. BOP's own dynamic videos give
+the pose of the first frame alone; here all frames have theirs, which a method must not look at. Layout:
 `docs/bop_datasets_format.md` of https://github.com/thodan/bop_toolkit; object and image numbers are those of
 `bop`, beside whose splits the folder belongs.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -30,6 +32,8 @@ from rpl_data.formats.datasets.coco import objects_from_coco
 from rpl_data.json_arrays import Json, matrix_from_json
 from rpl_data.types import DataError
 
+STATIC, DYNAMIC = "onboarding_static", "onboarding_dynamic"
+
 
 @dataclass(frozen=True)
 class Video:
@@ -45,7 +49,12 @@ class Video:
 
 
 def export_bop_onboarding(
-    folder: Path, coco: Path, metres_per_unit: Mapping[str, float], color: ColorFormat = "recorded"
+    folder: Path,
+    coco: Path,
+    metres_per_unit: Mapping[str, float],
+    color: ColorFormat = "recorded",
+    *,
+    moving: Collection[str] = (),
 ) -> DialectSummary:
     """Write `folder` from the training images of an exported COCO folder.
 
@@ -54,6 +63,7 @@ def export_bop_onboarding(
         coco: the exported COCO folder.
         metres_per_unit: unit of the depth images, by scene name.
         color: format of the colour images.
+        moving: the scenes in which objects are moved.
 
     Raises:
         DataError: an object is in no training image, a lens has distortion, which the layout cannot hold, or
@@ -64,20 +74,24 @@ def export_bop_onboarding(
     lines, names, count = [], {}, 0
     with replacing(folder) as building:
         for category in train.data["categories"]:
-            sides = opposite_sides(_videos(train, category["id"]))
-            if not sides:
+            videos = _videos(train, category["id"])
+            sides = opposite_sides([video for video in videos if video.scene not in moving])
+            carried = max((v for v in videos if v.scene in moving), key=lambda v: len(v.images), default=None)
+            if not videos:
                 raise DataError(
                     f"no training image shows one {category['name']}, so it has no onboarding video; label "
                     "more frames (`label.rate`), or give more scenes to training (`split`)"
                 )
             if len(sides) == 1:
                 lines.append(f"{category['name']}: no training scene shows it the other way round: no _down")
-            for side, video in sides.items():
-                place = f"obj_{category['id']:06d}_{side}"
-                scene = building / "onboarding_static" / place
-                alone = _only(train, category["id"])
-                write_scene(scene, coco, video.images, alone, metres_per_unit[video.scene], whole, color)
-                names[place] = {"object": category["name"], "scene": video.scene}
+            number = f"obj_{category['id']:06d}"
+            places = {f"{STATIC}/{number}_{side}": video for side, video in sides.items()}
+            places |= {} if carried is None else {f"{DYNAMIC}/{number}": carried}
+            alone = _only(train, category["id"])
+            for place, video in places.items():
+                unit_m = metres_per_unit[video.scene]
+                write_scene(building / place, coco, video.images, alone, unit_m, whole, color)
+                names[Path(place).name] = {"object": category["name"], "scene": video.scene}
                 count += len(video.images)
         write_json(building / "names.json", names)
     return DialectSummary({train.name: count}, count, tuple(lines))

@@ -10,22 +10,18 @@ from typing import Any
 import cv2
 import numpy as np
 
+from rpl_data.export.edited_keypoints import Orders, moved_keypoints
 from rpl_data.export.split import FrameKey
 from rpl_data.files import decoding
-from rpl_data.formats.datasets.coco_edited import LARGEST_SIDE_PX, as_exported, check_packed
+from rpl_data.formats.datasets.coco_edited import as_exported, check_packed
 from rpl_data.json_arrays import Json, number
 from rpl_data.types import Correction, DataError, Rle
 
-DECIMALS = (0, 1, 2, 3, 4)
-"""With which programs write keypoints (we do with 4): ours rounded to so many have not moved."""
 BOX_PX = 1.0
 """By how much a box must leave its mask to be reported as moved: programs round boxes to pixels."""
 POSE_TOLERANCE = 1e-4
 """Metres, and entries of a rotation: programs may write fewer digits than we do."""
 REMEDY = "edit the present export/coco of this workspace, then import that"
-
-Orders = tuple[Sequence[str], Sequence[str]]
-"""Keypoint names of an object: in the file's order, and in ours."""
 
 
 @dataclass(frozen=True)
@@ -175,7 +171,7 @@ def _differences(
                     as_ours = Correction(*key, name, instance=instance)
                     change = replace(as_ours, deleted=True)
                     if instance in same:
-                        change = _change(as_ours, same[instance], own, order, found)
+                        change = _change(as_ours, same[instance], own, order, image.size, found)
                     if change != as_ours:
                         found.corrections.append(change)
     return found
@@ -201,7 +197,9 @@ def _paired(edited: Sequence[Json], ours: Mapping[str, Json]) -> dict[str, Json]
     return same
 
 
-def _change(change: Correction, edited: Json, own: Json, order: Orders, found: Difference) -> Correction:
+def _change(
+    change: Correction, edited: Json, own: Json, order: Orders, size: tuple[int, int], found: Difference
+) -> Correction:
     """What differs between an edited annotation and ours."""
     if _furthest(edited, own, "camera_from_object") > POSE_TOLERANCE:
         raise ValueError("its pose is another than ours: it was exported from other labels")
@@ -209,7 +207,7 @@ def _change(change: Correction, edited: Json, own: Json, order: Orders, found: D
         change,
         crowd=bool(edited.get("iscrowd")),
         mask=_changed_mask(edited, own, found),
-        keypoints=_moved(edited, own, order, found),
+        keypoints=moved_keypoints(edited, own, order, size, found.moved_px),
     )
 
 
@@ -255,38 +253,3 @@ def _is_redrawn(mask: Rle, before: Rle) -> bool:
     square = np.ones((3, 3), np.uint8)
     inner, outer = cv2.erode(ours, square), cv2.dilate(ours, square)
     return not (inner > now).any() and not (now > outer).any()
-
-
-def _points(annotation: Json, count: int) -> list[tuple[float, float, int]]:
-    """u, v and visibility per keypoint; u = v = 0 where it is not labelled."""
-    flat = [number(value) for value in annotation["keypoints"]]
-    if len(flat) != 3 * count or any(seen not in (0, 1, 2) for seen in flat[2::3]):
-        raise ValueError(f"its keypoints are not x, y and v = 0, 1 or 2 for each of {count}")
-    triples = zip(flat[::3], flat[1::3], flat[2::3], strict=True)
-    return [(u, v, int(seen)) if seen else (0.0, 0.0, 0) for u, v, seen in triples]
-
-
-def _moved(edited: Json, own: Json, order: Orders, found: Difference) -> dict[str, tuple[float, float, int]]:
-    """The keypoints that moved, or whose visibility changed; none where a program dropped them all."""
-    if not edited.get("keypoints"):
-        return {}
-    count, moved = len(order[0]), {}
-    before = dict(zip(order[1], _points(own, count), strict=True))
-    for name, point in zip(order[0], _points(edited, count), strict=True):
-        if point[2] == before[name][2] and all(map(_is_rounded, point[:2], before[name][:2])):
-            continue
-        distance = float(np.hypot(point[0] - before[name][0], point[1] - before[name][1]))
-        if max(abs(point[0]), abs(point[1])) > LARGEST_SIDE_PX:
-            raise ValueError(f"its keypoint {name} lies far outside of every image")
-        moved[name] = point
-        if point[2] and before[name][2]:
-            found.moved_px.append(distance)
-    return moved
-
-
-def _is_rounded(value: float, own: float) -> bool:
-    """Whether a number is ours, written with fewer decimals."""
-    return any(
-        abs(value - own) <= 0.5 * 10.0**-digits + 1e-6 and abs(value - round(value, digits)) < 1e-6
-        for digits in DECIMALS
-    )

@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Literal
 
+from rpl_data.export.checksums import write_checksums
 from rpl_data.files import write_bytes
 from rpl_data.types import DataError
 from rpl_data.wording import counted
@@ -123,13 +124,14 @@ def _clone(source: Path, target: Path) -> bool:
 
 @contextmanager
 def replacing(folder: Path) -> Iterator[Path]:
-    """Yield a temporary folder that replaces `folder` when the block ends well."""
+    """Yield a temporary folder that replaces `folder`, with checksums, when the block ends well."""
     building: Path | None = None
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         building = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}.partial-"))
         building.chmod(0o755)
         yield building
+        write_checksums(building, beside=folder.with_name("coco"))
         old = building.with_name(building.name + "-old")
         if folder.exists():
             folder.rename(old)

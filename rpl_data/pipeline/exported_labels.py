@@ -9,6 +9,7 @@ import numpy as np
 
 from rpl_data.export import ExportScene, ExportSummary, export_coco
 from rpl_data.export.card import dataset_card
+from rpl_data.export.checksums import write_checksums
 from rpl_data.export.corrections import Corrector
 from rpl_data.files import write_text
 from rpl_data.json_arrays import Json
@@ -58,7 +59,9 @@ def _write_card(context: Context, summary: ExportSummary, models: Sequence[Keypo
         cameras={scene: context.workspace.load_scene(scene).intrinsics for scene in sorted(set(scenes))},
         min_quality=context.recipe.export.min_quality,
     )
-    write_text(context.export_folder("coco") / "README.md", card)
+    folder = context.export_folder("coco")
+    write_text(folder / "README.md", card)
+    write_checksums(folder, beside=folder)
 
 
 def export_truth(context: Context) -> ExportSummary:

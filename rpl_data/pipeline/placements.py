@@ -11,7 +11,8 @@ from jaxtyping import Float64
 from rpl_data.geometry import Transform, fit_rigid
 from rpl_data.pipeline.context import path_key
 from rpl_data.types import Click, KeypointModel, Observation, Placement, Solution
-from rpl_data.types.instances import scene_of
+from rpl_data.types.instances import instance_of, scene_of
+from rpl_data.wording import counted
 from rpl_data.workspace.workspace import Workspace
 
 SAME_MODEL_M = 0.01
@@ -51,7 +52,34 @@ def solved_from(
     for scene in fallen(workspace, object_name):
         if len({o.click.keypoint for o in observations if o.click.scene == scene}) < FEWEST:
             left_out.add(scene)
+    left_out |= thin_instances([o for o in observations if o.click.scene not in left_out]).keys()
     return [o for o in observations if o.click.scene not in left_out]
+
+
+def thin_instances(observations: Sequence[Observation]) -> dict[str, int]:
+    """Further instances, and moved objects in frames, with too few clicks yet: places with their keypoints.
+
+    They wait for more clicks, so that the rest can be solved. Keypoints count that are clicked elsewhere too.
+    """
+    keypoints: dict[str, set[int]] = {}
+    for observation in observations:
+        keypoints.setdefault(observation.click.scene, set()).add(observation.click.keypoint)
+    firm = {place for place, found in keypoints.items() if not instance_of(place) or len(found) >= FEWEST}
+    if not firm:
+        return {}
+    known = set().union(*(keypoints[place] for place in firm))
+    counts = {place: len(found & known) for place, found in keypoints.items() if instance_of(place)}
+    return {place: count for place, count in counts.items() if count < FEWEST}
+
+
+def thin_lines(observations: Sequence[Observation]) -> list[str]:
+    """One line per place that waits for more clicks, for the user."""
+    return [
+        f"scene {place}: {counted(count, 'keypoint')} of this instance "
+        f"{'is' if count == 1 else 'are'} clicked that other places show too, so it is left out; click at "
+        f"least {FEWEST} that do not lie on a line"
+        for place, count in thin_instances(observations).items()
+    ]
 
 
 def fallen_lines(workspace: Workspace, object_name: str) -> list[str]:

@@ -150,11 +150,18 @@ def _chosen(axes: tuple[FoundAxis, ...], name: str, answer: str) -> tuple[Turns,
             raise ValueError
     except ValueError:
         raise DataError(
-            f"object {name}: --confirm {answer}; expected none, found, or numbers of its axes from 1 to "
-            f"{len(axes)}, such as 1 or 1,3; `rpl symmetry --object {name}` lists them"
+            f"object {name}: there is no axis {answer} to confirm, since {_numbered(len(axes))}; confirm "
+            f"`found` (all of them), `none`, or some by their numbers; `rpl symmetry --object {name}` lists "
+            "them"
         ) from None
     picked = [axes[number - 1] for number in dict.fromkeys(numbers)]
     return tuple(Turns(one.axis, one.shape_turns if one.turns == 1 else one.turns) for one in picked)
+
+
+def _numbered(axes: int) -> str:
+    """Which numbers the axes of an object have, in words."""
+    few = {0: "no axis was found", 1: "one axis was found, number 1"}
+    return few.get(axes, f"the axes found have the numbers 1 to {axes}")
 
 
 def symmetry_lines(item: ObjectRecipe, record: SymmetryRecord) -> list[str]:

@@ -19,6 +19,9 @@ PROBE_SAMPLES = 2_500
 PRIMES = (2, 3, 5)
 """Whoever is symmetric after n equal turns is so after p of them, for each prime p that divides n."""
 CANDIDATES = 4
+"""An axis is given up for an angle after so many candidates in a row that do not hold."""
+MOST_AXES = 16
+"""Candidates per angle at most: the icosahedron has 15 axes of half turns, more than any other solid."""
 MOST_TURNS = 12
 """A shape with more equal turns is taken for one with any turn."""
 ANY_TURN = tuple(2 * math.pi * step / 13 for step in range(1, 7))
@@ -119,10 +122,18 @@ def _axes_for(search: Search, turns: int) -> list[SymmetryAxis]:
     """Axes about which one of some equal turns brings the shape onto itself."""
     angle = 2 * math.pi / turns
     scanned = scanned_axes(
-        search.matcher, search.centre_m, angle, most=CANDIDATES, cap_m=0.05 * search.diagonal_m
+        search.matcher, search.centre_m, angle, most=MOST_AXES, cap_m=0.05 * search.diagonal_m
     )
-    refined = [refined_axis(search.matcher, axis, [angle]) for axis in scanned]
-    return [axis for axis in refined if _same_shape(search.fit(axis, angle))]
+    found: list[SymmetryAxis] = []
+    missed = 0
+    for candidate in scanned:
+        axis = refined_axis(search.matcher, candidate, [angle])
+        holds = _same_shape(search.fit(axis, angle))
+        found += [axis] * holds
+        missed = 0 if holds else missed + 1
+        if missed == CANDIDATES:
+            break
+    return found
 
 
 def _same_shape(fit: Fit) -> bool:
@@ -149,10 +160,16 @@ def _printed(axis: SymmetryAxis, shape: int | None, fits: dict[int, Fit]) -> Fou
 
 def _most_turns(search: Search, axis: SymmetryAxis, least: int) -> tuple[int, dict[int, Fit]]:
     """The most equal turns that the shape allows, and the fit for each divisor of them above 1."""
-    fits = {n: search.worst_fit(axis, n) for n in range(least, MOST_TURNS + 1, least)}
-    most = max((n for n, fit in fits.items() if _same_shape(fit)), default=least)
+    counts = range(least, MOST_TURNS + 1, least)
+    most = max((n for n in counts if _keeps_shape(search, axis, n)), default=least)
     divisors = [n for n in range(2, most + 1) if most % n == 0]
     return most, {n: search.worst_fit(axis, n) for n in divisors}
+
+
+def _keeps_shape(search: Search, axis: SymmetryAxis, turns: int) -> bool:
+    """Whether each of some equal turns leaves the shape the same; the first that does not ends the search."""
+    angles = (2 * math.pi * step / turns for step in range(1, turns // 2 + 1))
+    return all(_same_shape(search.fit(axis, angle)) for angle in angles)
 
 
 def _any_turn(search: Search, axis: SymmetryAxis, fits: list[Fit]) -> FoundAxis:

@@ -119,8 +119,11 @@ class Paths:
 
     def path_file(self, object_name: str, place: str) -> Path:
         """The camera's poses in the frame of an object that is moved in a scene, as `trajectory_file`."""
-        name = f"{scene_of(place)}.{instance_of(place)}".rstrip(".")
-        return self._object(object_name) / "paths" / f"{checked_name(name, 'scene')}.txt"
+        scene, instance = checked_name(scene_of(place), "scene"), instance_of(place)
+        paths = self._object(object_name) / "paths"
+        if not instance:
+            return paths / f"{scene}.txt"
+        return paths / f"{scene}.instances" / f"{checked_name(instance, 'instance')}.txt"
 
     def cache(self, scene: str) -> Path:
         """The folder of decoded depth, which can be deleted and rebuilt at any time."""

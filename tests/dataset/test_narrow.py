@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -104,6 +105,20 @@ def test_split_anew_keeps_every_image_and_no_scene_on_both_sides(three_scenes: P
     assert scenes["test"] == {"x"} and scenes["train"] | scenes["val"] == {"y", "z"}
     again = split_dataset(tmp_path / "again", three_scenes, SplitRule(("x",), 0.2, seed=3))
     assert again.content_hash == written.content_hash
+
+
+def test_an_object_that_is_only_to_be_ignored_in_a_scene_is_not_tested_there(
+    three_scenes: Path, tmp_path: Path
+) -> None:
+    shutil.copytree(three_scenes, tmp_path / "in")
+    data = json.loads((tmp_path / "in/train.json").read_text())
+    can = next(each["id"] for each in data["categories"] if each["name"] == "can")
+    shown = {image["id"] for image in data["images"] if image["scene"] == "x"}
+    for label in data["annotations"]:
+        label["iscrowd"] = int(label["category_id"] == can and label["image_id"] in shown)
+    (tmp_path / "in/train.json").write_text(json.dumps(data))
+    written = split_dataset(tmp_path / "out", tmp_path / "in", SplitRule(("x",), 0.0))
+    assert any(line.startswith("no test scene for can") for line in written.messages)
 
 
 def test_counts_are_those_of_the_files(three_scenes: Path, tmp_path: Path) -> None:

@@ -46,6 +46,16 @@ def test_silhouette_and_keypoints_agree_with_opencv() -> None:
     assert (box.visibility[nearest], box.visibility[farthest]) == (2, 1)
 
 
+def test_several_instances_stand_under_the_names_of_their_places() -> None:
+    poses, beside = content(POSE, None), POSE.copy()
+    beside[0, 3] += 0.1
+    poses["camera_from_box"]["s/2"] = [beside.tolist()] * 2  # type: ignore[index]
+    first, second = true_labels(scene(2), true_objects(poses, source="t", meshes={}))
+    assert [one.instance for one in first.instances] == ["", "2"]
+    np.testing.assert_array_equal(first.instances[1].camera_from_object, beside)
+    assert [one.instance for one in second.instances] == ["2"]
+
+
 def test_box_faces_look_outwards() -> None:
     mesh = box_mesh(CORNERS)
     a, b, c = (mesh.vertices[mesh.triangles[:, i]] for i in range(3))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
+import subprocess
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -13,13 +14,14 @@ import cv2
 import numpy as np
 import pytest
 import yaml
-from export_damage import Damage, damaged, damages, names, write_all, write_dialects
+from export_damage import Damage, damaged, damages, names, one_of_each_kind, write_all, write_dialects
 from labelled_scenes import BOX, CAMERA, CAN, labelled_scene, two_boxes
 from test_ycb_video import make_sequence
 
 from rpl_data.cli.main import main
-from rpl_data.export import export_coco, export_linemod, export_ycb_video
+from rpl_data.export import export_coco, export_linemod, export_ycb_video, export_yolo
 from rpl_data.export.checks import CHECKS, check_export, dialect_of
+from rpl_data.export.checksums import NAME, keeping_edited, read_checksums, write_checksums
 from rpl_data.export.split import SplitRule
 from rpl_data.pipeline.stages.export import EXPORTS
 from rpl_data.workspace.workspace import Workspace
@@ -56,8 +58,11 @@ NOTHING_CONTRADICTS = {
 
 @pytest.fixture(scope="module")
 def exports(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Every dialect of two scenes of two frames."""
-    return write_all(tmp_path_factory.mktemp("checks"))
+    """Every dialect of two scenes of two frames, as older versions wrote them: without checksums."""
+    folder = write_all(tmp_path_factory.mktemp("checks"))
+    for written in folder.iterdir():
+        (written / NAME).rename(folder.parent / written.name)
+    return folder
 
 
 def test_every_dialect_that_is_written_can_be_checked() -> None:
@@ -88,6 +93,91 @@ def _sampled(found: Iterator[Damage]) -> Iterator[Damage]:
     for number, damage in enumerate(found):
         if damage.how in ("missing", "cut", "empty", "half as large", "other bits") or number % 11 == 0:
             yield damage
+
+
+@pytest.mark.parametrize("dialect", WRITTEN)
+def test_checksums_show_swapped_files_and_changed_digits(dialect: str, exports: Path) -> None:
+    """Damage that leaves a sound export: a file replaced by another of its kind, one digit made another."""
+    folder = exports / dialect
+    shutil.copy(exports.parent / dialect, folder / NAME)
+    try:
+        assert check_export(folder, dialect) == []
+        for name, content in _others(folder):
+            with damaged(folder, Damage(name, (), "other", content)):
+                said = [fault for fault in check_export(folder, dialect) if fault.file == name]
+            assert any("changed since it was exported" in fault.problem for fault in said), name
+    finally:
+        (folder / NAME).unlink()
+
+
+def _others(folder: Path) -> Iterator[tuple[str, bytes]]:
+    """Of each kind, a file with the bytes of another one, and one with its last digit changed."""
+    for path in one_of_each_kind(folder):
+        name, content = str(path.relative_to(folder)), path.read_bytes()
+        alike = (each.read_bytes() for each in sorted(path.parent.glob(f"*{path.suffix}")) if each.is_file())
+        swapped = next((other for other in alike if other != content), None)
+        if swapped is not None and name != NAME:
+            yield name, swapped
+        digits = list(re.finditer(rb"[0-8]", content)) if path.suffix in TEXTS and name != NAME else []
+        if digits:
+            at = digits[-1].start()
+            yield name, content[:at] + bytes([content[at] + 1]) + content[at + 1 :]
+
+
+TEXTS = (".json", ".txt", ".yml", ".yaml", ".jsonl")
+
+
+def test_sha256sum_reads_the_checksums_and_links_are_not_hashed_twice(exports: Path, tmp_path: Path) -> None:
+    shutil.copytree(exports / "coco", tmp_path / "coco")
+    write_checksums(tmp_path / "coco", beside=tmp_path / "none")
+    export_yolo(tmp_path / "yolo", tmp_path / "coco")
+    for name in ("coco", "yolo"):
+        run = subprocess.run(
+            ["sha256sum", "--check", "--strict", "--quiet", NAME], cwd=tmp_path / name, check=False
+        )
+        assert run.returncode == 0, "sha256sum finds a file that is not as listed"
+    sums = {name: read_checksums(tmp_path / name) for name in ("coco", "yolo")}
+    assert sums["yolo"]["pose/images/train/a_000001.png"] == sums["coco"]["images/a/000001.png"]
+    image = next((tmp_path / "coco/images").rglob("*.png"))
+    image.write_bytes(image.read_bytes()[:-1] + b"x")  # through the link, into both
+    export_yolo(tmp_path / "yolo", tmp_path / "coco")
+    assert {fault.file for fault in check_export(tmp_path / "coco", "coco")} == {
+        str(image.relative_to(tmp_path / "coco"))
+    }
+    assert not [fault for fault in check_export(tmp_path / "yolo", "yolo") if "changed" in fault.problem]
+
+
+def test_damaged_and_older_checksums_are_said(
+    exports: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(exports / "yolo", tmp_path / "yolo")
+    assert main(["check", str(tmp_path / "yolo")]) == 0
+    assert "it has no SHA256SUMS, as an older version made it" in capsys.readouterr().out
+    (tmp_path / "yolo" / NAME).write_text("0123  data.yaml\n")
+    (fault,) = check_export(tmp_path / "yolo")
+    assert str(fault) == "SHA256SUMS: damaged in line 1; put it back, or export again"
+
+
+def test_what_was_edited_is_kept_when_the_export_is_made_anew(exports: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "coco"
+    shutil.copytree(exports / "coco", folder)
+    with keeping_edited(folder) as said:  # nobody can tell without checksums
+        assert said == ()
+    write_checksums(folder, beside=folder)
+    with keeping_edited(folder) as said:
+        assert said == ()
+    train = (folder / "train.json").read_text().replace("1", "2", 1)
+    (folder / "train.json").write_text(train)
+    (folder / "notes.txt").write_text("mine")
+    (folder / "labels.cache").write_text("not mine")
+    with pytest.raises(KeyError), keeping_edited(folder) as said:
+        raise KeyError
+    assert not (tmp_path / "coco_edited").exists()
+    for kept in ("coco_edited", "coco_edited2"):
+        with keeping_edited(folder) as said:
+            assert "2 files of" in said[0] and "(notes.txt, train.json)" in said[0] and kept in said[0]
+        assert (tmp_path / kept / "train.json").read_text() == train
+        assert sorted(path.name for path in (tmp_path / kept).iterdir()) == ["notes.txt", "train.json"]
 
 
 def test_a_built_workspace_gives_no_alarm_and_a_damaged_one_is_named(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,6 +26,7 @@ from rpl_data.export import (
 )
 from rpl_data.export.bop_instances import Silhouettes, write_instance
 from rpl_data.export.bop_onboarding import Video, opposite_sides
+from rpl_data.export.checks import check_export
 from rpl_data.export.split import SplitRule
 from rpl_data.formats.datasets.coco import CocoObject, read_coco
 from rpl_data.formats.datasets.yolo import LINES, detect_line, pose_line, segment_line
@@ -364,6 +366,18 @@ def test_onboarding_shows_an_object_from_both_sides(coco: Path, tmp_path: Path) 
         frames = {i["frame"] for i in data["images"] if i["scene"] == scene and i["frame"] > 0}
         assert {frame.index for frame in recording.scene.frames} == frames
         assert list(recording.true_poses) == [recording.scene.name[: len("obj_000001")]]
+
+
+def test_a_moved_object_has_a_dynamic_video_and_no_static_one(coco: Path, tmp_path: Path) -> None:
+    units = {name: 0.001 for name in "abcd"}
+    export_bop_onboarding(tmp_path / "videos", coco, units, moving="abcd")
+    assert not (tmp_path / "videos/onboarding_static").exists()
+    (one, other) = read_bop(tmp_path / "videos/onboarding_dynamic")
+    assert [list(each.true_poses) for each in (one, other)] == [["obj_000001"], ["obj_000002"]]
+    assert check_export(tmp_path / "videos") == []
+    shutil.rmtree(tmp_path / "videos/onboarding_dynamic/obj_000002")
+    said = [str(fault) for fault in check_export(tmp_path / "videos")]
+    assert said[0] == "names.json: obj_000002: there is no folder onboarding_dynamic/obj_000002"
 
 
 def test_the_other_side_is_the_one_most_upside_down() -> None:

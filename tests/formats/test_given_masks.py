@@ -51,6 +51,20 @@ def test_grey_gives_its_value(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_ids(tmp_path / "1.png", size=SIZE), IDS > 0)
 
 
+def test_soft_edges_are_cut_at_the_half_and_equal_channels_are_one(tmp_path: Path) -> None:
+    soft = cv2.GaussianBlur((IDS == 1).astype(np.uint8) * 255, (5, 5), 0)
+    cv2.imwrite(str(tmp_path / "soft.png"), soft)
+    assert len(np.unique(soft)) > 5
+    np.testing.assert_array_equal(read_ids(tmp_path / "soft.png", size=SIZE), np.where(soft >= 128, 255, 0))
+    several = np.repeat(np.arange(40, dtype=np.uint8), 60).reshape(SIZE)  # 39 objects, one per row
+    cv2.imwrite(str(tmp_path / "many.png"), np.repeat(several[::4], 4, axis=0))
+    assert len(np.unique(read_ids(tmp_path / "many.png", size=SIZE))) == 10
+    cv2.imwrite(str(tmp_path / "rgb.png"), np.dstack([IDS] * 3))
+    cv2.imwrite(str(tmp_path / "rgba.png"), np.dstack([IDS] * 3 + [np.full_like(IDS, 255)]))
+    for name in ("rgb", "rgba"):
+        np.testing.assert_array_equal(read_ids(tmp_path / f"{name}.png", size=SIZE), IDS)
+
+
 def small(path: Path) -> None:
     cv2.imwrite(str(path), IDS[::2, ::2])
 
@@ -60,7 +74,11 @@ def turned(path: Path) -> None:
 
 
 def coloured(path: Path) -> None:
-    cv2.imwrite(str(path), np.dstack([IDS] * 3))
+    cv2.imwrite(str(path), np.dstack([IDS, IDS, IDS + 1]))
+
+
+def fading(path: Path) -> None:
+    cv2.imwrite(str(path), np.add.outer(np.arange(SIZE[0]), 3 * np.arange(SIZE[1])).astype(np.uint8))
 
 
 def jpeg(path: Path) -> None:
@@ -78,6 +96,7 @@ def cut_off(path: Path) -> None:
         (small, "30 x 20 px; expected those of the colour images, 60 x 40"),
         (turned, "as if it were turned"),
         (coloured, "holds colours"),
+        (fading, r"grey levels that fade into one another, so they are no object numbers"),
         (jpeg, "is no PNG image"),
         (cut_off, "is damaged"),
     ],

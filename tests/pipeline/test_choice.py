@@ -56,6 +56,8 @@ def test_what_cannot_be_chosen_is_refused(
     for name in ("bop_onboarding", "foundationpose"):
         with pytest.raises(DataError, match="no training images"):
             export_chosen(context, name, ExportChoice(split="val"))
+    left = [path.name for path in (tiny_workspace.root / "export").glob("only_*") if not any(path.iterdir())]
+    assert not left, "a refused export leaves an empty folder"
     assert main(["export", "--split", "val", "--workspace", str(tiny_workspace.root)]) == 1
     assert "add `--format`" in capsys.readouterr().err
 

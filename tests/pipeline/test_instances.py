@@ -70,6 +70,9 @@ def test_a_carried_object_is_followed_or_lost_and_never_labelled_wrongly(built: 
     labels = list(built.load_labels("02"))
     found = label_errors(labels, Workspace(built.truth).load_labels("02"))["carton"]
     assert len(labels) >= 2 and max(error.mean_px for error in found.instances) < 4
+    stated_px = np.sqrt(np.mean([np.nanmean(one.sigma_px**2) for each in labels for one in each.instances]))
+    real_px = np.sqrt(np.mean([np.nanmean(error.keypoints_px**2) / 2 for error in found.instances]))
+    assert 1 / 3 < real_px / stated_px < 3, "the error of followed objects is measured where they stand still"
     said = " ".join(Ledger(built.stages_file).of_stage("label")["02"].outcome.messages)
     assert f"followed through {'all' if len(labels) == 6 else len(labels)}" in said
     said = " ".join(one.text for one in built.load_solution("carton").statements)

@@ -10,13 +10,21 @@ import numpy as np
 from rpl_data.clicks.log import click_event, keypoints_event
 from rpl_data.geometry import from_rotvec, invert, transform
 from rpl_data.pipeline.context import path_key
-from rpl_data.pipeline.placements import fallen, fallen_lines, standing, with_placements
+from rpl_data.pipeline.placements import (
+    fallen,
+    fallen_lines,
+    standing,
+    thin_instances,
+    thin_lines,
+    with_placements,
+)
 from rpl_data.types import (
     Click,
     ClickResidual,
     Frame,
     Intrinsics,
     KeypointModel,
+    Observation,
     Placement,
     Recording,
     Scene,
@@ -116,3 +124,20 @@ def test_placements_survive_the_disk(tmp_path: Path) -> None:
     np.testing.assert_allclose(again.scene_from_object, POSE)
     assert (again.residuals, again.how, again.checked) == ((CLICK,), "aligned", "its print")
     assert (again.path_key, again.statements) == ("path", (SAID,))
+
+
+def clicked(place: str, *keypoints: int) -> list[Observation]:
+    ray, depth = np.array([0, 0, 1.0]), np.array([0.5])
+    made = [Click("egg", keypoint, place, 3, 10.0, 20.0) for keypoint in keypoints]
+    return [Observation(each, ray, np.eye(4), depth, 0.01 * depth, 0.002) for each in made]
+
+
+def test_an_instance_with_too_few_clicks_waits_and_the_rest_goes_on() -> None:
+    rest = clicked("00", 0, 1, 2, 3) + clicked(
+        "01", 0, 1
+    )  # few clicks in a scene itself are refused elsewhere
+    assert thin_instances(rest + clicked("00/2", 0, 1, 2)) == {}
+    assert thin_instances(rest + clicked("00/2", 0) + clicked("02/@7", 1, 1)) == {"00/2": 1, "02/@7": 1}
+    (line,) = thin_lines(rest + clicked("00/2", 0))
+    assert line.startswith("scene 00/2: 1 keypoint of this instance is clicked that other places show too")
+    assert thin_instances(clicked("00/2", 0, 1)) == {}  # nothing else would be left

@@ -115,7 +115,9 @@ def test_confirmed_axes_follow_the_object_frame_into_the_export(tiny_workspace, 
         confirm_symmetry(context, "carton", "found")
     place.save_symmetry("carton", SymmetryRecord(points, (FREE, LABELLED), 0.9))
     for answer in ("3", "0", "all"):
-        with pytest.raises(DataError, match="numbers of its axes from 1 to 2"):
+        with pytest.raises(
+            DataError, match=f"no axis {answer} to confirm, since the axes .* numbers 1 to 2;"
+        ):
             confirm_symmetry(context, "carton", answer)
     record = confirm_symmetry(context, "carton", "found")
     assert record.confirmed is not None and [one.turns for one in record.confirmed] == [None]

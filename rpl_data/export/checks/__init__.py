@@ -17,6 +17,7 @@ from rpl_data.export.checks.bop import (
     looks_like_bop,
     looks_like_bop_onboarding,
 )
+from rpl_data.export.checks.checksums import check_checksums
 from rpl_data.export.checks.coco import (
     check_coco,
     check_coco_per_object,
@@ -103,4 +104,5 @@ def check_export(folder: Path, dialect: str | None = None) -> list[Fault]:
         raise DataError(f"{named}; expected one of {', '.join(CHECKS)}")
     findings = Findings(folder)
     CHECKS[known].check(findings)
+    check_checksums(findings)
     return findings.faults

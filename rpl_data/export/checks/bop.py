@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from rpl_data.export.bop_onboarding import DYNAMIC, STATIC
 from rpl_data.export.checks.bop_scene import SceneIndex, check_scene
 from rpl_data.export.checks.findings import Findings
 from rpl_data.export.checks.models import SIZE_SHARE, SIZES, check_sizes
@@ -31,21 +32,27 @@ def looks_like_bop(folder: Path) -> bool:
 
 
 def looks_like_bop_onboarding(folder: Path) -> bool:
-    """Whether a folder has static onboarding videos."""
-    return (folder / "onboarding_static").is_dir()
+    """Whether a folder has onboarding videos."""
+    return (folder / STATIC).is_dir() or (folder / DYNAMIC).is_dir()
 
 
 def check_bop_onboarding(findings: Findings) -> None:
     """Check each video, and that names.json says what it shows."""
     names = findings.json_objects("names.json")
-    folders = {path.name for path in (findings.folder / "onboarding_static").glob("*") if path.is_dir()}
-    for name in sorted(folders | names.keys()):
+    folders = {
+        path.name: kind
+        for kind in (STATIC, DYNAMIC)
+        for path in (findings.folder / kind).glob("*")
+        if path.is_dir()
+    }
+    for name in sorted(folders.keys() | names.keys()):
         if name not in folders:
-            findings.add("names.json", name, "", f"there is no folder onboarding_static/{name}")
+            kind = STATIC if name.endswith(("_up", "_down")) else DYNAMIC
+            findings.add("names.json", name, "", f"there is no folder {kind}/{name}")
             continue
         if findings.fields(names, {name: lambda entry: None}, "names.json", ""):
             findings.fields(names[name], {"object": text, "scene": text}, "names.json", name)
-        check_scene(findings, f"onboarding_static/{name}")
+        check_scene(findings, f"{folders[name]}/{name}")
 
 
 def check_bop(findings: Findings) -> None:

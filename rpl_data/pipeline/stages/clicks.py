@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
-from rpl_data.clicks.incoming import Incoming, incoming
+from rpl_data.clicks.incoming import Incoming, click_key, incoming
 from rpl_data.clicks.log import keypoints_event
 from rpl_data.clicks.table import clicks_from_csv, objects_in_csv, tables_to_csv
 from rpl_data.files import read_text
 from rpl_data.pipeline.context import Context, step
-from rpl_data.pipeline.ledger import Advance, Outcome, Step, stamps
+from rpl_data.pipeline.ledger import Advance, Ledger, Outcome, Step, stamps
 from rpl_data.pipeline.recipe import ObjectRecipe
 from rpl_data.types import Click, DataError
 from rpl_data.types.instances import scene_of
+from rpl_data.wording import counted
 from rpl_data.workspace.workspace import Workspace
 
 VERSION = 1
@@ -31,8 +33,16 @@ def _clicks_step(context: Context, item: ObjectRecipe) -> Step:
     def run(advance: Advance) -> Outcome:
         if item.clicks is None:
             return _name_keypoints(context.workspace, item)
-        found = import_clicks(context.workspace, item, item.clicks)
-        return Outcome(messages=(f"{item.name}: {found}, from {item.clicks}",) if found.changed else ())
+        found, clicks, kept = import_clicks(context.workspace, item, item.clicks, before)
+        lines = [f"{item.name}: {found}, from {item.clicks}"] if found.changed else []
+        if kept:
+            lines.append(
+                f"{item.name}: {counted(kept, 'click')} made on the page or by `rpl clicks import` "
+                f"{'stays' if kept == 1 else 'stay'}, whatever {item.clicks} says; take them back on the page"
+            )
+        return Outcome(messages=tuple(lines), details={"clicks": _stored(item, clicks)})
+
+    before = _last_imported(context.workspace, item)
 
     options = {
         "keypoints": list(item.keypoint_names),
@@ -53,16 +63,56 @@ def _name_keypoints(workspace: Workspace, item: ObjectRecipe) -> Outcome:
     return Outcome()
 
 
-def import_clicks(workspace: Workspace, item: ObjectRecipe, path: Path) -> Incoming:
-    """Make the log of an object agree with the CSV file."""
-    clicks = clicks_from_csv(
+def _stored(item: ObjectRecipe, clicks: Sequence[Click]) -> list[list[str | int | float]]:
+    """The clicks of a file as the ledger keeps them: with the names of their keypoints."""
+    return [[item.keypoint_names[c.keypoint], c.scene, c.frame, c.u_px, c.v_px] for c in clicks]
+
+
+def _last_imported(workspace: Workspace, item: ObjectRecipe) -> list[Click] | None:
+    """The clicks of the CSV file when it was last imported; None where nobody knows."""
+    entry = Ledger(workspace.stages_file).entries.get(f"clicks/{item.name}")
+    if entry is None or "clicks" not in entry.outcome.details:
+        return None
+    number = {name: k for k, name in enumerate(item.keypoint_names)}
+    rows = entry.outcome.details["clicks"]
+    return [Click(item.name, number[name], *at) for name, *at in rows if name in number]
+
+
+def import_clicks(
+    workspace: Workspace, item: ObjectRecipe, path: Path, before: Sequence[Click] | None = None
+) -> tuple[Incoming, list[Click], int]:
+    """Make the log of an object agree with the CSV file, but for what was clicked elsewhere since.
+
+    Args:
+        before: the clicks of the file when it was last imported; None where nobody knows, and then no click
+            is removed.
+
+    Returns:
+        What changes, the clicks of the file, and how many clicks are not as the file has them.
+    """
+    table = clicks_from_csv(
         read_text(path), source=str(path), object_name=item.name, keypoints=item.keypoint_names
     )
-    clicks = [workspace.parts().click_in_scene(click) for click in clicks]
-    found = incoming(workspace.load_annotation(item.name), item.keypoint_names, clicks, replaces=True)
+    in_scene = workspace.parts().click_in_scene
+    annotation = workspace.load_annotation(item.name)
+    was, now = ({click_key(c): c for c in map(in_scene, found)} for found in (before or (), table))
+    number = {name: k for k, name in enumerate(item.keypoint_names)}  # the log may have another order
+    there = [
+        replace(click, keypoint=number[annotation.keypoints[click.keypoint]])
+        for click in annotation.clicks
+        if annotation.keypoints[click.keypoint] in number
+    ]
+    old = {click_key(click): click for click in there}
+    # Untouched since the last import: such clicks follow the file. All others are the person's own.
+    own = {key for key in old.keys() | was.keys() if old.get(key) != was.get(key)}
+    if before is None:
+        own -= now.keys()
+    wanted = {key: click for key, click in now.items() if key not in own}
+    wanted |= {key: click for key, click in old.items() if key in own}
+    found = incoming(annotation, item.keypoint_names, wanted.values(), replaces=True)
     if found.events:
         workspace.append_events(item.name, found.events)
-    return found
+    return found, table, sum(wanted.get(key) != now.get(key) for key in own)
 
 
 def add_clicks(

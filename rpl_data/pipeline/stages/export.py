@@ -23,6 +23,7 @@ from rpl_data.export import (
     export_ycb_video,
     export_yolo,
 )
+from rpl_data.export.checksums import keeping_edited
 from rpl_data.export.color_images import ColorFormat
 from rpl_data.export.dialect import DialectSummary
 from rpl_data.json_arrays import finite_or_none
@@ -62,7 +63,7 @@ def check_format(name: str) -> None:
 def _export_step(context: Context, name: str) -> Step:
     def run(advance: Advance) -> Outcome:
         refuse_unseen(context)
-        summary = asdict(EXPORTS[name](context))
+        summary = asdict(_written(context, name))
         messages = tuple(summary.pop("messages"))
         return Outcome(sum(summary["images"].values()), messages, finite_or_none(summary))
 
@@ -77,6 +78,7 @@ def _export_step(context: Context, name: str) -> Step:
         "symmetries": {name: turns for name, turns in symmetries.items() if turns},
         "grasps": {item.object: asdict(item.grasp) for item in annotations if item.grasp is not None},
         "color": context.recipe.export.color if name in CONVERTING else "recorded",
+        "moving": sorted(context.workspace.parts().moving) if name == "bop_onboarding" else [],
     }
     chosen = {key: value for key, value in chosen.items() if value and value != "recorded"}
     options = {
@@ -132,9 +134,26 @@ def export_chosen(
         )
     recipe = replace(context.recipe, export=choice.recipe(context.recipe.export))
     context = replace(context, recipe=recipe, choice=choice)
-    if choice.folder and name != "coco":
-        export_labels(context)
-    return context.export_folder(name), EXPORTS[name](context)
+    try:
+        if choice.folder and name != "coco":
+            export_labels(context)
+        return context.export_folder(name), _written(context, name)
+    except DataError:
+        _remove_empty(context.export_folder(name).parent)
+        raise
+
+
+def _remove_empty(folder: Path) -> None:
+    """Remove the folder of a choice from which nothing could be exported."""
+    if folder.is_dir() and not any(folder.iterdir()):
+        folder.rmdir()
+
+
+def _written(context: Context, name: str) -> ExportSummary | DialectSummary:
+    """Write a format; what somebody edited in the export that it replaces is kept, and said."""
+    with keeping_edited(context.export_folder(name)) as kept:
+        summary = EXPORTS[name](context)
+    return replace(summary, messages=(*kept, *summary.messages))
 
 
 def _dialect(name: str, write: Callable[[Path, Path], DialectSummary]) -> Export:
@@ -184,7 +203,13 @@ EXPORTS: dict[str, Export] = {
     "coco_per_object": _dialect("coco_per_object", export_coco_per_object),
     "yolo": _dialect("yolo", export_yolo),
     "bop": _with_color("bop", export_bop),
-    "bop_onboarding": _with_color("bop_onboarding", export_bop_onboarding),
+    "bop_onboarding": lambda context: export_bop_onboarding(
+        context.export_folder("bop_onboarding"),
+        context.export_folder("coco"),
+        _units(context),
+        context.recipe.export.color,
+        moving=context.workspace.parts().moving,
+    ),
     "ycb_video": _with_units("ycb_video", export_ycb_video),
     "linemod": _with_units("linemod", export_linemod),
     "okt": _dialect("okt", export_okt),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -59,9 +59,9 @@ def _label_step(context: Context, video: str) -> Step:
         given, check = object_masks(context, video), MaskCheck()
         posed = posed_frames(scene, workspace.load_trajectory(scene))
         alone = {name for name in names if len(instances_in(workspace.load_placed(name), video, parts)) == 1}
-        followed: list[str] = []
+        followed, followed_m = list[str](), dict[str, float]()
         if video in parts.moving:
-            found, followed = follow_objects(workspace, video, placed[video], posed, advance)
+            found, followed_m, followed = follow_objects(workspace, video, placed[video], posed, advance)
             posed = [frame for frame in posed if frame.index in found]
         frames = sample_frames(posed, rate_hz=rate_hz)
         chosen = {
@@ -73,7 +73,7 @@ def _label_step(context: Context, video: str) -> Step:
             for name, indices in chosen.items():
                 ranges = context.pool.ranges(len(indices))
                 of_scene = (workspace.root, name, video, placed[name], indices)
-                tasks = [(*of_scene, indices[a:b], dots, correct) for a, b in ranges]
+                tasks = [(*of_scene, indices[a:b], dots, correct, followed_m) for a, b in ranges]
                 yield from context.pool.stream(label_range, tasks)
 
         def counted() -> Iterator[FrameLabel]:
@@ -112,6 +112,8 @@ def _label_step(context: Context, video: str) -> Step:
 
     before = [step for item in names for step in (context.placed_by(item), f"segment/{item}")]
     options: Json = {"rate_hz": rate_hz} | {name: context.frames_of(name) for name in placed if name != video}
+    if video in parts.moving:
+        options |= {"followed": "compared where it stands still"}  # else as labelled by older versions
     if dots:
         options |= {"masks": "splat"}
     if correct != "auto":
@@ -148,6 +150,7 @@ def label_range(
     indices: Sequence[int],
     dots: bool = False,
     correct: bool | Literal["auto"] = "auto",
+    followed_m: Mapping[str, float] = {},
 ) -> Iterator[FrameLabel]:
     """Label some frames of a scene, under the name of its recording; runs in this or another process.
 
@@ -156,12 +159,13 @@ def label_range(
             single frames are corrected are chosen among them.
         indices: the frames to label.
         correct: as `RefineRecipe.frames`.
+        followed_m: how far off the keypoints of objects that are moved should be, by name.
     """
     workspace = Workspace(root)
     scene = workspace.load_scene(name)
     trajectory = workspace.load_trajectory(scene)
     if video in workspace.parts().moving:
-        bodies = [body for item in objects for body in moved_objects(workspace, item, name)]
+        bodies = [body for item in objects for body in moved_objects(workspace, item, name, followed_m[item])]
     else:
         bodies = [body for item in objects for body in scene_objects(workspace, item, name, dots=dots)]
     frames, read = {frame.index: frame for frame in scene.frames}, workspace.depth_reader(scene)

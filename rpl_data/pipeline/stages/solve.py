@@ -15,7 +15,13 @@ from rpl_data.geometry import transform
 from rpl_data.pipeline.context import Context, known_points, step
 from rpl_data.pipeline.ledger import Advance, Outcome, Step, stamps
 from rpl_data.pipeline.lifted_clicks import observe
-from rpl_data.pipeline.placements import fallen_lines, solved_from, standing, with_placements
+from rpl_data.pipeline.placements import (
+    fallen_lines,
+    solved_from,
+    standing,
+    thin_lines,
+    with_placements,
+)
 from rpl_data.pipeline.recipe import ObjectRecipe
 from rpl_data.solve.register import register_scene
 from rpl_data.solve.residuals import click_spreads_m
@@ -53,9 +59,11 @@ def solve_step(context: Context, item: ObjectRecipe) -> Step:
         outliers = sum(residual.outlier for residual in solution.residuals)
         unused = clicks_without_pose(annotation.clicks, observations)
         said = [statement.text for statement in solution.statements]
-        moved = fallen_lines(workspace, item.name)
+        moved, thin = fallen_lines(workspace, item.name), thin_lines(observations)
         twice = instances_in_one_place(solution)
-        lines = [f"{item.name}: {line}" for line in (*said, *twice, *moved, *unused, *solution.warnings)]
+        lines = [
+            f"{item.name}: {line}" for line in (*said, *twice, *moved, *unused, *thin, *solution.warnings)
+        ]
         details = {
             "clicks": len(observations),
             "outliers": outliers,
