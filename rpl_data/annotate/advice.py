@@ -192,7 +192,8 @@ def _asking(annotation: Annotation, scene: str, here: Sequence[int], keypoint: i
         done += f"; it needs at least {FEWEST}"
     elif scene in live.loose:
         done += f"; {live.loose[scene]}"
-    return f"scene {scene}: mark keypoint {title} ({done}). Not visible here? Skip it (S)"
+    absent = "" if here else ", or all where the object is not in this scene (Shift+S)"
+    return f"scene {scene}: mark keypoint {title} ({done}). Not visible here? Skip it (S){absent}"
 
 
 def _most_helpful(annotation: Annotation, live: Live) -> Advice | None:
