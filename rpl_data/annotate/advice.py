@@ -106,6 +106,8 @@ def _contradiction(annotation: Annotation, live: Live) -> Advice | None:
         same = {c.keypoint for c in worst.clicks} == {click.keypoint}
         if same and scene is not None:
             return Advice(worst.text, scene, None, click.keypoint)
+        if same and len({c.scene for c in worst.clicks}) == 1:
+            return Advice(worst.text, click.scene, None, click.keypoint)
         return Advice(worst.text, click.scene, click.frame, click.keypoint)
     also = "; if it is right, mark it in another sharp frame (]) too" if len(worst.clicks) == 1 else ""
     return Advice(worst.text + also, click.scene, click.frame, click.keypoint)
