@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import colorsys
 from collections.abc import Mapping
+from zlib import crc32
 
 import cv2
 import numpy as np
@@ -33,6 +34,20 @@ def keypoint_color(keypoint: int, count: int) -> Rgb:
     step = next(s for s in (3, 5, 7, 2, 1) if count % s or s == 1)
     red, green, blue = colorsys.hsv_to_rgb((keypoint * step % count) / count, 0.75, 1.0)
     return round(255 * red), round(255 * green), round(255 * blue)
+
+
+def instance_number(name: str) -> int:
+    """A number of an instance, by its name alone: 0 for the one without a name, 1 for `2`, and so on."""
+    if name.isdecimal():
+        return int(name) - 1
+    return 1 + crc32(name.encode()) % 7 if name else 0
+
+
+def tint_of(row: int, instance: int, *, objects: int) -> Rgb:
+    """Colour of an instance of an object; more of it take colours of no object where there are some."""
+    colors = len(OBJECT_COLORS)
+    step = objects if objects % colors else 1
+    return OBJECT_COLORS[(row + step * instance) % colors]
 
 
 def view_of(label: FrameLabel, intrinsics: Intrinsics) -> Box:
@@ -80,9 +95,8 @@ def draw_overlay(
     picture = cv2.warpAffine(color, view_from_pixel, size, flags=cv2.INTER_LINEAR).astype(np.uint8)
     order = sorted(models)
     for number, instance in enumerate(label.instances):
-        tint = OBJECT_COLORS[
-            (order.index(instance.object) if instance.object in order else number) % len(OBJECT_COLORS)
-        ]
+        first = order.index(instance.object) if instance.object in order else number
+        tint = tint_of(first, instance_number(instance.instance), objects=len(order))
         _draw_masks(picture, instance, tint, view_from_pixel)
         _draw_boxes(picture, instance, tint, view_from_box)
         _draw_keypoints(picture, instance, models.get(instance.object), view_from_pixel)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import runpy
 import shlex
 import subprocess
 import sys
@@ -82,3 +83,10 @@ def test_links_lead_somewhere() -> None:
     )
     assert named
     assert all((ROOT / name).exists() for name in [*named, "LICENSE", "CHANGELOG.md"])
+
+
+def test_the_package_describes_itself_without_links_into_the_checkout() -> None:
+    packaged = runpy.run_path(str(ROOT / "setup.py"))["packaged"](README)
+    assert re.findall(r"\]\((?!https:|#)", packaged) == [] and "`docs/recording.md`" in packaged
+    pages = set(re.findall(r"docs/\w+\.md", README))
+    assert pages == set(re.findall(r"docs/\w+\.md", packaged)), "and names every page"

@@ -52,7 +52,7 @@ def train_detector(
             objects.
         validate_scenes: how many scenes of the training split to hold out and validate on, beside the random
             frames of val: best.ckpt then goes by these unseen scenes. The test split is never looked at.
-        validate_every: epochs from one validation to the next; 0 never validates.
+        validate_every: epochs from one validation to the next, and after the last; 0 never validates.
         seed: of everything that is drawn at random.
         resume: go on with the run in `out`, after its last finished epoch.
         overwrite: delete the run in `out` and start anew.

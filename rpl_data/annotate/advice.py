@@ -106,6 +106,8 @@ def _contradiction(annotation: Annotation, live: Live) -> Advice | None:
         same = {c.keypoint for c in worst.clicks} == {click.keypoint}
         if same and scene is not None:
             return Advice(worst.text, scene, None, click.keypoint)
+        if same and len({c.scene for c in worst.clicks}) == 1:
+            return Advice(worst.text, click.scene, None, click.keypoint)
         return Advice(worst.text, click.scene, click.frame, click.keypoint)
     also = "; if it is right, mark it in another sharp frame (]) too" if len(worst.clicks) == 1 else ""
     return Advice(worst.text + also, click.scene, click.frame, click.keypoint)
@@ -192,7 +194,8 @@ def _asking(annotation: Annotation, scene: str, here: Sequence[int], keypoint: i
         done += f"; it needs at least {FEWEST}"
     elif scene in live.loose:
         done += f"; {live.loose[scene]}"
-    return f"scene {scene}: mark keypoint {title} ({done}). Not visible here? Skip it (S)"
+    absent = "" if here else ", or all where the object is not in this scene (Shift+S)"
+    return f"scene {scene}: mark keypoint {title} ({done}). Not visible here? Skip it (S){absent}"
 
 
 def _most_helpful(annotation: Annotation, live: Live) -> Advice | None:

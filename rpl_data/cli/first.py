@@ -20,9 +20,9 @@ def init(
 ) -> None:
     """Look at a recording and write its recipe: format and `mend:` filled in from what `rpl check` finds.
 
-    Only faults that are certain are put right; what is less sure stands in the recipe as a comment. An object
-    that is clicked in the recording's clicks.csv comes into the recipe with its keypoints; otherwise its name
-    and keypoints are asked for, or taken from the options.
+    Only faults of which it is sure are put right; what is less sure stands in the recipe as a comment. An
+    object that is clicked in the recording's clicks.csv comes into the recipe with its keypoints; otherwise
+    its name and keypoints are asked for, or taken from the options.
 
     Example: rpl init my.yaml --from my-recording --object mug --keypoints handle,rim,foot,logo
 

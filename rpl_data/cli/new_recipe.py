@@ -7,6 +7,7 @@ from pathlib import Path
 from shlex import quote
 from tempfile import TemporaryDirectory
 
+from rpl_data.cli.building import workspace_for
 from rpl_data.cli.check import recordings_at
 from rpl_data.cli.screen import print_diagnoses
 from rpl_data.pipeline.build import recipe_of
@@ -38,7 +39,7 @@ def text_for(
     told: HowStored = NOTHING_TOLD,
     asks: bool = False,
 ) -> str:
-    """The recipe's text; prints what the doctor says on the way.
+    """The recipe's text; prints in a line per scene what the doctor says on the way.
 
     Args:
         recording: where it is.
@@ -59,7 +60,10 @@ def text_for(
         raise DataError(f"{clicks} says which keypoints there are; give --keypoints together with --object")
     with TemporaryDirectory() as scratch:
         found = recordings_at(recording, Path(scratch), format=chosen, camera=told.camera, topics=told.topics)
-        examined = list(zip(found, print_diagnoses(found), strict=True))
+        examined = list(zip(found, print_diagnoses(found, briefly=True), strict=True))
+    if any(diagnosis.findings for _, diagnosis in examined):
+        full = f"rpl check {quote(str(recording))}"
+        print(f"the recipe mends what can be mended and names the rest; in full:  {full}")
     return recipe_text(
         path_from(recipe, recording),
         replace(told, format=chosen),
@@ -95,7 +99,7 @@ def recipe_for(
 
 def next_commands(recipe: Path, *, clicked: bool) -> str:
     """What to run now, as a shell takes it: a path with a space is quoted."""
-    file, workspace = quote(str(recipe)), quote(f"workspaces/{recipe.stem}")
+    file, workspace = quote(str(recipe)), quote(str(workspace_for(recipe)))
     build = f"rpl build {file} --workspace {workspace}"
     if clicked:
         return f"its keypoints are clicked; make the dataset:  {build}"

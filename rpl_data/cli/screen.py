@@ -84,10 +84,14 @@ class Screen:
             self.console.print(f"    {line}")
 
 
-def print_diagnoses(recordings: Sequence[Recording]) -> list[Diagnosis]:
-    """Examine each scene with the doctor, with a progress bar; print and return its diagnosis."""
+def print_diagnoses(recordings: Sequence[Recording], *, briefly: bool = False) -> list[Diagnosis]:
+    """Examine each scene with the doctor, with a progress bar; print and return its diagnosis.
+
+    Args:
+        briefly: print one line per scene.
+    """
     from rpl_data.doctor.examine import examine
-    from rpl_data.doctor.text import describe
+    from rpl_data.doctor.text import describe, summarize
 
     found = []
     console = Console(highlight=False, markup=False, soft_wrap=True)
@@ -99,7 +103,7 @@ def print_diagnoses(recordings: Sequence[Recording]) -> list[Diagnosis]:
             show = partial(_show, bar, task, lines, f"scene {recording.scene.name}")
             diagnosis = examine(recording, progress=show)
             bar.remove_task(task)
-            console.print(describe(diagnosis))
+            console.print(summarize(diagnosis) if briefly else describe(diagnosis))
             found.append(diagnosis)
     return found
 

@@ -14,14 +14,21 @@ Kind = Literal[
 ]  # fmt: skip
 
 
+COUNTED: frozenset[Kind] = frozenset(
+    ["unreadable", "left out", "dropped frames", "repeated frames", "pose jump", "blur", "missing depth",
+     "orientation", "times"]
+)  # fmt: skip
+"""Kinds of faults that are counted in the files; all others are inferred, and never certain."""
+
+
 @dataclass(frozen=True)
 class Finding:
     """One fault of a recording.
 
     Attributes:
         what: description of the fault, with its figures.
-        sure: how sure it is, 0 to 1: the share of resamples of the evidence that agree; 1 where it was
-            counted, not inferred.
+        sure: how sure it is, 0 to 1: the share of resamples of the evidence that agree, which may be all of
+            them; 1 where it was counted, not inferred.
         todo: what to do about it, with the recipe option that mends it where there is one.
         mend: that recipe option.
     """
@@ -31,6 +38,13 @@ class Finding:
     sure: float
     todo: str
     mend: Mend | None = None
+
+    @property
+    def sureness(self) -> str:
+        """How sure it is, in words."""
+        if self.kind in COUNTED:
+            return "counted"
+        return f"sure {self.sure:.0%}" if self.sure <= 0.99 else "sure, over 99%"
 
 
 @dataclass(frozen=True)

@@ -14,15 +14,20 @@ def describe(diagnosis: Diagnosis, *, width: int = 110) -> str:
     for fact in diagnosis.facts:
         lines += textwrap.wrap(fact, width, initial_indent="    ", subsequent_indent="    ")
     for finding in diagnosis.findings:
-        sure = f"sure {finding.sure:4.0%}" if finding.sure < 1 else "certain"
         lines += textwrap.wrap(
-            f"! {finding.kind} ({sure.replace('  ', ' ')}): {finding.what}",
+            f"! {finding.kind} ({finding.sureness}): {finding.what}",
             width, initial_indent="  ", subsequent_indent="      ",
         )  # fmt: skip
         lines += textwrap.wrap(
             f"what to do: {finding.todo}", width, initial_indent="      ", subsequent_indent="      "
         )
     return "\n".join(lines)
+
+
+def summarize(diagnosis: Diagnosis) -> str:
+    """One line: how many faults, of which kinds, and how sure each is."""
+    kinds = ", ".join(f"{finding.kind} ({finding.sureness})" for finding in diagnosis.findings)
+    return f"scene {diagnosis.scene}: {_verdict(diagnosis)}{': ' if kinds else ''}{kinds}"
 
 
 def _verdict(diagnosis: Diagnosis) -> str:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 
 from rpl_data.report.counts import SceneReport
 from rpl_data.report.html import text
 from rpl_data.types import Solution
+from rpl_data.types.keypoint_names import keypoint_titles
 from rpl_data.wording import counted
 
 FEWEST_SCENES = 3
@@ -31,6 +33,13 @@ def next_steps(
             lines.append(
                 f"Look at {counted(len(wrong), 'click')} on {solution.model.name} that others contradict, in "
                 f"scene {names}: `rpl annotate` shows them in red."
+            )
+        once = clicked_once(solution)
+        if once:
+            what = "a keypoint that was" if len(once) == 1 else "keypoints that were"
+            lines.append(
+                f"Click {', '.join(once)} of {solution.model.name} once more, in another scene: "
+                f"nothing checks {what} clicked only once."
             )
     unlabelled = [scene.recording.scene.name for scene in scenes if not scene.frames]
     if unlabelled:
@@ -59,6 +68,13 @@ def next_steps(
     return lines or [
         "Nothing is left to mend that the tool can see. Look at the worst labels below, then train."
     ]
+
+
+def clicked_once(solution: Solution) -> list[str]:
+    """Names of the keypoints with a single click, which nothing contradicts."""
+    counts = Counter(residual.click.keypoint for residual in solution.residuals)
+    titles = keypoint_titles(solution.model.keypoints)
+    return [title for number, title in enumerate(titles) if counts[number] == 1]
 
 
 def next_steps_list(lines: Sequence[str]) -> str:

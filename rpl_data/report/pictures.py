@@ -68,7 +68,7 @@ def contact_sheet(
 
 
 def _figure(label: FrameLabel, uri: str, *, worst: bool) -> str:
-    visible = [f"{instance.object} {100 * instance.visib_fract:.0f} %" for instance in label.instances]
+    visible = [f"{instance.object} {100 * instance.visib_fract:.0f}\u00a0%" for instance in label.instances]
     words = ", ".join(visible) or "no object"
     cut = " · cut off" if any(instance.truncated for instance in label.instances) else ""
     quality = min((instance.quality for instance in label.instances), default=None)

@@ -153,7 +153,8 @@ def _scenes(
             parts.append(contact_sheet(workspace, recording, scene.frames, models, count=count))
     note = (
         "Filled keypoints are seen, rings are hidden. The visible mask is tinted, its box has the same "
-        "colour, the thin grey square is the paper's square box. Red: the frames of lowest quality."
+        "colour, the thin grey square is the paper's square box. Below: the share of each object that is "
+        "seen, and the frame's quality, the lowest of its labels, red where it is poor."
     )
     return section("scenes", "Scenes", "".join(parts), note=note)
 

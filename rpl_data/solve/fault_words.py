@@ -82,11 +82,15 @@ class FaultWords:
         scenes = sorted({e.scene for e in everyone})
         if len(names) == 1:
             where = " and ".join(f"scene {self.scenes[s]}" for s in scenes)
-            return (
-                f"keypoint {self.keypoints[names[0]]}: its clicks in {where} disagree by "
-                f"{self._distance_px(fault.best):.0f} px, and nothing tells which is wrong; mark it in "
-                + ("one more frame" if self._known_model else "a third scene, or in one more frame of each")
-            )
+            apart = f"{self._distance_px(fault.best):.0f} px"
+            disagree = f"keypoint {self.keypoints[names[0]]}: its clicks in {where} disagree by {apart}"
+            if self._known_model:
+                return f"{disagree}, and nothing tells which is wrong; mark it in one more frame"
+            if len(scenes) == 1:  # frames of one scene are tied by the camera's path alone
+                doubt = "nothing tells which is wrong, or whether the camera's path strays there"
+                return f"{disagree}, and {doubt}; mark it in one more frame, seen from another side"
+            more = "mark it in a third scene, or in one more frame of each"
+            return f"{disagree}, and nothing tells which is wrong; {more}"
         listed = "; ".join(f"scene {self.scenes[s]}: {self._names(everyone, s)}" for s in scenes)
         return (
             f"one of these keypoints was clicked in the wrong place, by about "

@@ -58,6 +58,9 @@ def test_clicks_that_disagree_want_a_third_scene():
     assert (step.scene, step.frame, step.keypoint) == ("02", None, 1)
     skipped = advised(said, clicks=clicks, skipped={(1, "02")})
     assert (skipped.scene, skipped.frame) == ("00", 3)  # no third scene shows it: look at the first
+    alone = Statement("disagree", (CLICKS[1], replace(CLICKS[1], frame=7)), "its clicks disagree")
+    again = advised(alone, clicks=clicks, skipped={(1, "02"), (1, "01")})
+    assert (again.scene, again.frame) == ("00", None)  # the page leads to a frame where it is not marked
 
 
 def test_a_scene_with_too_few_clicks_says_how_many_it_needs():

@@ -22,6 +22,10 @@ from rpl_data.workspace.workspace import Workspace
 
 OBJECT = "kettle"
 PATIENT_MS = 600_000  # a build
+SETTLED = """async () => {
+    const { app } = await import("/static/state/store.js");
+    return !app.waiting && app.result?.revision === app.state?.revision && !app.result.checking;
+}"""
 
 
 def main(demo: Path, docs: Path) -> None:
@@ -154,6 +158,7 @@ def scene_of(page: Page) -> str:
 
 
 def picture(page: Page, path: Path) -> None:
+    page.wait_for_function(SETTLED, timeout=PATIENT_MS)
     page.wait_for_timeout(1500)  # pictures and 3D that are still on their way
     page.screenshot(path=path, type="jpeg", quality=82)
     print(path, f"{path.stat().st_size / 1e3:.0f} kB")

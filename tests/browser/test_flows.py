@@ -15,6 +15,16 @@ BOX = "(id) => { const { x, y, width, height } = document.getElementById(id).get
     " return [x, y, width, height]; }"
 )
 
+PROBLEM = """(text) => {
+    const asked = window.fetch;
+    window.problem = text;
+    window.fetch = async (path, ...options) => {
+        const answer = await asked(path, ...options);
+        if (!/[/]result/.test(path)) return answer;
+        return new Response(JSON.stringify({ ...(await answer.json()), grasp_problem: window.problem }));
+    };
+}"""
+
 
 def test_a_scene_is_reset_and_undone(page: Page, server: ServerHere) -> None:
     stage = page.evaluate(BOX, "stage")
@@ -35,12 +45,24 @@ def test_a_scene_is_reset_and_undone(page: Page, server: ServerHere) -> None:
     annotation = Workspace(server.workspace).load_annotation("carton")
     assert len(annotation.clicks) == 3 and len(annotation.skipped) == 1
 
+    page.locator("#scenes li > button").nth(1).click()
+    expect(page.locator("#frame-text")).to_contain_text("scene 01")
+    page.keyboard.press("Shift+S")  # the object is not in this scene
+    expect(page.locator("#scenes li[aria-current=true]")).to_contain_text("not here")
+    saved(page)
+    annotation = Workspace(server.workspace).load_annotation("carton")
+    assert len([scene for _, scene in annotation.skipped if scene == "01"]) == len(annotation.keypoints)
+
+    page.evaluate(PROBLEM, "there is no depth")
     page.locator("#grasp").click()
     page.mouse.click(*on_page(page, 150.0, 120.0))
     page.mouse.click(*on_page(page, 180.0, 118.0))
     saved(page)
     assert Workspace(server.workspace).load_annotation("carton").grasp is not None
+    expect(page.locator("#alert")).to_contain_text("there is no depth")
+    page.evaluate("window.problem = ''")
     page.locator("#grasp-remove").click()
+    expect(page.locator("#alert")).to_be_hidden()  # what was said of it holds no longer
     saved(page)
     assert Workspace(server.workspace).load_annotation("carton").grasp is None
     page.evaluate(

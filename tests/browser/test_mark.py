@@ -51,6 +51,34 @@ def test_the_next_keypoint_is_selected_and_marks_can_be_dragged_deleted_undone(
     assert sorted(k for k, _, _ in clicks(server)) == [0, 1]
 
 
+def test_a_pen_hovers_marks_and_drags_like_a_mouse(page: Page, server: Server) -> None:
+    session = page.context.new_cdp_session(page)
+
+    def pen(kind: str, u: float, v: float) -> None:
+        x, y = on_page(page, u, v)
+        pressed = {"button": "left", "clickCount": 1} if kind != "mouseMoved" else {}
+        touching = {"buttons": 1, "force": 0.5} if kind == "mousePressed" else {}
+        pointer = {"type": kind, "x": x, "y": y, "pointerType": "pen", **pressed, **touching}
+        session.send("Input.dispatchMouseEvent", pointer)
+
+    page.evaluate(
+        "addEventListener('pointerdown', (e) => (window.kinds ??= new Set()).add(e.pointerType), true)"
+    )
+    pen("mouseMoved", 99.0, 90.0)
+    expect(page.locator("#loupe")).to_be_visible()  # above the tablet, before it touches
+    pen("mousePressed", 100.0, 90.0)
+    pen("mouseReleased", 100.0, 90.0)
+    saved(page)
+    np.testing.assert_allclose(list(clicks(server).values()), [(100.0, 90.0)], atol=0.25)
+    pen("mousePressed", 100.0, 90.0)
+    for u in (104.0, 108.0, 112.0):
+        pen("mouseMoved", u, 92.0)
+    pen("mouseReleased", 112.0, 92.0)
+    saved(page)
+    np.testing.assert_allclose(list(clicks(server).values()), [(112.0, 92.0)], atol=0.25)
+    assert page.evaluate("[...window.kinds]") == ["pen"]
+
+
 def test_panning_marks_nothing(page: Page, server: Server) -> None:
     before = view(page)
     page.mouse.move(*on_page(page, 100.0, 90.0))

@@ -39,7 +39,8 @@ def test_a_recipe_for_a_recording(
     told = ["init", str(recipe), "--from", str(recording), "--object", "mug", "--keypoints", "rim, yes,'no'"]
     assert main(told) == 0
     said = capsys.readouterr().out
-    assert "scene 00:" in said and f"rpl annotate workspaces/my --recipe {recipe}" in said
+    assert "scene 00:" in said and "what to do" not in said, "rpl check says it in full"
+    assert f"rpl annotate workspaces/my --recipe {recipe}" in said
     loaded = load_recipe(recipe)
     assert (loaded.name, loaded.objects[0].name) == ("my", "mug")
     assert loaded.objects[0].keypoints == ("rim", "yes", "'no'")

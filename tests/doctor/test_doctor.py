@@ -274,6 +274,10 @@ def test_the_text_says_how_sure_and_what_to_do() -> None:
     assert "scene 00: 1 thing wrong" in text
     assert "! depth lag (sure 93%): depth is late" in text
     assert "what to do: wait" in text
+    always = replace(finding, sure=1.0)
+    assert "(sure, over 99%)" in describe(Diagnosis("00", (), (always,))), "inferred: never certain"
+    blurred = Finding("blur", "80% of the frames are blurred", 1.0, "wait")
+    assert "! blur (counted): 80%" in describe(Diagnosis("00", (), (blurred,)))
 
 
 def test_check_of_a_folder_guesses_its_format(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -96,6 +96,7 @@ def test_a_shell_completes_commands_and_options(tmp_path: Path, capsys: pytest.C
     for line, offered in {
         "rpl reg": "register",
         "rpl train keypoints --learning.ep": "--learning.epochs",
+        "rpl capture --camera o": "orbbec",
     }.items():
         words = line.split()
         script = (

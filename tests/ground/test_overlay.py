@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from pycocotools import mask as coco_mask
 
-from rpl_data.overlay import draw_overlay, keypoint_color
+from rpl_data.overlay import draw_overlay, instance_number, keypoint_color, tint_of
 from rpl_data.types import FrameLabel, InstanceLabel, KeypointModel, Rle, SquareBox
 
 GRAY = np.full((60, 80, 3), 100, dtype=np.uint8)
@@ -76,3 +76,10 @@ def test_a_view_moves_keypoints_with_the_pixels() -> None:
 def test_keypoint_colors_differ() -> None:
     for count in (1, 3, 6, 8, 9, 12):
         assert len({keypoint_color(k, count) for k in range(count)}) == count
+
+
+def test_instances_of_an_object_differ_in_colour() -> None:
+    assert [instance_number(name) for name in ("", "2", "3")] == [0, 1, 2] and instance_number("bottom") > 0
+    for objects in range(1, 8):
+        assert len({tint_of(0, number, objects=objects) for number in range(3)}) == 3
+    assert tint_of(1, 0, objects=2) != tint_of(0, 1, objects=2), "nor is the second one like another object"

@@ -7,6 +7,7 @@ import numpy as np
 from rpl_data.directions import coverage, gaps_deg, spread_directions
 from rpl_data.report.coverage import RADIUS, _positions, coverage_section
 from rpl_data.report.next_steps import next_steps
+from rpl_data.types import Click, ClickResidual, KeypointModel, Solution
 
 
 def test_one_view_covers_a_cap() -> None:
@@ -36,6 +37,17 @@ def test_the_section_names_objects_safely_and_draws_each_view() -> None:
 def test_advice_follows_what_is_missing() -> None:
     said = " ".join(next_steps([], [], {"cup": 0.1, "kettle": 0.9}))
     assert "3 more scenes" in said and "Record cup turned over" in said and "kettle" not in said
+
+
+def test_keypoints_that_nothing_checks_are_named() -> None:
+    places = [(0, "00"), (0, "01"), (1, "00"), (2, "01"), (2, "01")]
+    residuals = tuple(
+        ClickResidual(Click("cup", k, scene, 0, 1.0, 1.0), 0.1, None, None, "none") for k, scene in places
+    )
+    model = KeypointModel("cup", ("rim", "foot", "logo", "lid"), np.zeros((4, 3)))
+    solution = Solution(model, np.zeros((4, 3, 3)), {}, residuals)
+    (line,) = [line for line in next_steps([], [solution], {}) if "only once" in line]
+    assert line.startswith("Click 1 foot of cup once more")
 
 
 def test_one_view_leaves_the_far_side_open() -> None:

@@ -173,6 +173,19 @@ def test_two_placements_disagree_and_a_third_is_asked_for():
     assert {r.click.scene for r in solution.residuals if r.reason} == {"00", "01"}
 
 
+def test_frames_of_one_scene_that_disagree_may_be_the_cameras_fault():
+    elsewhere = {scene: range(7) for scene in ("01", "02", "03")}  # keypoint h in scene 00 only
+    twice = clicks_on(scene_poses(4), frames=2, keypoints=elsewhere)
+    observations = changed(
+        [o for o in twice if o.click.frame == 0 or o.click.keypoint == 7],
+        lambda c: (c.keypoint, c.frame) == (7, 1),
+        moved(40.0),
+    )
+    (said,) = told(observations)
+    assert said.kind == "disagree" and {c.frame for c in said.clicks} == {0, 1}
+    assert "whether the camera's path strays there; mark it in one more frame" in said.text
+
+
 def test_a_mirrored_scene_is_said_as_a_whole():
     observations = changed(
         clicks_on(scene_poses(4), frames=2),

@@ -128,6 +128,19 @@ class Checkpoints(Callback):
                 self._best = float(score)
 
 
+class LastEpochValidated(Callback):
+    """Validates after the last epoch, whatever `validate_every` says: a short run has a best.ckpt, too."""
+
+    def __init__(self, epochs: int) -> None:
+        """`epochs` are those of the whole run."""
+        self._epochs = epochs
+
+    def on_train_epoch_start(self, trainer: Trainer, module: LightningModule) -> None:
+        """Let Lightning validate at the end of this epoch."""
+        if trainer.current_epoch + 1 == self._epochs:
+            trainer.check_val_every_n_epoch = 1
+
+
 class EpochLines(Callback):
     """Prints one line per epoch with the time left, and logs the CPU time at each validation.
 

@@ -206,7 +206,7 @@ class Run:
 
     Attributes:
         out: folder of the checkpoints and logs.
-        validate_every: epochs from one validation to the next; 0 never validates.
+        validate_every: epochs from one validation to the next, and after the last; 0 never validates.
         seed: of everything that is drawn at random.
         resume: go on with the run that is in `out`.
         overwrite: delete the run that is in `out` and start anew.

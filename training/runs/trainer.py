@@ -25,7 +25,7 @@ from rpl_data.types import DataError
 from rpl_data.wording import counted
 
 from .averaging import WeightAverage
-from .callbacks import Checkpoints, EpochLines, Steps
+from .callbacks import Checkpoints, EpochLines, LastEpochValidated, Steps
 from .checkpoint_files import WholeCheckpoints, sweep_checkpoints
 from .folder import (
     FOREIGN,
@@ -141,7 +141,7 @@ def fit(lesson: Lesson, run: Run, *, resumed: Path | None) -> Path:
     average = [WeightAverage(run.learning.ema)] if run.learning.ema else []
     if run.machine.compile:
         lesson.module.compiled_part().compile()
-    trainer = _trainer(run, [steps, *average, EpochLines(), kept])
+    trainer = _trainer(run, [steps, *average, LastEpochValidated(run.learning.epochs), EpochLines(), kept])
     started = time.process_time(), time.perf_counter()
     _fit(trainer, steps, lesson.module, train, list(val.values()), resumed, last)
     cpu_s, wall_s = time.process_time() - started[0], time.perf_counter() - started[1]

@@ -9,11 +9,13 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
+from rpl_data.overlay import instance_number
 from rpl_data.types import FrameLabel
 from rpl_data.workspace.records import frame_label_from_json
 from rpl_data.workspace.workspace import Workspace
 
-COLOR_BGRA = (208, 224, 53, 255)
+COLORS_BGRA = ((208, 224, 53, 255), (60, 160, 255, 255), (230, 110, 240, 255), (90, 220, 120, 255))
+"""Of the instance without a name, of `2`, and so on."""
 FRAME = re.compile(rb'"frame": (\d+)')
 SCENES_KEPT = 24
 
@@ -33,9 +35,10 @@ class MaskStore:
             return None
         from pycocotools import mask as coco
 
-        visible = np.any([coco.decode(instance.mask) for instance in instances], axis=0)
-        picture = np.zeros((*visible.shape, 4), dtype=np.uint8)
-        picture[visible] = COLOR_BGRA
+        picture = np.zeros((*instances[0].mask["size"], 4), dtype=np.uint8)
+        for instance in instances:
+            color = COLORS_BGRA[instance_number(instance.instance) % len(COLORS_BGRA)]
+            picture[coco.decode(instance.mask) > 0] = color
         return cv2.imencode(".png", picture)[1].tobytes()
 
     def label(self, scene: str, frame: int) -> FrameLabel | None:

@@ -18,7 +18,7 @@ export function setUp() {
   section.append(head, grid);
   onNews("left_out", async (name) => { if (name === scene) await load(); });
   onChange(follow, () => [app.view, app.scene, app.built, app.workspace]);
-  addKeys([[["PageUp, PageDown (labels)"], "previous, next scene of the contact sheet", null]]);
+  addKeys([[["PageUp", "PageDown"], "in the labels: previous, next scene", null]]);
 }
 
 const labelsPath = (name) => `/api/labels/${encodeURIComponent(name)}`;

@@ -12,9 +12,12 @@ const AXES = [["x", "#e5484d"], ["y", "#30a46c"], ["z", "#3e8bff"]];
 const WHERE = "grasp: click on the object where it is to be grasped (W cancels)";
 const TOWARD = "grasp: now click, in this frame, toward where its x axis is to point (W cancels)";
 
+let marked = false, said = null; // marked: not judged yet; said: what the alert says of the grasp
+
 export function setUp() {
   addKeys([[["w"], "mark a grasp: two clicks; again to cancel", turn]]);
   onChange(draw, () => [app.pendingGrasp, app.state?.grasp, app.state === null]);
+  onChange(judge, () => [app.result, app.state, app.waiting]);
   takeClicks(place);
   addTraces(axes, () => [app.result?.grasp]);
 }
@@ -22,7 +25,7 @@ export function setUp() {
 const turn = () => (app.pendingGrasp ? end() : begin());
 
 function draw() {
-  const mark = element("button", { id: "grasp", textContent: app.pendingGrasp ? "Cancel grasp" : "Grasp", disabled: !app.state, onclick: turn,
+  const mark = element("button", { id: "grasp", textContent: app.pendingGrasp ? "Cancel" : "Grasp", disabled: !app.state, onclick: turn,
     title: "two clicks on the object: where to grasp, and toward where the gripper's x axis points (W)" });
   const remove = element("button", { id: "grasp-remove", textContent: "✕", ariaLabel: "remove the grasp", title: "remove the grasp; undo restores it",
     hidden: !app.state?.grasp || Boolean(app.pendingGrasp), onclick: () => act({ op: "grasp", scene: null }) });
@@ -50,10 +53,20 @@ function place(u_px, v_px) {
   return true;
 }
 
-async function finish(grasp) {
+function finish(grasp) {
   end();
-  await act({ op: "grasp", ...grasp });
-  if (app.result?.grasp_problem) alertOnce(app.result.grasp_problem);
+  marked = true;
+  act({ op: "grasp", ...grasp });
+}
+
+// Say why the grasp that was just marked cannot be computed, until it was undone, removed or mended.
+function judge() {
+  const { result, state, waiting } = app;
+  if (!result || waiting || result.revision !== state?.revision || !(marked || said)) return;
+  const problem = result.grasp_problem || null;
+  if (marked && problem) alertOnce(problem);
+  else if (said && problem !== said && app.alert?.text === said) change({ alert: null });
+  [marked, said] = [false, problem];
 }
 
 // The three axes at the grasp, in the object frame.

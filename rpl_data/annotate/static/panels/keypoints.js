@@ -16,12 +16,13 @@ export function select(k) {
   if (count) change({ keypoint: ((k % count) + count) % count });
 }
 
-// The next keypoint that is neither clicked nor skipped in this scene; the same one when there is none.
+// The next keypoint that is neither clicked nor skipped in this scene; the same one when there is none. Those that
+// other scenes have tie this scene to them, so they come first, as in the advice of the next step.
 export function nextOpen(from) {
-  const count = app.state.keypoints.length;
-  const open = (k) => !isSkipped(k, app.scene) && !clicksIn(app.scene).some((c) => c.keypoint === k);
-  for (let step = 1; step <= count; step++) if (open((from + step) % count)) return (from + step) % count;
-  return from;
+  const count = app.state.keypoints.length, order = app.state.keypoints.map((_, i) => (from + 1 + i) % count);
+  const marked = (k, here) => app.state.clicks.some((c) => c.keypoint === k && (c.scene === app.scene) === here);
+  const open = order.filter((k) => !isSkipped(k, app.scene) && !marked(k, true));
+  return open.find((k) => marked(k, false)) ?? open[0] ?? from;
 }
 
 // The next keypoint that passes the test; the same when there is none.

@@ -35,6 +35,7 @@ const KEYS = [
   [["r"], "a frame at random", timeline.random],
   [["p"], "play, stop", timeline.play],
   [["PageUp", "PageDown"], "previous, next scene", (key) => scenes.step(key === "PageDown" ? 1 : -1)],
+  [["Shift+s"], "skip the rest: the object is not in this scene", scenes.skipAll],
   [["Shift+r"], "reset the scene: remove its clicks and skips", scenes.reset],
   [["+", "="], "zoom in at the cursor", () => zoomBy(1.25, ...cursorOnScreen())],
   [["-"], "zoom out", () => zoomBy(0.8, ...cursorOnScreen())],

@@ -2,7 +2,7 @@
 
 import { addKeys } from "./keys.js";
 import { openScene } from "../image/frames.js";
-import { app, change, frame, onChange } from "../state/store.js";
+import { app, change, clicksIn, frame, onChange } from "../state/store.js";
 
 const text = document.getElementById("next-text");
 const button = document.getElementById("next-go");
@@ -29,11 +29,16 @@ async function go() {
   if (wanted.scene == null && !wanted.view) return; // there is no place to go to
   const part = { view: wanted.view || "mark" };
   if (wanted.keypoint != null) part.keypoint = wanted.keypoint;
-  if (wanted.scene != null) await openScene(wanted.scene, wanted.frame ?? suggested(wanted.scene), part); else change(part);
+  if (wanted.scene != null) await openScene(wanted.scene, wanted.frame ?? unmarked(wanted.scene, wanted.keypoint), part); else change(part);
 }
 
-// The first suggested frame of another scene; null = where one was in it.
-const suggested = (name) => (name === app.scene ? frame() : app.suggestions[name]?.[0]?.frame ?? null);
+// The frame that is open, or else the first suggested one, in which the keypoint is not marked yet: another click in a
+// frame where it is would move that one. null = where one was in the scene.
+function unmarked(name, keypoint) {
+  const known = (app.suggestions[name] || []).map((suggestion) => suggestion.frame);
+  const taken = new Set(clicksIn(name).filter((c) => c.keypoint === keypoint).map((c) => c.frame));
+  return (name === app.scene ? [frame(), ...known] : known).find((index) => !taken.has(index)) ?? (name === app.scene ? frame() : null);
+}
 
 function draw() {
   const wanted = step();

@@ -27,7 +27,8 @@ async function choose() {
   const path = field("folder or file", "my-recording"), object = field("object", "object"), keypoints = field("keypoints", "8, or handle,rim,foot");
   const form = element("form", { method: "dialog" },
     element("label", {}, "A recording, or a workspace, by its path ", path),
-    element("label", {}, "Of a recording: the object’s name ", object), element("label", {}, "its keypoints, how many or their names ", keypoints),
+    element("label", {}, "Of a recording: the object’s name ", object),
+    element("label", {}, "Of a recording: its keypoints, how many or their names ", keypoints),
     element("div", { className: "row" }, element("button", { className: "primary", value: "ok", textContent: "Open" }),
       element("button", { type: "button", textContent: "Cancel (Esc)", onclick: () => closeDialog() })));
   const where = known.folder ? `Below ${known.folder}; to open others, start rpl annotate with --folder.`

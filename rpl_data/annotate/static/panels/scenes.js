@@ -72,7 +72,8 @@ function row(name) {
   const done = new Set(clicksIn(name).map((c) => c.keypoint)).size;
   const skipped = app.state.keypoints.filter((_, k) => isSkipped(k, name)).length;
   const found = app.result?.scenes?.[name];
-  const [kind, word, figure] = done || found ? WORDS[found?.state] || ["quiet", "…"] : ["quiet", "nothing yet"];
+  const none = skipped === count ? "not here" : "nothing yet";
+  const [kind, word, figure] = done || found ? WORDS[found?.state] || ["quiet", "…"] : ["quiet", none];
   const off = figure && found.expected_mm != null ? ` ± ${millimetres(found.expected_mm)} mm` : "";
   const button = element("button", { title: explained(found, done, skipped, off) },
     element("span", { className: "name", textContent: name }),
@@ -91,10 +92,27 @@ const ofScene = (name) => ({
 
 function tools() {
   const { marks, skipped } = ofScene(app.scene);
-  const button = element("button", { textContent: "reset", title: "remove this object's clicks and skips in this scene (Shift+R)", disabled: !marks.length && !skipped.length });
-  button.dataset.key = "reset";
-  button.addEventListener("click", reset);
-  return element("div", { className: "tools" }, button);
+  const all = [
+    ["not here", "the object is not in this scene: skip every keypoint that is not marked here (Shift+S)", skipAll, !unmarked().length],
+    ["reset", "remove this object's clicks and skips in this scene (Shift+R)", reset, !marks.length && !skipped.length],
+  ];
+  return element("div", { className: "tools" }, ...all.map(([text, title, does, disabled]) => {
+    const button = element("button", { textContent: text, title, disabled });
+    button.dataset.key = text;
+    button.addEventListener("click", does);
+    return button;
+  }));
+}
+
+// Keypoints that are neither marked nor skipped in the scene that is open.
+function unmarked() {
+  const marked = new Set(clicksIn(app.scene).map((click) => click.keypoint));
+  return app.state.keypoints.map((_, k) => k).filter((k) => !marked.has(k) && !isSkipped(k, app.scene));
+}
+
+// The object is not in this scene; one action, which undo takes back.
+export function skipAll() {
+  if (app.state && unmarked().length) act({ op: "batch", events: unmarked().map((keypoint) => ({ op: "skip", keypoint, scene: app.scene })) });
 }
 
 // Begin the scene anew; one action, which undo takes back.

@@ -31,7 +31,7 @@ export function start() {
   let at = 0;
   const hole = element("div", { className: "hole" }), title = element("b"), text = element("p"), count = element("span", { className: "quiet small" });
   const back = element("button", { textContent: "Back", onclick: () => go(-1) }), next = element("button", { className: "primary", onclick: () => go(1) });
-  const skip = element("button", { textContent: "Skip the tour (Esc)", onclick: () => dialog.close() });
+  const skip = element("button", { textContent: "Skip (Esc)", onclick: () => dialog.close() });
   const card = element("div", { className: "card" }, title, text, element("div", { className: "row" }, next, back, skip, count));
   const dialog = element("dialog", { id: "tour", ariaLabel: "tour of the page" }, hole, card);
   dialog.addEventListener("keydown", (event) => {

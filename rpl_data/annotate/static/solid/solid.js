@@ -25,7 +25,7 @@ export function setUp() {
   new ResizeObserver(() => plot._fullLayout && !section.hidden && window.Plotly.Plots.resize(plot)).observe(plot);
   addKeys([
     [["v"], "the next view: mark, 3D model, labels", nextView],
-    [["Arrow keys, +, - (3D view)"], "rotate the model, zoom in, zoom out", null],
+    [["arrows", "+", "-"], "in 3D: rotate the model, zoom in, zoom out", null],
   ]);
   onChange(draw);
 }
