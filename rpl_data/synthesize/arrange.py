@@ -70,9 +70,7 @@ def arrange(
     return found
 
 
-def draw_pose(
-    studio: Studio, subject: Subject, plate: Plate, rng: np.random.Generator
-) -> Transform | None:
+def draw_pose(studio: Studio, subject: Subject, plate: Plate, rng: np.random.Generator) -> Transform | None:
     """Draw the pose of an object; None where it would be nearer or farther than it ever was."""
     share = studio.centres[int(rng.integers(len(studio.centres)))] + rng.normal(0, 0.03, 2)
     pixel = share.clip(0.03, 0.97) * [plate.camera.width - 1, plate.camera.height - 1]

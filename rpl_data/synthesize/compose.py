@@ -24,9 +24,7 @@ RIM_PX = 4
 """Pixels inside an outline where depth is lost more often."""
 
 
-def laid_over(
-    plate: ColorImage, drawing: Drawing, noise: Noise, rng: np.random.Generator
-) -> ColorImage:
+def laid_over(plate: ColorImage, drawing: Drawing, noise: Noise, rng: np.random.Generator) -> ColorImage:
     """Lay a drawing over a picture of the same size, with the camera's softness and noise."""
     color = cv2.GaussianBlur(drawing.color, (0, 0), SOFT_PX)
     alpha = cv2.GaussianBlur(drawing.alpha, (0, 0), SOFT_PX)[..., None]

@@ -119,9 +119,7 @@ def _fitted(sights: Sequence[_Sight], count: int) -> tuple[np.ndarray, dict[str,
 def _thinned(sight: _Sight) -> _Sight:
     """Some of the texels, the same ones of all images: enough to fit lights by."""
     kept = sight.rows % FITTED_EVERY == 0
-    return _Sight(
-        sight.scene, sight.rows[kept], sight.colors[kept], sight.weights[kept], sight.terms[kept]
-    )
+    return _Sight(sight.scene, sight.rows[kept], sight.colors[kept], sight.weights[kept], sight.terms[kept])
 
 
 def _factor(sight: _Sight, light: Coefficients) -> Float32[np.ndarray, "k 3"]:

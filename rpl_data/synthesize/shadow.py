@@ -45,9 +45,7 @@ def shadows(
     dark = np.zeros(len(points), np.float32)
     for placed in objects:
         reach_m = placed.body.radius_m * REACH
-        near = np.flatnonzero(
-            np.linalg.norm(points - placed.camera_from_object[:3, 3], axis=1) < reach_m
-        )
+        near = np.flatnonzero(np.linalg.norm(points - placed.camera_from_object[:3, 3], axis=1) < reach_m)
         if len(near):
             dark[near] = np.maximum(dark[near], _blocked(placed, points[near], towards))
     height, width = table.directions.shape[:2]

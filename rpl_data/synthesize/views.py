@@ -43,9 +43,7 @@ def shown_directions(body: Body) -> Bool[np.ndarray, " d"]:
     return np.array(found)
 
 
-def view_weights(
-    views: Directions, shown: Bool[np.ndarray, " d"]
-) -> Float64[np.ndarray, " d"]:
+def view_weights(views: Directions, shown: Bool[np.ndarray, " d"]) -> Float64[np.ndarray, " d"]:
     """How likely each of the directions is: the more, the farther it is from what was recorded; sum 1."""
     weights = (1 + LACKING * np.minimum(gaps_deg(views) / GAP_DEG, 1)) * shown
     total: float = weights.sum()

@@ -19,7 +19,9 @@ from rpl_data.types import InstanceLabel, SquareBox
 Drawn = tuple[str, Placed, Alone]
 
 
-def instance_label(table: PixelTable, drawn: Drawn, objects: Sequence[Drawn], subject: Subject) -> InstanceLabel:
+def instance_label(
+    table: PixelTable, drawn: Drawn, objects: Sequence[Drawn], subject: Subject
+) -> InstanceLabel:
     """Label an object of a rendered image as the label stage would, without measured depth in its way.
 
     Args:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -106,9 +106,7 @@ def _render(folder: Path, studio: Studio, job: Job, advance: Advance) -> Counter
     with (folder / SPOOL).open("a") as spool:
         for number in range(len(finished), job.count):
             advance(number, job.count)
-            found = picture(
-                studio, job.objects, number, seed=job.seed, made=made, width_px=job.width_px
-            )
+            found = picture(studio, job.objects, number, seed=job.seed, made=made, width_px=job.width_px)
             line = _line(folder, number, found)
             spool.write(json.dumps(line, allow_nan=False) + "\n")
             spool.flush()

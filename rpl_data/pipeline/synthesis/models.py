@@ -6,6 +6,7 @@ The workspace's own models are made of all scenes; those here never read a file 
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool
@@ -47,12 +48,10 @@ def training_mesh(
     places = training_places(context, name, videos)
     if not places:
         raise DataError(
-            f"object {name} stands still in none of the training scenes ({', '.join(videos)}), so there is no "
-            "dense model of them; leave it out by --objects, or train on more scenes"
+            f"object {name} stands still in none of the training scenes ({', '.join(videos)}), so there is "
+            "no dense model of them; leave it out by --objects, or train on more scenes"
         )
-    only = replace(
-        solution, scene_from_object={place: solution.scene_from_object[place] for place in places}
-    )
+    only = replace(solution, scene_from_object={place: solution.scene_from_object[place] for place in places})
     dense = segment_object(
         {place: load_mesh(_surface(workspace, place)) for place in places},
         only,
@@ -72,7 +71,7 @@ def training_places(context: Context, name: str, videos: tuple[str, ...]) -> lis
     return [place for place in context.still_places(places) if _surface(context.workspace, place).exists()]
 
 
-def _surface(workspace: Workspace, place: str):  # noqa: ANN202
+def _surface(workspace: Workspace, place: str) -> Path:
     return workspace.surface_file(scene_of(place))
 
 
@@ -85,9 +84,7 @@ def _refuse_other_model(item: CocoObject, workspace: Workspace) -> None:
     own = workspace.load_placed(item.model.name).model.points_object
     moved = own if item.frame is None else transform(item.frame, own)
     exported = item.model.points_object
-    if moved.shape != exported.shape or not np.allclose(
-        moved, exported, atol=SAME_MODEL_M, equal_nan=True
-    ):
+    if moved.shape != exported.shape or not np.allclose(moved, exported, atol=SAME_MODEL_M, equal_nan=True):
         raise DataError(
             f"object {item.model.name}: its keypoints are not those of the export any more; run "
             f"`rpl export --workspace {workspace.root}` again"
@@ -95,7 +92,7 @@ def _refuse_other_model(item: CocoObject, workspace: Workspace) -> None:
 
 
 def scene_table(workspace: Workspace, scene: str) -> tuple[np.ndarray, float] | None:
-    """What the things of a scene stand on: the plane's upward normal and offset, scene frame; None unknown."""
+    """What a scene's things stand on: the plane's upward normal and offset, scene frame; None where unknown."""
     from rpl_data.place.things import things_on_support
 
     file = workspace.surface_file(scene)

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from rpl_data.files import write_bytes
-from rpl_data.formats.datasets.coco import depth_unit_m, intrinsics_from_coco
+from rpl_data.formats.datasets.coco import depth_unit_m, intrinsics_from_coco, visible_mask
 from rpl_data.formats.recordings.saved_images import encoded
 from rpl_data.geometry import Transform, invert
 from rpl_data.images import read_pixels
@@ -47,12 +47,10 @@ class _Image:
     @staticmethod
     def of(entry: Json, annotations: Sequence[Json]) -> _Image:
         """An image and where its objects are, with a border."""
-        from pycocotools import mask as masks
-
         camera = intrinsics_from_coco(entry)
         union = np.zeros((camera.height, camera.width), np.uint8)
         for one in annotations:
-            union |= masks.decode(one["segmentation"])
+            union |= visible_mask(one).view(np.uint8)
         kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * BEYOND_PX + 1,) * 2)
         grown = cv2.dilate(union, kernel) > 0
         return _Image(entry, camera, matrix_from_json(entry["scene_from_camera"]), grown)
@@ -88,7 +86,7 @@ def make_plates(
     for scene, entries in sorted(by_scene.items()):
         chosen = _spread(entries, each)
         images = [_Image.of(entry, by_image.get(entry["id"], [])) for entry in chosen]
-        for number, image in enumerate(images):
+        for image in images:
             others = _spread([other for other in images if other is not image], OTHERS)
             plates.append(_plate(folder, training.folder, image, others, tables[scene], ups[scene]))
     return tuple(plates)
@@ -128,14 +126,10 @@ def _plate(
 def plane_in_camera(table: Table, scene_from_camera: Transform) -> Plane:
     """The plane before a camera."""
     normal, offset_m = table
-    return Plane(
-        scene_from_camera[:3, :3].T @ normal, float(offset_m - normal @ scene_from_camera[:3, 3])
-    )
+    return Plane(scene_from_camera[:3, :3].T @ normal, float(offset_m - normal @ scene_from_camera[:3, 3]))
 
 
-def without_objects(
-    image: _Image, others: Sequence[_Image], plane: Plane | None, export: Path
-) -> ColorImage:
+def without_objects(image: _Image, others: Sequence[_Image], plane: Plane | None, export: Path) -> ColorImage:
     """The image with the places of its objects filled from others of its scene."""
     color, hole = image.color(export).copy(), image.objects.copy()
     for other in others if plane is not None else ():
@@ -148,7 +142,9 @@ def without_objects(
         usable = cv2.warpPerspective((~other.objects).astype(np.uint8), other_from_image, size, flags=flags)
         shown = hole & (usable > 0)
         if shown.any():
-            color[shown] = cv2.warpPerspective(other.color(export), other_from_image, size, flags=flags)[shown]
+            color[shown] = cv2.warpPerspective(other.color(export), other_from_image, size, flags=flags)[
+                shown
+            ]
             hole &= ~shown
     if hole.any():
         color = cv2.inpaint(color, hole.astype(np.uint8), FILLED_PX, cv2.INPAINT_TELEA)

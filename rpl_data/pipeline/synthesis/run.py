@@ -52,7 +52,10 @@ def synthesize_workspace(
     if backgrounds is not None:
         studio = replace(studio, plates=own_plates(studio, backgrounds))
     target = out or workspace.export("synthetic")
-    made_of = {"studio": studio_made_of(workspace.studio), "backgrounds": [str(p.color) for p in studio.plates]}
+    made_of = {
+        "studio": studio_made_of(workspace.studio),
+        "backgrounds": [str(p.color) for p in studio.plates],
+    }
     job = Job(count, names, width_px, seed, mix)
     return target, [*synthesize(target, studio, training, job, made_of, advance), *lines]
 

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from rpl_data.export.folder import replacing
-from rpl_data.formats.datasets.coco import CocoObject, depth_unit_m, intrinsics_from_coco
+from rpl_data.formats.datasets.coco import CocoObject, depth_unit_m, intrinsics_from_coco, visible_mask
 from rpl_data.geometry import Transform, invert
 from rpl_data.images import read_pixels
 from rpl_data.json_arrays import Json, matrix_from_json
@@ -230,15 +230,8 @@ def _photos(folder: Path, labels: list[tuple[Json, Json]], gathered: _Gathered) 
             matrix_from_json(image["scene_from_camera"]),
             matrix_from_json(one["camera_from_object"]),
             color,
-            _visible(one),
+            visible_mask(one),
         )
-
-
-def _visible(annotation: Json) -> np.ndarray:
-    from pycocotools import mask as masks
-
-    decoded: np.ndarray = masks.decode(annotation["segmentation"])
-    return decoded.astype(bool)
 
 
 def _measure(folder: Path, labels: list[tuple[Json, Json]], body: Body, gathered: _Gathered) -> None:
@@ -252,6 +245,6 @@ def _measure(folder: Path, labels: list[tuple[Json, Json]], body: Body, gathered
         if units is None or found is None:
             continue
         measured_m = units[found.window].astype(np.float32) * np.float32(depth_unit_m(image))
-        errors = depth_errors(found.depth_m, _visible(one)[found.window], measured_m)
+        errors = depth_errors(found.depth_m, visible_mask(one)[found.window], measured_m)
         if errors is not None:
             gathered.depth_errors.append(errors)
