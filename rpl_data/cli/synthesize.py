@@ -31,7 +31,7 @@ def synthesize(
 
     Args:
         workspace: a folder made by `rpl build`.
-        count: images to render.
+        count: images to render; 0 only prepares what a training with `--synthetic` renders from.
         out: folder to write; its old content is replaced.
         objects: only these: '[cup, drill]'.
         width: width of the images in pixels; that of the recordings when left out.

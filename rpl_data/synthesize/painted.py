@@ -8,6 +8,7 @@ are interpolated.
 from __future__ import annotations
 
 import io
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -76,7 +77,7 @@ def grid(steps: int) -> Float64[np.ndarray, "t 2"]:
 
 def steps_of(texels: int) -> int:
     """Steps of the grid that has so many points."""
-    return round((np.sqrt(8 * texels + 1) - 3) / 2)
+    return (math.isqrt(8 * texels + 1) - 3) // 2
 
 
 def _numbers(steps: int) -> Int64[np.ndarray, "s s"]:
@@ -113,6 +114,9 @@ def save_painted(path: Path, painted: PaintedMesh) -> None:
 
 def load_painted(path: Path) -> PaintedMesh:
     """Read what `save_painted` wrote; DataError when it is missing or damaged."""
-    with decoding(path, "make it again with `rpl synthesize`"):
-        with np.load(io.BytesIO(read_bytes(path)), allow_pickle=False) as stored:
-            return PaintedMesh(**{name: stored[name] for name in PaintedMesh.__dataclass_fields__})
+    content = io.BytesIO(read_bytes(path))
+    with (
+        decoding(path, "make it again with `rpl synthesize --again true`"),
+        np.load(content, allow_pickle=False) as stored,
+    ):
+        return PaintedMesh(**{name: stored[name] for name in PaintedMesh.__dataclass_fields__})

@@ -119,7 +119,7 @@ class Alone:
     @property
     def mask(self) -> Bool[np.ndarray, "h w"]:
         """Where the object is."""
-        return np.isfinite(self.depth_m)
+        return np.asarray(np.isfinite(self.depth_m))
 
 
 def alone(table: PixelTable, placed: Placed) -> Alone | None:

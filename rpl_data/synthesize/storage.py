@@ -77,6 +77,7 @@ def _subject_to_json(subject: Subject) -> Json:
     points = subject.body.points_object
     return {
         "points_object": [None if np.isnan(row).any() else row.tolist() for row in points],
+        "keypoints": list(subject.keypoints),
         "views": subject.views.tolist(),
         "shown": np.flatnonzero(subject.shown).tolist(),
         "directions": len(subject.shown),
@@ -94,6 +95,7 @@ def _subject_from_json(folder: Path, name: str, stored: Mapping[str, Any]) -> Su
     shown[stored["shown"]] = True
     return Subject(
         body=Body(name, load_painted(folder / f"{name}.npz"), points.reshape(-1, 3)),
+        keypoints=tuple(stored["keypoints"]),
         views=np.array(stored["views"], dtype=float).reshape(-1, 3),
         shown=shown,
         ups=np.array(stored["ups"], dtype=float).reshape(-1, 3),

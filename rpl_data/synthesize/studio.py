@@ -1,4 +1,4 @@
-"""What new views are made of: objects, plates to put them on, lights and noise, all of the same few scenes."""
+"""What new views are made of: objects, plates to put them on, lights and noise, all of the same scenes."""
 
 from __future__ import annotations
 
@@ -57,6 +57,7 @@ class Subject:
     """An object, and how it may be shown.
 
     Attributes:
+        keypoints: their names.
         views: directions from the object to the camera in the recorded images, object frame.
         shown: for each of `spread_directions`, whether the mesh was seen from there.
         ups: what was up, or out of the table, in each scene; object frame.
@@ -66,6 +67,7 @@ class Subject:
     """
 
     body: Body
+    keypoints: tuple[str, ...]
     views: Directions
     shown: Bool[np.ndarray, " d"]
     ups: Directions

@@ -25,6 +25,7 @@ from rpl_data.json_arrays import Json
 from rpl_data.meshes import save_mesh
 from rpl_data.pipeline.synthesis.pictures import Picture, picture
 from rpl_data.pipeline.synthesis.training import Training
+from rpl_data.synthesize.painted import steps_of
 from rpl_data.synthesize.studio import Studio
 from rpl_data.types import DataError, Frame, Mesh
 from rpl_data.wording import counted
@@ -32,6 +33,8 @@ from rpl_data.wording import counted
 SCENE = "synthetic"
 """Name of the scene that rendered images are of."""
 SPOOL, JOB = "images.jsonl", "job.json"
+STUDIO = "studio"
+"""Folder beside the splits with what the images were rendered from."""
 REST: tuple[SplitName, ...] = ("val", "test")
 
 Advance = Callable[[int, int], None]
@@ -56,11 +59,18 @@ class Job:
 
 
 def synthesize(
-    out: Path, studio: Studio, training: Training, job: Job, made_of: Json, advance: Advance
+    out: Path,
+    studio_folder: Path,
+    studio: Studio,
+    training: Training,
+    job: Job,
+    made_of: Json,
+    advance: Advance,
 ) -> list[str]:
     """Render the images of a job and write the folder; returns lines for the user.
 
     Args:
+        studio_folder: where the studio lies; the folder gets it as studio/, for `SyntheticKeypoints`.
         made_of: what the studio was made of; another one makes unfinished images worthless.
         advance: is told how many images are done.
 
@@ -73,7 +83,7 @@ def synthesize(
     _begin(unfinished, {"job": asdict(job) | {"objects": list(job.objects)}, "made_of": made_of})
     skipped = _render(unfinished, studio, job, advance)
     with replacing(out) as building:
-        lines = _write(building, unfinished, studio, training, job)
+        lines = _write(building, unfinished, studio_folder, studio, training, job)
     shutil.rmtree(unfinished, ignore_errors=True)
     return [*lines, *_skipped_lines(skipped, studio, job)]
 
@@ -150,8 +160,12 @@ def _line(folder: Path, number: int, found: Picture) -> Json:
 # The folder ---------------------------------------------------------------------------------------
 
 
-def _write(building: Path, unfinished: Path, studio: Studio, training: Training, job: Job) -> list[str]:
+def _write(
+    building: Path, unfinished: Path, studio_folder: Path, studio: Studio, training: Training, job: Job
+) -> list[str]:
     files = Filling()
+    for path in sorted(path for path in studio_folder.rglob("*") if path.is_file()):
+        files.share(path, building / STUDIO / path.relative_to(studio_folder))
     objects = _objects(building, studio, training)
     top = header(objects)
     top["rpl"]["synthetic"] = {
@@ -219,7 +233,7 @@ def _objects(building: Path, studio: Studio, training: Training) -> list[CocoObj
 
 def _with_vertex_colors(mesh: Mesh, texels: np.ndarray) -> Mesh:
     """The mesh with the colours of its corners' texels: first, last of the first row, and last."""
-    steps = round((np.sqrt(8 * texels.shape[1] + 1) - 3) / 2)
+    steps = steps_of(texels.shape[1])
     colors = np.zeros((len(mesh.vertices), 3), np.uint8)
     # In the order of `painted.grid`: (0, 0), (steps, 0), (0, steps).
     for corner, texel in enumerate((0, texels.shape[1] - 1, steps)):

@@ -92,7 +92,7 @@ def _refuse_other_model(item: CocoObject, workspace: Workspace) -> None:
 
 
 def scene_table(workspace: Workspace, scene: str) -> tuple[np.ndarray, float] | None:
-    """What a scene's things stand on: the plane's upward normal and offset, scene frame; None where unknown."""
+    """What a scene's things stand on: the plane's upward normal and offset, scene frame; None = unknown."""
     from rpl_data.place.things import things_on_support
 
     file = workspace.surface_file(scene)

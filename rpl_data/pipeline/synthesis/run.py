@@ -41,9 +41,9 @@ def synthesize_workspace(
     Raises:
         DataError: there are no labels, an option is out of its range, or an object is not known.
     """
-    if count < 1 or seed < 0 or (width_px is not None and width_px < SMALLEST_PX):
+    if count < 0 or seed < 0 or (width_px is not None and width_px < SMALLEST_PX):
         raise DataError(
-            f"--count is {count}, --seed {seed}, --width {width_px}; expected at least 1, 0 and {SMALLEST_PX}"
+            f"--count is {count}, --seed {seed}, --width {width_px}; expected at least 0, 0 and {SMALLEST_PX}"
         )
     context = context_of(workspace)
     training = training_split(workspace)
@@ -57,7 +57,7 @@ def synthesize_workspace(
         "backgrounds": [str(p.color) for p in studio.plates],
     }
     job = Job(count, names, width_px, seed, mix)
-    return target, [*synthesize(target, studio, training, job, made_of, advance), *lines]
+    return target, [*synthesize(target, workspace.studio, studio, training, job, made_of, advance), *lines]
 
 
 def _names(studio: Studio, wanted: Sequence[str] | None) -> tuple[tuple[str, ...], list[str]]:
@@ -72,8 +72,8 @@ def _names(studio: Studio, wanted: Sequence[str] | None) -> tuple[tuple[str, ...
     hollow = [name for name in asked if not studio.subjects[name].shown.any()]
     names = tuple(name for name in asked if name not in hollow)
     fault = (
-        f"object {', '.join(hollow)}: from no direction the training scenes saw its surface wholly, so no view "
-        "of it would be true"
+        f"object {', '.join(hollow)}: from no direction the training scenes saw its surface wholly, so no "
+        "view of it would be true"
     )
     if not names or (hollow and wanted is not None):
         raise DataError(f"{fault}; film it from more sides, or leave it out by --objects")

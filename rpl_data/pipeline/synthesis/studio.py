@@ -34,7 +34,7 @@ from rpl_data.synthesize.views import shown_directions
 from rpl_data.torch.turns import turn_by_scenes, up_in_object
 from rpl_data.types import DataError, Intrinsics
 
-VERSION = 1
+VERSION = 2
 """Increase it when the same workspace gives another studio."""
 MOST_PHOTOS = 80
 """Images per object that colour it."""
@@ -177,6 +177,7 @@ def _subject(
     distances = np.linalg.norm(poses[:, :3, 3], axis=1)
     return Subject(
         body=body,
+        keypoints=item.model.keypoints,
         views=np.array([view_of(pose) for pose in poses]),
         shown=shown_directions(body),
         ups=np.array([_up_of(labels, poses, scenes, scene, tables) for scene in np.unique(scenes)]),

@@ -62,8 +62,9 @@ def training_split(workspace: Workspace) -> Training:
     shared = scenes & scenes_of(folder, "test")
     if shared:
         raise DataError(
-            f"scene {', '.join(sorted(shared))} is in train.json and in test.json of {folder}, so nothing can "
-            "be made of training scenes alone; split by scenes (`split: {test_scenes: ...}`) and export again"
+            f"scene {', '.join(sorted(shared))} is in train.json and in test.json of {folder}, so nothing "
+            "can be made of training scenes alone; split by scenes (`split: {test_scenes: ...}`) and export "
+            "again"
         )
     digest = hashlib.sha256(read_bytes(file)).hexdigest()[:16]
     return Training(folder, tuple(objects_from_coco(data)), tuple(sorted(scenes)), data, digest)
