@@ -7,13 +7,14 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int64
+from jaxtyping import Float32, Float64, UInt8
 
 from rpl_data.geometry import Points
 from rpl_data.keypoint_surface import KeypointSurface
-from rpl_data.meshes import vertex_normals
 from rpl_data.raycast import RayScene
-from rpl_data.synthesize.painted import PaintedMesh
+from rpl_data.synthesize.normals import steady_normals
+from rpl_data.synthesize.painted import PaintedMesh, steps_of, texel_positions
+from rpl_data.types import Mesh
 
 
 @dataclass(frozen=True)
@@ -53,19 +54,16 @@ class Body:
         return float(np.linalg.norm(self.painted.vertices, axis=1).max())
 
     @cached_property
-    def _normals(self) -> Float32[np.ndarray, "n 3"]:
-        return vertex_normals(self.painted.mesh).astype(np.float32)
+    def colors(self) -> UInt8[np.ndarray, "n 3"]:
+        """RGB of all texels, triangle after triangle."""
+        return self.painted.texels.reshape(-1, 3)
 
-    def normals_at(
-        self, triangle: Int64[np.ndarray, " k"], uv: Float32[np.ndarray, "k 2"]
-    ) -> Float32[np.ndarray, "k 3"]:
-        """Smooth normals at barycentric coordinates of triangles, object frame; about of length 1."""
-        a, b, c = self.painted.triangles[triangle].T
-        u, v = uv[:, :1], uv[:, 1:]
-        mixed: Float32[np.ndarray, "k 3"] = (
-            (1 - u - v) * self._normals[a] + u * self._normals[b] + v * self._normals[c]
-        )
-        return mixed
+    @cached_property
+    def normals(self) -> Float32[np.ndarray, "n 3"]:
+        """Normals of all texels, object frame; about of length 1."""
+        mesh, each = self.painted.mesh, self.painted.texels.shape[1]
+        corners = Mesh(steady_normals(mesh), mesh.triangles)
+        return texel_positions(corners, steps_of(each)).astype(np.float32)
 
     def __getstate__(self) -> dict[str, Any]:
         """What worker processes receive: without the indexes, which each makes for itself."""

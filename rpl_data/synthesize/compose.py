@@ -24,10 +24,12 @@ RIM_PX = 4
 """Pixels inside an outline where depth is lost more often."""
 
 
-def laid_over(plate: ColorImage, drawing: Drawing, noise: Noise, rng: np.random.Generator) -> ColorImage:
+def laid_over(
+    plate: ColorImage, drawing: Drawing, noise: Noise, rng: np.random.Generator, *, soft_px: float = SOFT_PX
+) -> ColorImage:
     """Lay a drawing over a picture of the same size, with the camera's softness and noise."""
-    color = cv2.GaussianBlur(drawing.color, (0, 0), SOFT_PX)
-    alpha = cv2.GaussianBlur(drawing.alpha, (0, 0), SOFT_PX)[..., None]
+    color = cv2.GaussianBlur(drawing.color, (0, 0), soft_px)
+    alpha = cv2.GaussianBlur(drawing.alpha, (0, 0), soft_px)[..., None]
     grain = rng.standard_normal(color.shape, dtype=np.float32) * np.float32(noise.color)
     mixed = plate * (1 - alpha) + color + grain * alpha
     return np.asarray(mixed.round().clip(0, 255).astype(np.uint8))

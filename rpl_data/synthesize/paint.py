@@ -16,9 +16,9 @@ from jaxtyping import Bool, Float32, Int64
 from scipy.spatial import cKDTree
 
 from rpl_data.geometry import Pixels, Points, Transform, invert, transform
-from rpl_data.meshes import vertex_normals
 from rpl_data.raycast import PixelTable, RayScene, depth_along_m
 from rpl_data.synthesize.light import BRIGHTEST, DARKEST, TERMS, Coefficients, harmonics
+from rpl_data.synthesize.normals import steady_normals
 from rpl_data.synthesize.painted import PaintedMesh, steps_for, texel_positions
 from rpl_data.types import ColorImage, Mesh
 
@@ -87,7 +87,7 @@ def paint(
     """
     steps = steps_for(mesh)
     points = texel_positions(mesh, steps)
-    normals = texel_positions(Mesh(vertex_normals(mesh), mesh.triangles), steps)
+    normals = texel_positions(Mesh(steady_normals(mesh), mesh.triangles), steps)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
     rays = RayScene([mesh], threads=1)
     sights = [sight for photo in photos if (sight := _sight(rays, mesh, points, normals, photo)) is not None]

@@ -1,8 +1,7 @@
 """A mesh with a grid of colours on every triangle, finer than its vertices.
 
 The triangles of a dense model are some 2 mm wide, and a camera sees more than that. Each triangle carries the
-colours of ``(n + 1)(n + 2) / 2`` points (texels) on a grid of n steps along its edges; between them, colours
-are interpolated.
+colours of ``(n + 1)(n + 2) / 2`` points (texels) on a grid of n steps along its edges.
 """
 
 from __future__ import annotations
@@ -10,10 +9,11 @@ from __future__ import annotations
 import io
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Float64, Int64, UInt8
+from jaxtyping import Bool, Float, Float64, Int64, UInt8
 
 from rpl_data.files import decoding, read_bytes, write_bytes
 from rpl_data.geometry import Points
@@ -43,31 +43,18 @@ class PaintedMesh:
         """The triangles alone."""
         return Mesh(self.vertices, self.triangles)
 
-    @property
-    def steps(self) -> int:
-        """Steps of the grid along an edge."""
-        return steps_of(self.texels.shape[1])
-
-    def colors_at(
+    def texel_at(
         self, triangle: Int64[np.ndarray, " k"], uv: Float[np.ndarray, "k 2"]
-    ) -> Float32[np.ndarray, "k 3"]:
-        """Colours, 0 to 255, at barycentric coordinates of triangles, as `raycast.Hits` has them."""
-        steps, number = self.steps, _numbers(self.steps)
-        at = np.clip(uv, 0, 1) * np.float32(steps)
-        cell = np.minimum(at.astype(np.int64), steps - 1)
-        inside = at - cell
-        upper = inside.sum(axis=1) > 1
-        near = cell + upper[:, None]
-        weight = np.where(upper[:, None], 1 - inside, inside).astype(np.float32)
-        step = np.where(upper, -1, 1)
-        corners = (near, near + np.outer(step, [1, 0]), near + np.outer(step, [0, 1]))
-        weights = (1 - weight.sum(axis=1), weight[:, 0], weight[:, 1])
-        mixed = np.zeros((len(triangle), 3), np.float32)
-        for (i, j), share in zip((corner.T for corner in corners), weights, strict=True):
-            # On the edge i + j = steps rounding can lead one step beyond, with a weight of 0.
-            texel = number[np.clip(i, 0, steps), np.clip(j, 0, steps)]
-            mixed += share[:, None] * self.texels[triangle, texel]
-        return mixed
+    ) -> Int64[np.ndarray, " k"]:
+        """The texel nearest to barycentric coordinates of triangles, as `raycast.Hits` has them.
+
+        It is a row of the texels, triangle after triangle.
+        """
+        each = self.texels.shape[1]
+        steps = steps_of(each)
+        i, j = np.rint(np.clip(uv, 0, 1) * np.float32(steps)).astype(np.int64).T
+        found: Int64[np.ndarray, " k"] = triangle * each + _numbers(steps)[i, j]
+        return found
 
 
 def grid(steps: int) -> Float64[np.ndarray, "t 2"]:
@@ -80,8 +67,9 @@ def steps_of(texels: int) -> int:
     return (math.isqrt(8 * texels + 1) - 3) // 2
 
 
+@lru_cache
 def _numbers(steps: int) -> Int64[np.ndarray, "s s"]:
-    """The number of the texel (i, j); the nearest one on the edge where there is none."""
+    """The number of the texel (i, j); beyond the triangle's edge, where rounding may lead, one on it."""
     number = np.zeros((steps + 1, steps + 1), np.int64)
     for k, (i, j) in enumerate(np.rint(grid(steps) * steps).astype(int)):
         number[i, j] = k

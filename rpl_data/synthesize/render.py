@@ -60,19 +60,21 @@ def table_of(directions: Float64[np.ndarray, "h w 3"], intrinsics: Intrinsics) -
     return PixelTable(intrinsics, directions.astype(np.float32), *ranges)
 
 
-def draw(finer: PixelTable, objects: list[Placed], light: Light) -> Drawing:
+def draw(table: PixelTable, objects: list[Placed], light: Light, *, finer: int = FINER) -> Drawing:
     """Draw objects; the nearest hides the others.
 
     Args:
-        finer: rays of a grid finer than the image, by `FINER`.
+        table: rays of a grid that is `finer` times as fine as the image.
     """
-    height, width = finer.directions.shape[:2]
+    height, width = table.directions.shape[:2]
     nearest = np.full((height, width), np.inf, np.float32)
     color = np.zeros((height, width, 3), np.float32)
     for placed in objects:
-        _draw_one(finer, placed, light, nearest, color)
-    size = width // FINER, height // FINER
+        _draw_one(table, placed, light, nearest, color)
+    size = width // finer, height // finer
     alpha = np.isfinite(nearest).astype(np.float32)
+    if finer == 1:
+        return Drawing(color, alpha)
     return Drawing(
         cv2.resize(color, size, interpolation=cv2.INTER_AREA),
         cv2.resize(alpha, size, interpolation=cv2.INTER_AREA),
@@ -80,7 +82,7 @@ def draw(finer: PixelTable, objects: list[Placed], light: Light) -> Drawing:
 
 
 def _draw_one(
-    finer: PixelTable,
+    table: PixelTable,
     placed: Placed,
     light: Light,
     nearest: Depth,
@@ -88,19 +90,18 @@ def _draw_one(
 ) -> None:
     """Draw an object over what is farther, into `nearest` and `color`."""
     body, pose = placed.body, placed.camera_from_object
-    window = finer.window(transform(pose, body.hull))
+    window = table.window(transform(pose, body.hull))
     if window is None:
         return
-    hits = body.rays.cast(rays_in_object(finer.directions[window], pose))
+    hits = body.rays.cast(rays_in_object(table.directions[window], pose))
     before = np.flatnonzero(hits.t < nearest[window].ravel())
-    triangle, uv = hits.triangle_id[before], hits.uv[before]
-    colors = body.painted.colors_at(triangle, uv)
-    colors *= shade(body.normals_at(triangle, uv) @ pose[:3, :3].T.astype(np.float32), light)
+    texel = body.painted.texel_at(hits.triangle_id[before], hits.uv[before])
+    shaded = shade(body.normals[texel] @ pose[:3, :3].T.astype(np.float32), light)
     shape = nearest[window].shape
     rows, columns = np.unravel_index(before, shape)
     rows, columns = rows + window[0].start, columns + window[1].start
     nearest[rows, columns] = hits.t[before]
-    color[rows, columns] = colors
+    color[rows, columns] = shaded * body.colors[texel]
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from rpl_data.geometry import Transform, inside_image, project, rays, square_box
 from rpl_data.synthesize.arrange import draw_pose
 from rpl_data.synthesize.compose import laid_over, shadowed
 from rpl_data.synthesize.light import draw_light
-from rpl_data.synthesize.render import FINER, Placed, draw, table_of
+from rpl_data.synthesize.render import Placed, draw, table_of
 from rpl_data.synthesize.storage import load_studio
 from rpl_data.synthesize.studio import Plate
 from rpl_data.torch.augmentation import Augmentation
@@ -43,6 +43,8 @@ from rpl_data.wording import counted
 
 TRIES = 100
 """Draws of a pose; where a table lies unluckily, many would put the object beyond recorded distances."""
+SOFT_PX = 0.7
+"""Softness of the crop: it is drawn with one ray per pixel, four times as fast as `rpl synthesize` draws."""
 LEAST_INSIDE = 0.5
 """Share of the keypoints that lie in the image before it is cropped."""
 
@@ -95,11 +97,17 @@ class SyntheticKeypoints(Dataset[KeypointSample]):
             raise DataError(
                 "augment.occluders and augment.backgrounds are for recorded crops; leave them out here"
             )
-        self._studio = load_studio(Path(path) / "studio")
-        if object not in self._studio.subjects:
-            known = ", ".join(self._studio.subjects)
+        studio = load_studio(Path(path) / "studio")
+        if object not in studio.subjects:
+            known = ", ".join(studio.subjects)
             raise DataError(f"{path}: there is no object {object!r} to render; there are {known}")
-        self._subject = self._studio.subjects[object]
+        self._subject = studio.subjects[object]
+        self._studio = replace(studio, subjects={object: self._subject})
+        if not self._subject.shown.any():
+            raise DataError(
+                f"{path}: from no direction the training scenes saw the surface of {object} wholly, so no "
+                "view of it would be true; film it from more sides"
+            )
         self._length = length
         self.scenes = self._studio.scenes
         self.input_px, self.heatmap_px = input_px, heatmap_px
@@ -194,24 +202,22 @@ class SyntheticKeypoints(Dataset[KeypointSample]):
         """Draw the crop."""
         placed = [Placed(self._subject.body, pose)]
         light = draw_light(self._studio.lights, plate.up, rng)
-        finer = table_of(self._directions(plate.camera, crop_from_image, FINER), plate.camera)
+        table = table_of(self._directions(plate.camera, crop_from_image), plate.camera)
         if self.augment is not None and rng.uniform() < self.augment.background:
             behind = background(self._pieces, self.input_px, rng)
         else:
             size = (self.input_px, self.input_px)
             behind = warped(self._picture(plate), crop_from_image, size=size)
-            coarse = table_of(self._directions(plate.camera, crop_from_image, 1), plate.camera)
-            behind = shadowed(behind, coarse, placed, plate.table, light)
-        return laid_over(behind, draw(finer, placed, light), self._studio.noise, rng)
+            behind = shadowed(behind, table, placed, plate.table, light)
+        drawing = draw(table, placed, light, finer=1)
+        return laid_over(behind, drawing, self._studio.noise, rng, soft_px=SOFT_PX)
 
-    def _directions(
-        self, camera: Intrinsics, crop_from_image: Affine, finer: int
-    ) -> Float64[np.ndarray, "h w 3"]:
-        """Rays through a grid on the crop, `finer` times as fine as its pixels."""
-        side = (np.arange(finer * self.input_px) + 0.5) / finer - 0.5
+    def _directions(self, camera: Intrinsics, crop_from_image: Affine) -> Float64[np.ndarray, "h w 3"]:
+        """Rays through the pixels of the crop."""
+        side = np.arange(self.input_px, dtype=float)
         grid = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
         directions = rays(camera, moved(inverted(crop_from_image), grid))
-        return directions.reshape(len(side), len(side), 3)
+        return directions.reshape(self.input_px, self.input_px, 3)
 
     @cached_property
     def _pictures(self) -> dict[Path, Image]:

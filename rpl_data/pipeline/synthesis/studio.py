@@ -34,7 +34,7 @@ from rpl_data.synthesize.views import shown_directions
 from rpl_data.torch.turns import turn_by_scenes, up_in_object
 from rpl_data.types import DataError, Intrinsics
 
-VERSION = 2
+VERSION = 3
 """Increase it when the same workspace gives another studio."""
 MOST_PHOTOS = 80
 """Images per object that colour it."""
