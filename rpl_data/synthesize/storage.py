@@ -11,6 +11,7 @@ import numpy as np
 
 from rpl_data.files import decoding, read_json, write_json
 from rpl_data.json_arrays import Json
+from rpl_data.symmetries import symmetries_from_json, symmetries_to_json
 from rpl_data.synthesize.body import Body
 from rpl_data.synthesize.light import SceneLight
 from rpl_data.synthesize.painted import load_painted, save_painted
@@ -78,6 +79,7 @@ def _subject_to_json(subject: Subject) -> Json:
     return {
         "points_object": [None if np.isnan(row).any() else row.tolist() for row in points],
         "keypoints": list(subject.keypoints),
+        "symmetries": symmetries_to_json(subject.symmetries),
         "views": subject.views.tolist(),
         "shown": np.flatnonzero(subject.shown).tolist(),
         "directions": len(subject.shown),
@@ -103,6 +105,7 @@ def _subject_from_json(folder: Path, name: str, stored: Mapping[str, Any]) -> Su
         nearest_m=stored["nearest_m"],
         farthest_m=stored["farthest_m"],
         keypoint_sigma_m=stored["keypoint_sigma_m"],
+        symmetries=symmetries_from_json(stored["symmetries"]),
     )
 
 

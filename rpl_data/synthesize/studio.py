@@ -15,7 +15,7 @@ from rpl_data.directions import Directions
 from rpl_data.synthesize.body import Body
 from rpl_data.synthesize.light import SceneLight
 from rpl_data.synthesize.views import view_weights
-from rpl_data.types import Intrinsics
+from rpl_data.types import Intrinsics, Symmetries
 
 
 @dataclass(frozen=True)
@@ -64,6 +64,7 @@ class Subject:
         turn_deg: largest turn of the image against upright.
         nearest_m, farthest_m: recorded distances.
         keypoint_sigma_m: how far off the keypoints may be on the mesh, standard deviation per axis.
+        symmetries: what leaves it looking the same.
     """
 
     body: Body
@@ -75,6 +76,7 @@ class Subject:
     nearest_m: float
     farthest_m: float
     keypoint_sigma_m: float
+    symmetries: Symmetries = Symmetries()
 
     @cached_property
     def likely(self) -> Float64[np.ndarray, " d"]:

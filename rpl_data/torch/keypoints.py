@@ -75,6 +75,7 @@ class KeypointDataset(Dataset[KeypointSample]):
     Attributes:
         model: the keypoint model of the object.
         input_px, heatmap_px: side of the crops and of the heatmaps.
+        sigma_px: sigma of the Gaussians, in heatmap pixels.
         augment: the augmentation, with `auto` decided; None without one.
     """
 
@@ -134,7 +135,7 @@ class KeypointDataset(Dataset[KeypointSample]):
         chosen, category_id = choose_object(data, object, coco_json)
         self.model = chosen.model
         self.input_px, self.heatmap_px = input_px, heatmap_px
-        self._sigma_px = sigma_px
+        self.sigma_px = sigma_px
         self._transforms, self._draws_heatmaps = transforms, heatmaps
         self._rows = keypoint_rows(data, category_id, coco_json.parent)
         if len(self._rows.files) == 0:
@@ -205,7 +206,7 @@ class KeypointDataset(Dataset[KeypointSample]):
         float64 becomes float32 where the device has no float64 (Apple's MPS).
         """
         sizes = {"input_px": self.input_px, "heatmap_px": self.heatmap_px}
-        return batch_on_device(batch, device, sigma_px=self._sigma_px, **sizes)
+        return batch_on_device(batch, device, sigma_px=self.sigma_px, **sizes)
 
     def _view(self, row: int) -> View:
         """The image of a row, as far as its crops need it, after the transforms."""
@@ -241,7 +242,7 @@ class KeypointDataset(Dataset[KeypointSample]):
             camera=camera,
             points_object=self._points_object,
             ids=(int(rows.image_ids[row]), int(rows.annotation_ids[row])),
-            heatmaps=(self.heatmap_px, self._sigma_px) if self._draws_heatmaps else None,
+            heatmaps=(self.heatmap_px, self.sigma_px) if self._draws_heatmaps else None,
         )
 
     def _rectangles(self) -> list[Rectangle]:

@@ -27,8 +27,10 @@ from rpl_data.torch.cutouts import Piece, Pieces
 from rpl_data.torch.image_files import read_image
 from rpl_data.torch.keypoint_rows import DISTORTION_LENGTH
 from rpl_data.torch.keypoint_sample import KeypointSample, keypoint_sample
+from rpl_data.torch.keypoints import KeypointDataset
 from rpl_data.torch.on_device import batch_on_device
 from rpl_data.torch.pasting import background
+from rpl_data.torch.symmetric import canonical_label
 from rpl_data.torch.transforms import (
     Affine,
     Image,
@@ -76,6 +78,7 @@ class SyntheticKeypoints(Dataset[KeypointSample]):
         heatmap_px: int = 64,
         sigma_px: float = 1.0,
         augment: Augmentation | None = None,
+        canonical: bool = False,
         heatmaps: bool = True,
     ) -> None:
         """Read meshes, colours and lights; pictures are decoded when they are first drawn.
@@ -84,7 +87,7 @@ class SyntheticKeypoints(Dataset[KeypointSample]):
             path: the folder that `rpl synthesize` wrote.
             object: its name.
             length: samples per epoch.
-            input_px, heatmap_px, sigma_px, heatmaps: as for `KeypointDataset`.
+            input_px, heatmap_px, sigma_px, canonical, heatmaps: as for `KeypointDataset`.
             augment: shifts, scales, turns and colours, as for `KeypointDataset`; `background` is the share of
                 crops with any piece of a background behind the object, in any turn, in place of the table
                 that it stands on.
@@ -111,7 +114,7 @@ class SyntheticKeypoints(Dataset[KeypointSample]):
         self._length = length
         self.scenes = self._studio.scenes
         self.input_px, self.heatmap_px = input_px, heatmap_px
-        self._sigma_px, self._draws_heatmaps = sigma_px, heatmaps
+        self._sigma_px, self._draws_heatmaps, self._canonical = sigma_px, heatmaps, canonical
         if augment is not None and augment.rotation_deg == "auto":
             augment = replace(augment, rotation_deg=self._subject.turn_deg)
         self.augment = augment
@@ -141,8 +144,14 @@ class SyntheticKeypoints(Dataset[KeypointSample]):
         plate, pose = self._posed(rng)
         keypoints = self._keypoints(plate.camera, pose)
         square = np.array(_square(keypoints[:, :2]))
+        shown = pose
+        if self._canonical:
+            label = (pose, keypoints, square)
+            pose, keypoints, square = canonical_label(
+                *label, self._subject.symmetries, self._subject.body.points_object, plate.camera
+            )
         crop_from_image = self._crop_from_image(square, rng)
-        crop = self._rendered(plate, pose, crop_from_image, rng)
+        crop = self._rendered(plate, shown, crop_from_image, rng)
         if self.augment is not None:
             crop = jittered(crop, self.augment, rng)
         distortion = np.zeros(DISTORTION_LENGTH)
@@ -240,11 +249,10 @@ class PartlySynthetic(Dataset[KeypointSample]):
     It is as long as the recorded ones, so that epochs have the steps they had.
     """
 
-    def __init__(self, recorded: Any, synthetic: SyntheticKeypoints, share: float) -> None:
+    def __init__(self, recorded: KeypointDataset, synthetic: SyntheticKeypoints, share: float) -> None:
         """Join them.
 
         Args:
-            recorded: a `KeypointDataset`.
             share: 0 to 1.
 
         Raises:
@@ -267,9 +275,36 @@ class PartlySynthetic(Dataset[KeypointSample]):
     def __getitem__(self, row: int) -> KeypointSample:
         """A recorded crop, or a rendered one."""
         if float(torch.rand(())) >= self._share:
-            sample: KeypointSample = self._recorded[row]
-            return sample
+            return self._recorded[row]
         return self._synthetic[row % len(self._synthetic)]
+
+
+def partly_synthetic(
+    recorded: KeypointDataset, folder: str | Path, share: float, *, canonical: bool = False
+) -> PartlySynthetic:
+    """Replace a share of recorded crops by crops that are rendered with the same sizes and augmentation.
+
+    Args:
+        folder: what `rpl synthesize` wrote.
+        canonical: as the recorded crops were opened.
+
+    Raises:
+        DataError: as of `SyntheticKeypoints` and `PartlySynthetic`.
+    """
+    augment = recorded.augment
+    if augment is not None:
+        augment = replace(augment, occluders=0.0, backgrounds=None)
+    synthetic = SyntheticKeypoints(
+        folder,
+        object=recorded.model.name,
+        length=len(recorded),
+        input_px=recorded.input_px,
+        heatmap_px=recorded.heatmap_px,
+        sigma_px=recorded.sigma_px,
+        augment=augment,
+        canonical=canonical,
+    )
+    return PartlySynthetic(recorded, synthetic, share)
 
 
 def _square(keypoints_px: Float64[np.ndarray, "k 2"]) -> tuple[float, float, float]:

@@ -34,7 +34,7 @@ from rpl_data.synthesize.views import shown_directions
 from rpl_data.torch.turns import turn_by_scenes, up_in_object
 from rpl_data.types import DataError, Intrinsics
 
-VERSION = 3
+VERSION = 1
 """Increase it when the same workspace gives another studio."""
 MOST_PHOTOS = 80
 """Images per object that colour it."""
@@ -185,6 +185,7 @@ def _subject(
         nearest_m=float(np.percentile(distances, 2)),
         farthest_m=float(np.percentile(distances, 98)),
         keypoint_sigma_m=_keypoint_sigma_m(context, name),
+        symmetries=item.symmetries,
     )
 
 
