@@ -35,11 +35,11 @@ LEAST_PAINTED = 0.5
 """Share of a triangle's texels that images must colour for it to count as seen."""
 NEIGHBOUR_M = 0.01
 """A texel that no image shows takes the colour of one within this distance, else that of the mesh."""
-ROUNDS = 4
+ROUNDS = 10
 """Times that colours and lights are fitted in turn."""
 FITTED_EVERY = 8
 """Lights are fitted to one in so many texels."""
-RIDGE = 0.02
+RIDGE = 0.003
 """Weight by which a light is pulled to even light, per unit of data: its terms are not told apart where few
 normals are seen."""
 

@@ -20,6 +20,8 @@ GAP_DEG = 45.0
 LACKING = 4.0
 LOOKED_AT = 24
 """Rays along each axis by which a direction is judged."""
+AT_ONCE = 20
+"""Parts in which directions are judged, to spare memory."""
 
 Rotated = Float64[np.ndarray, "3 3"]
 
@@ -30,17 +32,19 @@ def shown_directions(body: Body) -> Bool[np.ndarray, " d"]:
     centre = vertices.mean(axis=0)
     reach_m = float(np.linalg.norm(vertices - centre, axis=1).max())
     side = np.linspace(-reach_m, reach_m, LOOKED_AT)
-    across, down = (axis.ravel() for axis in np.meshgrid(side, side))
+    across, down = (axis.reshape(1, -1, 1) for axis in np.meshgrid(side, side))
     found = []
-    for direction in spread_directions(COMPARED):
-        first, second = _across(direction)
-        start = centre + 2 * reach_m * direction + across[:, None] * first + down[:, None] * second
-        rays = np.hstack([start, np.broadcast_to(-direction, start.shape)]).astype(np.float32)
-        hits = body.rays.cast(rays)
+    for directions in np.array_split(spread_directions(COMPARED), AT_ONCE):
+        first, second = (axis[:, None] for axis in _across(directions))
+        start = centre + 2 * reach_m * directions[:, None] + across * first + down * second
+        way = np.broadcast_to(-directions[:, None], start.shape)
+        hits = body.rays.cast(np.concatenate([start, way], axis=2).reshape(-1, 6).astype(np.float32))
         hit = np.isfinite(hits.t)
-        unseen = ~body.painted.seen[hits.triangle_id[hit]] | (hits.normals[hit] @ direction < 0)
-        found.append(bool(hit.any() and unseen.mean() <= MOST_UNSEEN))
-    return np.array(found)
+        inside_out = np.einsum("nd,nd->n", hits.normals, -way.reshape(-1, 3)) < 0
+        unseen = hit & (inside_out | ~body.painted.seen[hits.triangle_id])
+        hit, unseen = (one.reshape(len(directions), -1).sum(axis=1) for one in (hit, unseen))
+        found.append((hit > 0) & (unseen <= MOST_UNSEEN * hit))
+    return np.concatenate(found)
 
 
 def view_weights(views: Directions, shown: Bool[np.ndarray, " d"]) -> Float64[np.ndarray, " d"]:
@@ -96,8 +100,8 @@ def _axes(forward: Float64[np.ndarray, "3"], up: Float64[np.ndarray, "3"]) -> Ro
     return np.column_stack([np.cross(second, third), second, third])
 
 
-def _across(direction: Float64[np.ndarray, "3"]) -> tuple[np.ndarray, np.ndarray]:
-    """Two unit vectors at right angles to a direction and to one another."""
-    first = np.cross(np.eye(3)[np.abs(direction).argmin()], direction)
-    first /= np.linalg.norm(first)
+def _across(direction: Float64[np.ndarray, "*n 3"]) -> tuple[np.ndarray, np.ndarray]:
+    """Two unit vectors at right angles to each direction and to one another."""
+    first = np.cross(np.eye(3)[np.abs(direction).argmin(axis=-1)], direction)
+    first = first / np.linalg.norm(first, axis=-1, keepdims=True)
     return first, np.cross(direction, first)

@@ -249,10 +249,11 @@ class PartlySynthetic(Dataset[KeypointSample]):
     It is as long as the recorded ones, so that epochs have the steps they had.
     """
 
-    def __init__(self, recorded: KeypointDataset, synthetic: SyntheticKeypoints, share: float) -> None:
+    def __init__(self, recorded: Any, synthetic: SyntheticKeypoints, share: float) -> None:
         """Join them.
 
         Args:
+            recorded: a `KeypointDataset`.
             share: 0 to 1.
 
         Raises:
@@ -275,7 +276,8 @@ class PartlySynthetic(Dataset[KeypointSample]):
     def __getitem__(self, row: int) -> KeypointSample:
         """A recorded crop, or a rendered one."""
         if float(torch.rand(())) >= self._share:
-            return self._recorded[row]
+            sample: KeypointSample = self._recorded[row]
+            return sample
         return self._synthetic[row % len(self._synthetic)]
 
 
