@@ -35,7 +35,7 @@ LEAST_PAINTED = 0.5
 """Share of a triangle's texels that images must colour for it to count as seen."""
 NEIGHBOUR_M = 0.01
 """A texel that no image shows takes the colour of one within this distance, else that of the mesh."""
-ROUNDS = 10
+ROUNDS = 6
 """Times that colours and lights are fitted in turn."""
 FITTED_EVERY = 8
 """Lights are fitted to one in so many texels."""

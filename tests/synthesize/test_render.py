@@ -62,7 +62,7 @@ def test_texels_are_found_where_they_lie() -> None:
 
 def test_colours_and_lights_of_scenes_are_told_apart() -> None:
     body = cube_body()
-    lamps = {"00": np.array([0.3, 0, 0.3]), "01": np.array([-0.3, 0.2, 0])}
+    lamps = {"00": np.array([0.25, 0, 0.25]), "01": np.array([-0.25, 0.2, 0])}
     photos = []
     for scene, lamp in lamps.items():
         coefficients = FLAT.copy()
@@ -85,12 +85,10 @@ def test_colours_and_lights_of_scenes_are_told_apart() -> None:
     painted, lights = paint(body.painted.mesh, body.painted.seen, photos)
     assert painted.seen.mean() > 0.95
     normals = np.array([[1.0, 0, 0], [-1, 0, 0], [0, 0, 1], [0, 0, -1]])
-    for scene, lamp in lamps.items():  # how much brighter scene 00 is than 01, from each side
-        other = lamps["01" if scene == "00" else "00"]
-        true = (1 + normals @ lamp) / (1 + normals @ other)
-        terms = harmonics(normals)
-        found = (terms @ lights[scene])[:, 1] / (terms @ lights["01" if scene == "00" else "00"])[:, 1]
-        np.testing.assert_allclose(found, true, rtol=0.12)
+    true = (1 + normals @ lamps["00"]) / (1 + normals @ lamps["01"])
+    first, second = (harmonics(normals) @ lights[scene] for scene in ("00", "01"))
+    brightest = np.arange(4), COLORS[[1, 0, 5, 4]].argmax(axis=1)  # a dark channel says little of the light
+    np.testing.assert_allclose((first / second)[brightest], true, rtol=0.05)
 
 
 def test_light_draws_turn_about_the_vertical_only() -> None:
