@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -46,16 +47,16 @@ def cube_body(*, unseen: tuple[int, ...] = (), pieces: int = 6) -> Body:
     return Body("cube", painted, CORNERS.copy())
 
 
-def cube_studio(folder: Path) -> Studio:
+def cube_studio(folder: Path, *, keypoints: tuple[str, ...] = tuple("abcdefgh")) -> Studio:
     """The studio, also saved to the folder; the plate shows a grey table from above at 45 degrees."""
     folder.mkdir(parents=True)
     plate = np.full((CAMERA.height, CAMERA.width, 3), 90, np.uint8)
     cv2.imwrite(str(folder / "plate.png"), plate)
     normal = np.array([0.0, -1.0, -1.0]) / np.sqrt(2)
-    body = cube_body()
+    body = replace(cube_body(), points_object=np.resize(CORNERS, (len(keypoints), 3)))
     subject = Subject(
         body=body,
-        keypoints=tuple("abcdefgh"),
+        keypoints=keypoints,
         views=np.array([[0.0, 0, 1]]),
         shown=shown_directions(body),
         ups=np.array([[0.0, 0, 1]]),

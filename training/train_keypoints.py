@@ -81,6 +81,11 @@ def train_keypoints(
 
     if rendered is not None and not synthetic:
         raise DataError("--rendered names what nothing uses; say by --synthetic which share is rendered")
+    if synthetic and validate_scenes:
+        raise DataError(
+            "--synthetic renders what all training scenes show, those that --validate_scenes holds out too, "
+            "so they would not be unseen; leave one of the two out"
+        )
     run = Run(out, learning, machine, validate_every, seed, resume, overwrite, until)
     resumed = start(run)
     data = KeypointDataModule(
