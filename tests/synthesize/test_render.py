@@ -10,7 +10,15 @@ from cube_studio import CAMERA, COLORS, FLAT, HALF_M, UP, cube_body
 from rpl_data.geometry import from_rotvec, rigid
 from rpl_data.raycast import PixelTable
 from rpl_data.synthesize.compose import depth_over, laid_over, shadowed
-from rpl_data.synthesize.light import Light, SceneLight, draw_light, even_light, harmonics, shade
+from rpl_data.synthesize.light import (
+    Light,
+    SceneLight,
+    draw_light,
+    even_light,
+    harmonics,
+    joined_lights,
+    shade,
+)
 from rpl_data.synthesize.measure import color_noise, depth_errors
 from rpl_data.synthesize.normals import steady_normals
 from rpl_data.synthesize.paint import Photo, paint
@@ -141,3 +149,19 @@ def test_what_is_laid_over_leaves_the_rest_as_it_was() -> None:
     result = laid_over(plate, drawing, QUIET, np.random.default_rng(0))
     far = cv2.dilate((drawing.alpha > 0).astype(np.uint8), np.ones((11, 11))) == 0
     assert (result[far] == plate[far]).all() and (result[60, 80] == COLORS[5]).all()
+
+
+def test_objects_share_the_lights_of_their_scenes() -> None:
+    """Two objects, whose colours were fitted too bright and too dark, are lit by the same scenes again."""
+    lamps = {scene: FLAT * level for scene, level in (("00", 0.8), ("01", 1.0), ("02", 1.2))}
+    true = {"cup": 0.9, "drill": 0.6}
+    found = {
+        "cup": {scene: lamps[scene] * 0.9 for scene in ("00", "01")},
+        "drill": {scene: lamps[scene] * 0.6 for scene in ("01", "02")},
+    }
+    joined, factors = joined_lights(found)
+    assert max(factor.max() for factor in factors.values()) == pytest.approx(1)
+    for name, lights in found.items():
+        np.testing.assert_allclose(factors[name] / factors["cup"], true[name] / 0.9, rtol=1e-3)
+        for scene, light in lights.items():
+            np.testing.assert_allclose(factors[name] * joined[scene][0], light[0], rtol=1e-3)
