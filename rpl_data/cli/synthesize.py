@@ -32,7 +32,7 @@ def synthesize(
     Args:
         workspace: a folder made by `rpl build`.
         count: images to render; 0 only prepares what a training with `--synthetic` renders from.
-        out: folder to write; its old content is replaced.
+        out: folder to write; it is replaced only if this command wrote it.
         objects: only these: '[cup, drill]'.
         width: width of the images in pixels; that of the recordings when left out.
         backgrounds: folder of pictures to put behind the objects, in place of the recorded tables.

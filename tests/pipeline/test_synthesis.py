@@ -163,6 +163,8 @@ def test_pictures_of_the_user_take_the_place_of_tables(workspace: Workspace, tmp
 def test_what_is_wrong_is_said_in_one_line(workspace: Workspace, tmp_path: Path) -> None:
     with pytest.raises(DataError, match="no object mug in the training images; they show carton"):
         synthesize_workspace(workspace, None, **OPTIONS | {"objects": ["mug"]}, **QUIET)
+    with pytest.raises(DataError, match="did not write it"):
+        synthesize_workspace(workspace, workspace.export("coco"), **OPTIONS, **QUIET)
     with pytest.raises(DataError, match="--count is -1"):
         synthesize_workspace(workspace, None, **OPTIONS | {"count": -1}, **QUIET)
     shutil.copytree(

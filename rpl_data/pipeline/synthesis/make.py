@@ -75,10 +75,15 @@ def synthesize(
         advance: is told how many images are done.
 
     Raises:
-        DataError: a scene of the recordings bears the name of the rendered one, or the disk is full.
+        DataError: a scene of the recordings bears the name of the rendered one, the folder holds something
+            else, or the disk is full.
     """
     if SCENE in training.scenes:
         raise DataError(f"a recording is called {SCENE}, as the rendered scene will be; rename it")
+    if out.exists() and not (out / STUDIO).is_dir() and not (out.is_dir() and not any(out.iterdir())):
+        raise DataError(
+            f"{out} exists and `rpl synthesize` did not write it, so it is not replaced; name another folder"
+        )
     unfinished = out.parent / f".{out.name}.unfinished"
     _begin(unfinished, {"job": asdict(job) | {"objects": list(job.objects)}, "made_of": made_of})
     skipped = _render(unfinished, studio, job, advance)
