@@ -80,11 +80,10 @@ def rendered_like(
     recorded: np.ndarray, image: Json, annotation: Json, name: str, studio: Studio
 ) -> np.ndarray:
     """The recorded image with the object rendered over itself."""
-    lights = dict(zip(studio.scenes, studio.lights, strict=True))
     turn = matrix_from_json(image["scene_from_camera"])[:3, :3]
-    light = Light(turn, lights[image["scene"]].coefficients)
+    light = Light(turn, studio.subjects[name].lights[image["scene"]].coefficients)
     placed = Placed(studio.subjects[name].body, matrix_from_json(annotation["camera_from_object"]))
-    drawing = draw(finer_table(intrinsics_from_coco(image)), [placed], light)
+    drawing = draw(finer_table(intrinsics_from_coco(image)), [placed], {name: light})
     return laid_over(recorded, drawing, QUIET, np.random.default_rng(0))
 
 

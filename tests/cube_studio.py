@@ -64,12 +64,12 @@ def cube_studio(folder: Path, *, keypoints: tuple[str, ...] = tuple("abcdefgh"))
         nearest_m=0.4,
         farthest_m=0.6,
         keypoint_sigma_m=0.001,
+        lights={"00": SceneLight(UP, FLAT)},
     )
     studio = Studio(
         scenes=("00", "01"),
         subjects={"cube": subject},
         plates=(Plate("00", 3, folder / "plate.png", None, None, CAMERA, normal, Plane(normal, -0.4)),),
-        lights=(SceneLight(UP, FLAT),),
         noise=Noise(0.0, 1.0, 0.0, 0.0),
         together=(1,),
         centres=np.array([[0.5, 0.5]]),

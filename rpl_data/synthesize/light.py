@@ -7,7 +7,7 @@ efficient representation for irradiance environment maps", SIGGRAPH 2001); shado
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,8 +17,6 @@ from scipy.spatial.transform import Rotation
 TERMS = 9
 DARKEST, BRIGHTEST = 0.25, 2.0
 """Limits of E, where the sum is carried beyond the normals that it was fitted to."""
-ROUNDS = 20
-"""Times that lights and factors are fitted in turn."""
 GAIN = 0.1
 """Largest share by which all of an image's objects are brighter or darker than the light says."""
 TINT = 0.03
@@ -72,51 +70,28 @@ def shade(normals_camera: Float32[np.ndarray, "n 3"], light: Light) -> Float32[n
     return factor.clip(DARKEST, BRIGHTEST)
 
 
-def joined_lights(
-    found: Mapping[str, Mapping[str, Coefficients]],
-) -> tuple[dict[str, Coefficients], dict[str, Float64[np.ndarray, "3"]]]:
-    """Make one light per scene of those that were fitted to each object.
+def draw_lights(
+    own: Mapping[str, Mapping[str, SceneLight]],
+    up_camera: Float64[np.ndarray, "3"],
+    rng: np.random.Generator,
+) -> dict[str, Light]:
+    """Draw the light of one of the scenes, turned about the vertical by any angle, for each object.
 
-    Colour x light says how bright a surface is, so a fit to one object leaves their ratio open.
-
-    Args:
-        found: by object, then by scene.
-
-    Returns:
-        The light of each scene, and the factor for each object on its colours, which is 1 at most.
-    """
-    scenes = sorted({scene for lights in found.values() for scene in lights})
-    factors = {name: np.ones(3) for name in found}
-    joined: dict[str, Coefficients] = {}
-    for _ in range(ROUNDS):
-        joined = {
-            scene: np.mean(
-                [lights[scene] / factors[name] for name, lights in found.items() if scene in lights], axis=0
-            )
-            for scene in scenes
-        }
-        factors = {
-            name: np.mean([light[0] / joined[scene][0] for scene, light in lights.items()], axis=0)
-            for name, lights in found.items()
-            if lights
-        }
-    largest = max((factor.max() for factor in factors.values()), default=1.0)
-    return (
-        {scene: light * largest for scene, light in joined.items()},
-        {name: factor / largest for name, factor in factors.items()},
-    )
-
-
-def draw_light(
-    lights: Sequence[SceneLight], up_camera: Float64[np.ndarray, "3"], rng: np.random.Generator
-) -> Light:
-    """Draw the light of one of the scenes, turned about the vertical by any angle.
+    Colours and lights were fitted to each object by itself, so each is lit by its own fit to the scene; an
+    object that was not in the scene, by that of another one.
 
     Args:
+        own: by object, then by scene.
         up_camera: the direction against gravity, or out of the table, in the image.
     """
-    chosen = lights[int(rng.integers(len(lights)))]
-    upright, _ = Rotation.align_vectors(chosen.up[None], up_camera[None])
-    spin = Rotation.from_rotvec(rng.uniform(0, 2 * np.pi) * chosen.up)
+    scenes = sorted({scene for lights in own.values() for scene in lights})
+    chosen, spin_rad = scenes[int(rng.integers(len(scenes)))], rng.uniform(0, 2 * np.pi)
     gain = (1 + rng.uniform(-GAIN, GAIN)) * (1 + rng.uniform(-TINT, TINT, 3))
-    return Light((spin * upright).as_matrix(), chosen.coefficients * gain)
+    found = {}
+    for name, lights in own.items():
+        other = sorted(lights)[int(rng.integers(len(lights)))]
+        light = lights[chosen if chosen in lights else other]
+        upright, _ = Rotation.align_vectors(light.up[None], up_camera[None])
+        turn = (Rotation.from_rotvec(spin_rad * light.up) * upright).as_matrix()
+        found[name] = Light(turn, light.coefficients * gain)
+    return found

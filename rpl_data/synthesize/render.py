@@ -6,6 +6,7 @@ Labels need the image's own grid: their depth is cast through the centres of its
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import cv2
@@ -60,17 +61,20 @@ def table_of(directions: Float64[np.ndarray, "h w 3"], intrinsics: Intrinsics) -
     return PixelTable(intrinsics, directions.astype(np.float32), *ranges)
 
 
-def draw(table: PixelTable, objects: list[Placed], light: Light, *, finer: int = FINER) -> Drawing:
+def draw(
+    table: PixelTable, objects: list[Placed], lights: Mapping[str, Light], *, finer: int = FINER
+) -> Drawing:
     """Draw objects; the nearest hides the others.
 
     Args:
         table: rays of a grid that is `finer` times as fine as the image.
+        lights: by the object's name.
     """
     height, width = table.directions.shape[:2]
     nearest = np.full((height, width), np.inf, np.float32)
     color = np.zeros((height, width, 3), np.float32)
     for placed in objects:
-        _draw_one(table, placed, light, nearest, color)
+        _draw_one(table, placed, lights[placed.body.name], nearest, color)
     size = width // finer, height // finer
     alpha = np.isfinite(nearest).astype(np.float32)
     if finer == 1:

@@ -34,7 +34,6 @@ def save_studio(folder: Path, studio: Studio, made_of: Json) -> None:
         "scenes": list(studio.scenes),
         "subjects": {name: _subject_to_json(one) for name, one in studio.subjects.items()},
         "plates": [_plate_to_json(folder, one) for one in studio.plates],
-        "lights": [{k: v.tolist() for k, v in vars(one).items()} for one in studio.lights],
         "noise": asdict(studio.noise),
         "together": list(studio.together),
         "centres": studio.centres.tolist(),
@@ -65,9 +64,6 @@ def load_studio(folder: Path) -> Studio:
                 name: _subject_from_json(folder, name, one) for name, one in content["subjects"].items()
             },
             plates=tuple(_plate_from_json(folder, one) for one in content["plates"]),
-            lights=tuple(
-                SceneLight(np.array(one["up"]), np.array(one["coefficients"])) for one in content["lights"]
-            ),
             noise=Noise(**content["noise"]),
             together=tuple(content["together"]),
             centres=np.array(content["centres"], dtype=float).reshape(-1, 2),
@@ -80,6 +76,10 @@ def _subject_to_json(subject: Subject) -> Json:
         "points_object": [None if np.isnan(row).any() else row.tolist() for row in points],
         "keypoints": list(subject.keypoints),
         "symmetries": symmetries_to_json(subject.symmetries),
+        "lights": {
+            scene: {"up": light.up.tolist(), "coefficients": light.coefficients.tolist()}
+            for scene, light in subject.lights.items()
+        },
         "views": subject.views.tolist(),
         "shown": np.flatnonzero(subject.shown).tolist(),
         "directions": len(subject.shown),
@@ -106,6 +106,12 @@ def _subject_from_json(folder: Path, name: str, stored: Mapping[str, Any]) -> Su
         farthest_m=stored["farthest_m"],
         keypoint_sigma_m=stored["keypoint_sigma_m"],
         symmetries=symmetries_from_json(stored["symmetries"]),
+        lights={
+            scene: SceneLight(
+                np.array(light["up"], dtype=float), np.array(light["coefficients"], dtype=float)
+            )
+            for scene, light in stored["lights"].items()
+        },
     )
 
 

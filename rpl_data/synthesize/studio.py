@@ -64,6 +64,7 @@ class Subject:
         turn_deg: largest turn of the image against upright.
         nearest_m, farthest_m: recorded distances.
         keypoint_sigma_m: how far off the keypoints may be on the mesh, standard deviation per axis.
+        lights: as they were fitted to its colours, by scene.
         symmetries: what leaves it looking the same.
     """
 
@@ -76,6 +77,7 @@ class Subject:
     nearest_m: float
     farthest_m: float
     keypoint_sigma_m: float
+    lights: Mapping[str, SceneLight]
     symmetries: Symmetries = Symmetries()
 
     @cached_property
@@ -118,7 +120,6 @@ class Studio:
     scenes: tuple[str, ...]
     subjects: Mapping[str, Subject]
     plates: tuple[Plate, ...]
-    lights: tuple[SceneLight, ...]
     noise: Noise
     together: tuple[int, ...]
     centres: Float64[np.ndarray, "n 2"]

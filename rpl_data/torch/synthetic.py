@@ -17,7 +17,7 @@ from torch.utils.data import Dataset, get_worker_info
 from rpl_data.geometry import Transform, inside_image, project, rays, square_box, transform
 from rpl_data.synthesize.arrange import draw_pose
 from rpl_data.synthesize.compose import laid_over, shadowed
-from rpl_data.synthesize.light import draw_light
+from rpl_data.synthesize.light import draw_lights
 from rpl_data.synthesize.render import Placed, draw, table_of
 from rpl_data.synthesize.storage import load_studio
 from rpl_data.synthesize.studio import Plate
@@ -210,15 +210,15 @@ class SyntheticKeypoints(Dataset[KeypointSample]):
     ) -> Image:
         """Draw the crop."""
         placed = [Placed(self._subject.body, pose)]
-        light = draw_light(self._studio.lights, plate.up, rng)
+        lights = draw_lights({self.model.name: self._subject.lights}, plate.up, rng)
         table = table_of(self._directions(plate.camera, crop_from_image), plate.camera)
         if self.augment is not None and rng.uniform() < self.augment.background:
             behind = background(self._pieces, self.input_px, rng)
         else:
             size = (self.input_px, self.input_px)
             behind = warped(self._picture(plate), crop_from_image, size=size)
-            behind = shadowed(behind, table, placed, plate.table, light)
-        drawing = draw(table, placed, light, finer=1)
+            behind = shadowed(behind, table, placed, plate.table, lights[self.model.name])
+        drawing = draw(table, placed, lights, finer=1)
         return laid_over(behind, drawing, self._studio.noise, rng, soft_px=SOFT_PX)
 
     def _directions(self, camera: Intrinsics, crop_from_image: Affine) -> Float64[np.ndarray, "h w 3"]:

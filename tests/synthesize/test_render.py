@@ -13,10 +13,9 @@ from rpl_data.synthesize.compose import depth_over, laid_over, shadowed
 from rpl_data.synthesize.light import (
     Light,
     SceneLight,
-    draw_light,
+    draw_lights,
     even_light,
     harmonics,
-    joined_lights,
     shade,
 )
 from rpl_data.synthesize.measure import color_noise, depth_errors
@@ -31,11 +30,12 @@ TABLE, FINER = PixelTable.of(CAMERA), finer_table(CAMERA)
 FACING = rigid(np.diag([1.0, -1, -1]), np.array([0.0, 0.0, 0.5]))
 """Shows the face towards z, 0.45 m away: 2 x 50 mm are 33.33 px."""
 SIDE_PX = 2 * HALF_M * 150 / 0.45
+EVEN = {"cube": even_light()}
 QUIET = Noise(0.0, 0.0, 0.0, 0.0)
 
 
 def test_a_face_has_its_colour_its_size_and_soft_edges() -> None:
-    drawing = draw(FINER, [Placed(cube_body(), FACING)], even_light())
+    drawing = draw(FINER, [Placed(cube_body(), FACING)], EVEN)
     np.testing.assert_allclose(drawing.color[60, 80], COLORS[5], atol=0.5)
     assert drawing.alpha.sum() == pytest.approx(SIDE_PX**2, rel=0.04)
     assert {0.0, 0.25, 0.5, 0.75, 1.0} >= set(np.unique(drawing.alpha).tolist())
@@ -52,7 +52,7 @@ def test_the_nearer_object_hides_the_farther_one() -> None:
             Placed(body, FACING),
             Placed(body, nearer @ from_rotvec(np.array([np.pi, 0, 0]), np.zeros(3))),
         ]
-        drawing = draw(FINER, objects[::order], even_light())
+        drawing = draw(FINER, objects[::order], EVEN)
         np.testing.assert_allclose(drawing.color[60, 90], COLORS[4], atol=0.5)  # its other side, nearer
         np.testing.assert_allclose(drawing.color[60, 68], COLORS[5], atol=0.5)
 
@@ -87,7 +87,9 @@ def test_colours_and_lights_of_scenes_are_told_apart() -> None:
                 np.array([0, turn[1], 0]), np.zeros(3)
             )
             scene_from_camera = np.linalg.inv(pose)  # the object lies in its scene's frame
-            drawing = draw(FINER, [Placed(body, pose)], Light(scene_from_camera[:3, :3], coefficients))
+            drawing = draw(
+                FINER, [Placed(body, pose)], {"cube": Light(scene_from_camera[:3, :3], coefficients)}
+            )
             color = laid_over(np.zeros((120, 160, 3), np.uint8), drawing, QUIET, np.random.default_rng(0))
             photos.append(Photo(scene, TABLE, scene_from_camera, pose, color, drawing.alpha > 0.5))
     painted, lights = paint(body.painted.mesh, body.painted.seen, photos)
@@ -103,7 +105,8 @@ def test_light_draws_turn_about_the_vertical_only() -> None:
     lamp = FLAT.copy()
     lamp[1:4] = (0.4 * UP)[:, None]  # from above
     for seed in range(3):
-        light = draw_light([SceneLight(UP, lamp)], np.array([0.6, -0.8, 0]), np.random.default_rng(seed))
+        own = {"cube": {"00": SceneLight(UP, lamp)}}
+        light = draw_lights(own, np.array([0.6, -0.8, 0]), np.random.default_rng(seed))["cube"]
         top, bottom = shade(np.array([[0.6, -0.8, 0], [-0.6, 0.8, 0]], np.float32), light)
         assert top / bottom == pytest.approx(1.4 / 0.6, rel=1e-5)
 
@@ -145,23 +148,7 @@ def test_shadows_fall_away_from_the_lamp() -> None:
 
 def test_what_is_laid_over_leaves_the_rest_as_it_was() -> None:
     plate = np.random.default_rng(0).integers(0, 255, (120, 160, 3)).astype(np.uint8)
-    drawing = draw(FINER, [Placed(cube_body(), FACING)], even_light())
+    drawing = draw(FINER, [Placed(cube_body(), FACING)], EVEN)
     result = laid_over(plate, drawing, QUIET, np.random.default_rng(0))
     far = cv2.dilate((drawing.alpha > 0).astype(np.uint8), np.ones((11, 11))) == 0
     assert (result[far] == plate[far]).all() and (result[60, 80] == COLORS[5]).all()
-
-
-def test_objects_share_the_lights_of_their_scenes() -> None:
-    """Two objects, whose colours were fitted too bright and too dark, are lit by the same scenes again."""
-    lamps = {scene: FLAT * level for scene, level in (("00", 0.8), ("01", 1.0), ("02", 1.2))}
-    true = {"cup": 0.9, "drill": 0.6}
-    found = {
-        "cup": {scene: lamps[scene] * 0.9 for scene in ("00", "01")},
-        "drill": {scene: lamps[scene] * 0.6 for scene in ("01", "02")},
-    }
-    joined, factors = joined_lights(found)
-    assert max(factor.max() for factor in factors.values()) == pytest.approx(1)
-    for name, lights in found.items():
-        np.testing.assert_allclose(factors[name] / factors["cup"], true[name] / 0.9, rtol=1e-3)
-        for scene, light in lights.items():
-            np.testing.assert_allclose(factors[name] * joined[scene][0], light[0], rtol=1e-3)

@@ -17,7 +17,7 @@ from rpl_data.pipeline.synthesis.labels import instance_label
 from rpl_data.raycast import PixelTable
 from rpl_data.synthesize.arrange import arrange, draw_objects
 from rpl_data.synthesize.compose import depth_over, laid_over, shadowed
-from rpl_data.synthesize.light import draw_light
+from rpl_data.synthesize.light import draw_lights
 from rpl_data.synthesize.render import draw, finer_table
 from rpl_data.synthesize.studio import Plate, Studio
 from rpl_data.types import ColorImage, DataError, DepthUnits, InstanceLabel, Intrinsics
@@ -70,10 +70,10 @@ def picture(
     table, finer = tables(plate.camera)
     skipped: Counter[str] = Counter()
     objects = arrange(studio, plate, table, draw_objects(studio, names, made, rng), rng, skipped)
-    light = draw_light(studio.lights, plate.up, rng)
+    lights = draw_lights({name: studio.subjects[name].lights for name in names}, plate.up, rng)
     placed = [each for _, each, _ in objects]
-    background = shadowed(plate_color(plate), table, placed, plate.table, light)
-    color = laid_over(background, draw(finer, placed, light), studio.noise, rng)
+    background = shadowed(plate_color(plate), table, placed, plate.table, lights[names[0]])
+    color = laid_over(background, draw(finer, placed, lights), studio.noise, rng)
     depth = None
     if plate.depth is not None and plate.metres_per_unit is not None:
         behind_m = plate_depth(plate).astype(np.float32) * np.float32(plate.metres_per_unit)

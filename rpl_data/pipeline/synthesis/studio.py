@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import cv2
@@ -24,7 +24,7 @@ from rpl_data.pipeline.synthesis.training import Training
 from rpl_data.raycast import PixelTable
 from rpl_data.synthesize.arrange import view_of
 from rpl_data.synthesize.body import Body
-from rpl_data.synthesize.light import Coefficients, SceneLight, joined_lights
+from rpl_data.synthesize.light import SceneLight
 from rpl_data.synthesize.measure import color_noise, depth_errors, noise_of
 from rpl_data.synthesize.paint import Photo, paint
 from rpl_data.synthesize.render import Placed, alone
@@ -34,7 +34,7 @@ from rpl_data.synthesize.views import shown_directions
 from rpl_data.torch.turns import turn_by_scenes, up_in_object
 from rpl_data.types import DataError, Intrinsics
 
-VERSION = 2
+VERSION = 3
 """Increase it when the same workspace gives another studio."""
 MOST_PHOTOS = 80
 """Images per object that colour it."""
@@ -50,7 +50,6 @@ Tell = Callable[[str], None]
 class _Gathered:
     """What is collected from object to object."""
 
-    lights: dict[str, dict[str, Coefficients]] = field(default_factory=dict)
     color_noise: list[float] = field(default_factory=list)
     depth_errors: list[tuple[float, float, float]] = field(default_factory=list)
     tables: dict[Intrinsics, PixelTable] = field(default_factory=dict)
@@ -109,34 +108,23 @@ def _make(context: Context, training: Training, folder: Path, tell: Tell) -> Stu
         video = parts.video_of(scene)
         tables[video] = tables.get(video) or table
     gathered = _Gathered()
+    ups = {scene: _up(training, scene, tables[scene]) for scene in training.scenes}
     subjects = {
-        item.model.name: _subject(context, training, item, tables, gathered, tell)
+        item.model.name: _subject(context, training, item, tables, ups, gathered, tell)
         for item in training.objects
         if training.labels(item.model.name)
     }
-    ups = {scene: _up(training, scene, tables[scene]) for scene in training.scenes}
     tell("plates")
     plates = make_plates(folder, training, tables, ups)
-    joined, factors = joined_lights(gathered.lights)
-    lights = tuple(SceneLight(ups[scene], light) for scene, light in sorted(joined.items()))
     per_image = Counter(one["image_id"] for one in training.data["annotations"])
     return Studio(
         scenes=training.scenes,
-        subjects={name: _recolored(one, factors[name]) for name, one in subjects.items()},
+        subjects=subjects,
         plates=plates,
-        lights=lights,
         noise=noise_of(gathered.color_noise, gathered.depth_errors),
         together=tuple(sorted(per_image.values())),
         centres=_centres(training),
     )
-
-
-def _recolored(subject: Subject, factor: np.ndarray) -> Subject:
-    """The object with its colours multiplied, for the light that all objects share."""
-    painted = subject.body.painted
-    texels = (painted.texels * factor).round().astype(np.uint8)
-    body = replace(subject.body, painted=replace(painted, texels=texels))
-    return replace(subject, body=body)
 
 
 def _centres(training: Training) -> np.ndarray:
@@ -166,6 +154,7 @@ def _subject(
     training: Training,
     item: CocoObject,
     tables: Mapping[str, Table | None],
+    ups: Mapping[str, np.ndarray],
     gathered: _Gathered,
     tell: Tell,
 ) -> Subject:
@@ -176,7 +165,6 @@ def _subject(
     tell(f"{name}: colours and light")
     painted, lights = paint(mesh, seen, _photos(training.folder, labels, gathered))
     body = Body(name, painted, item.model.points_object)
-    gathered.lights[name] = lights
     _measure(training.folder, labels, body, gathered)
     poses = np.array([matrix_from_json(one["camera_from_object"]) for _, one in labels])
     scenes = np.array([image["scene"] for image, _ in labels])
@@ -191,6 +179,7 @@ def _subject(
         nearest_m=float(np.percentile(distances, 2)),
         farthest_m=float(np.percentile(distances, 98)),
         keypoint_sigma_m=_keypoint_sigma_m(context, name),
+        lights={scene: SceneLight(ups[scene], light) for scene, light in sorted(lights.items())},
         symmetries=item.symmetries,
     )
 
