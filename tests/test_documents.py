@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 import yaml
+from cube_studio import cube_studio
 
 import rpl_data
 import rpl_data.torch
@@ -106,6 +107,8 @@ def test_the_python_runs(tiny_workspace: Workspace, tmp_path: Path) -> None:
     }
     recipe["objects"][0]["clicks"] = str(tmp_path / "clicks.csv")
     (tmp_path / "my.yaml").write_text(yaml.safe_dump(recipe))
+    keypoints = tiny_workspace.model("carton").keypoints
+    cube_studio(tmp_path / "my-workspace/export/synthetic/studio", keypoints=keypoints)
     names: dict[str, Any] = {}
     with contextlib.chdir(tmp_path):
         for block in blocks:

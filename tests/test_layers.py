@@ -17,7 +17,8 @@ LAYERS = [
     {"command_line", "directions", "files", "geometry"},
     {"json_arrays", "orientation", "registered", "untrusted"},
     {"images", "meshes", "raycast", "overlay", "drift", "symmetries"},
-    {"formats", "clicks", "pose", "reconstruct", "workspace"},
+    {"keypoint_surface"},
+    {"formats", "clicks", "pose", "reconstruct", "workspace", "synthesize"},
     {"capture", "solve", "refine", "segment", "label", "symmetry", "export", "torch"},
     {"recordings", "place", "dataset"},
     {"twin", "evaluate", "report", "annotate", "doctor"},
@@ -32,7 +33,7 @@ WITHIN_A_LAYER = {("clicks", "workspace"), ("workspace", "clicks")}
 LEARNING = {
     "rpl_data.command_line", "rpl_data.files", "rpl_data.formats.datasets", "rpl_data.geometry",
     "rpl_data.images", "rpl_data.json_arrays", "rpl_data.meshes", "rpl_data.orientation", "rpl_data.pose",
-    "rpl_data.symmetries", "rpl_data.torch", "rpl_data.types", "rpl_data.wording",
+    "rpl_data.symmetries", "rpl_data.synthesize", "rpl_data.torch", "rpl_data.types", "rpl_data.wording",
 }  # fmt: skip
 """What rpl_data.torch and training may know: a trained pipeline does not depend on the labelling tool."""
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 import sys
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 from rpl_data.torch.transforms import Augmentation
+from rpl_data.types import DataError
 
 from .runs.options import Learning, Machine, Network, Run
 
@@ -27,6 +29,8 @@ def train_keypoints(
     canonical: bool = False,
     weights: str = "scratch",
     validate_scenes: int = 0,
+    synthetic: float = 0.0,
+    rendered: Path | None = None,
     validate_every: int = 1,
     seed: int = 0,
     resume: bool = False,
@@ -56,6 +60,9 @@ def train_keypoints(
             checkpoint of this program, also of another object.
         validate_scenes: how many scenes of the training split to hold out and validate on, beside the random
             frames of val: best.ckpt then goes by these unseen scenes. The test split is never looked at.
+        synthetic: share of the training crops that is rendered anew in every epoch, 0 to 1, of what
+            `rpl synthesize` made of the training scenes.
+        rendered: the folder that it wrote; export/synthetic beside `coco` when left out.
         validate_every: epochs from one validation to the next, and after the last; 0 never validates.
         seed: of everything that is drawn at random.
         resume: go on with the run in `out`, after its last finished epoch.
@@ -64,6 +71,7 @@ def train_keypoints(
     """
     from rpl_data.torch.datamodule import KeypointDataModule
     from rpl_data.torch.readable import collate_readable
+    from rpl_data.torch.synthetic import partly_synthetic
 
     from .keypoints.module import untrained
     from .keypoints.networks import start_of
@@ -71,6 +79,13 @@ def train_keypoints(
     from .runs.trainer import Lesson, fit, say, say_held_out, start
     from .runs.weights import start_from
 
+    if rendered is not None and not synthetic:
+        raise DataError("--rendered names what nothing uses; say by --synthetic which share is rendered")
+    if synthetic and validate_scenes:
+        raise DataError(
+            "--synthetic renders what all training scenes show, those that --validate_scenes holds out too, "
+            "so they would not be unseen; leave one of the two out"
+        )
     run = Run(out, learning, machine, validate_every, seed, resume, overwrite, until)
     resumed = start(run)
     data = KeypointDataModule(
@@ -90,11 +105,15 @@ def train_keypoints(
     else:
         check_resumable(resumed, module)
     name = data.train.model.name
+    train: Any = data.train
+    if synthetic:
+        folder = rendered or coco.parent / "synthetic"
+        train = partly_synthetic(data.train, folder, synthetic, canonical=canonical)
     say(f"{name}: {len(data.train)} instances to train on, {len(data.val or [])} to validate on")
     say_held_out(data.scenes, len(data.unseen or []))
     lesson = Lesson(
         module,
-        data.train,
+        train,
         data.val,
         collate=collate_readable,
         figure="pck",
@@ -103,7 +122,8 @@ def train_keypoints(
             "canonical": canonical,
             "weights": weights,
             HELD_OUT: list(data.scenes.unseen),
-        },
+        }
+        | ({"synthetic": synthetic} if synthetic else {}),
         unseen=data.unseen,
     )
     return fit(lesson, run, resumed=resumed)

@@ -41,6 +41,7 @@ from rpl_data.cli.stages import (  # noqa: E402
 )
 from rpl_data.cli.status import status  # noqa: E402
 from rpl_data.cli.symmetry import symmetry  # noqa: E402
+from rpl_data.cli.synthesize import synthesize  # noqa: E402
 from rpl_data.types import DataError, UnsureError  # noqa: E402
 
 
@@ -209,6 +210,7 @@ COMMANDS: dict[str, Any] = {
     "label": label,
     "symmetry": symmetry,
     "export": export,
+    "synthesize": synthesize,
     "quality": quality,
     "truth": truth,
     "report": report,

@@ -9,7 +9,8 @@
 
 Datasets: `KeypointDataset` (crops of one object with heatmaps, for the paper's hourglass), `InstanceDataset`
 (whole images with boxes and masks, for Mask R-CNN), `DetectionDataset` (small images with the paper's square
-boxes), and `KeypointDataModule` for Lightning. `help` on each names keys, shapes, types and units.
+boxes), `SyntheticKeypoints` (crops rendered while training, of what `rpl synthesize` made), and
+`KeypointDataModule` for Lightning. `help` on each names keys, shapes, types and units.
 
 From heatmaps to a pose: `locate` reads keypoints off heatmaps, `positions_in_image` takes them to the full
 image, `correspondences` pairs them with the model and `estimate_pose` (EPnP and others) solves for the pose.
@@ -44,6 +45,8 @@ if TYPE_CHECKING:
     from rpl_data.torch.instances import collate as collate
     from rpl_data.torch.keypoints import KeypointDataset as KeypointDataset
     from rpl_data.torch.keypoints import KeypointSample as KeypointSample
+    from rpl_data.torch.synthetic import PartlySynthetic as PartlySynthetic
+    from rpl_data.torch.synthetic import SyntheticKeypoints as SyntheticKeypoints
     from rpl_data.torch.targets import settled as settled
     from rpl_data.torch.warps import RandomAffine as RandomAffine
     from rpl_data.types import Intrinsics as Intrinsics
@@ -63,8 +66,10 @@ _MODULE_OF = {
     "Keypoints": "rpl_data.torch.decoding",
     "PoseEstimate": "rpl_data.pose.estimate",
     "PoseFailure": "rpl_data.pose.estimate",
+    "PartlySynthetic": "rpl_data.torch.synthetic",
     "RandomAffine": "rpl_data.torch.warps",
     "SeededRows": "rpl_data.torch.epochs",
+    "SyntheticKeypoints": "rpl_data.torch.synthetic",
     "collate": "rpl_data.torch.instances",
     "correspondences": "rpl_data.pose.correspondences",
     "draw_heatmaps": "rpl_data.torch.heatmaps",
@@ -92,8 +97,10 @@ __all__ = [
     "Keypoints",
     "PoseEstimate",
     "PoseFailure",
+    "PartlySynthetic",
     "RandomAffine",
     "SeededRows",
+    "SyntheticKeypoints",
     "collate",
     "correspondences",
     "draw_heatmaps",

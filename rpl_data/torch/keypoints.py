@@ -5,19 +5,19 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NotRequired, TypedDict
+from typing import Any
 
 import cv2
 import numpy as np
 import torch
-from torch import Tensor
 from torch.utils.data import Dataset, get_worker_info
 
 from rpl_data.formats.datasets.coco import read_coco
 from rpl_data.torch.colours import jittered
-from rpl_data.torch.heatmaps import draw_heatmaps
-from rpl_data.torch.image_files import read_image, to_unit_range
+from rpl_data.torch.image_files import read_image
 from rpl_data.torch.keypoint_rows import canonical_rows, choose_object, keypoint_rows
+from rpl_data.torch.keypoint_sample import KeypointSample as KeypointSample
+from rpl_data.torch.keypoint_sample import keypoint_sample
 from rpl_data.torch.on_device import batch_on_device
 from rpl_data.torch.pasting import hide, pasted, pasting_of
 from rpl_data.torch.pixel_cache import PixelCache, Rectangle, rectangle_around
@@ -29,7 +29,6 @@ from rpl_data.torch.transforms import (
     Image,
     chained,
     crop_from_square,
-    heatmap_from_crop,
     moved,
     random_crop_from_square,
     reach,
@@ -39,27 +38,6 @@ from rpl_data.torch.turns import turn_by_scenes
 from rpl_data.torch.views import WHOLE, Transforms, View, transformed
 from rpl_data.types import DataError
 from rpl_data.wording import counted
-
-
-class KeypointSample(TypedDict):
-    """One instance: `KeypointDataset` says what each key holds.
-
-    A default-collated batch has the same keys with a leading batch axis.
-    """
-
-    image: Tensor
-    heatmaps: NotRequired[Tensor]
-    weights: Tensor
-    keypoints_px: Tensor
-    visibility: Tensor
-    crop_from_image: Tensor
-    camera_matrix: Tensor
-    distortion: Tensor
-    camera_from_object: Tensor
-    points_object: Tensor
-    square_box: Tensor
-    image_id: int
-    annotation_id: int
 
 
 class NoInstance(DataError):
@@ -97,6 +75,7 @@ class KeypointDataset(Dataset[KeypointSample]):
     Attributes:
         model: the keypoint model of the object.
         input_px, heatmap_px: side of the crops and of the heatmaps.
+        sigma_px: sigma of the Gaussians, in heatmap pixels.
         augment: the augmentation, with `auto` decided; None without one.
     """
 
@@ -156,9 +135,8 @@ class KeypointDataset(Dataset[KeypointSample]):
         chosen, category_id = choose_object(data, object, coco_json)
         self.model = chosen.model
         self.input_px, self.heatmap_px = input_px, heatmap_px
-        self._sigma_px = sigma_px
+        self.sigma_px = sigma_px
         self._transforms, self._draws_heatmaps = transforms, heatmaps
-        self._heatmap_from_crop = heatmap_from_crop(input_px=input_px, heatmap_px=heatmap_px)
         self._rows = keypoint_rows(data, category_id, coco_json.parent)
         if len(self._rows.files) == 0:
             raise NoInstance(f"{coco_json} has no instance of {self.model.name}; train on another split")
@@ -228,7 +206,7 @@ class KeypointDataset(Dataset[KeypointSample]):
         float64 becomes float32 where the device has no float64 (Apple's MPS).
         """
         sizes = {"input_px": self.input_px, "heatmap_px": self.heatmap_px}
-        return batch_on_device(batch, device, sigma_px=self._sigma_px, **sizes)
+        return batch_on_device(batch, device, sigma_px=self.sigma_px, **sizes)
 
     def _view(self, row: int) -> View:
         """The image of a row, as far as its crops need it, after the transforms."""
@@ -253,34 +231,19 @@ class KeypointDataset(Dataset[KeypointSample]):
 
     def _sample(self, row: int, view: View, crop: Image, crop_from_image: Affine) -> KeypointSample:
         rows = self._rows
-        visibility = view.keypoints[:, 2]
-        keypoints_px = np.where(visibility[:, None] > 0, view.keypoints[:, :2], np.nan)
-        on_crop = moved(crop_from_image, keypoints_px)
-        # Within the edges of the crop; False for NaN.
-        inside = np.all((on_crop >= -0.5) & (on_crop < self.input_px - 0.5), axis=1)
         camera = (rows.camera_matrices[row], rows.distortions[row], rows.camera_from_object[row])
         if view.moved:
             camera = tuple(np.full_like(values, np.nan) for values in camera)
-        matrix, distortion, pose = (torch.from_numpy(values.copy()) for values in camera)
-        sample: KeypointSample = {
-            "image": to_unit_range(crop),
-            "weights": torch.from_numpy(inside.astype(np.float32)),
-            "keypoints_px": torch.from_numpy(keypoints_px),
-            "visibility": torch.from_numpy(visibility.astype(np.int64)),
-            "crop_from_image": torch.from_numpy(crop_from_image),
-            "camera_matrix": matrix,
-            "distortion": distortion,
-            "camera_from_object": pose,
-            "points_object": self._points_object,
-            "square_box": torch.from_numpy(view.square_box.copy()),
-            "image_id": int(rows.image_ids[row]),
-            "annotation_id": int(rows.annotation_ids[row]),
-        }
-        if self._draws_heatmaps:
-            on_heatmap = np.where(inside[:, None], moved(self._heatmap_from_crop, on_crop), np.nan)
-            positions = torch.from_numpy(on_heatmap)
-            sample["heatmaps"] = draw_heatmaps(positions, size_px=self.heatmap_px, sigma_px=self._sigma_px)
-        return sample
+        return keypoint_sample(
+            crop,
+            crop_from_image,
+            view.keypoints,
+            view.square_box,
+            camera=camera,
+            points_object=self._points_object,
+            ids=(int(rows.image_ids[row]), int(rows.annotation_ids[row])),
+            heatmaps=(self.heatmap_px, self.sigma_px) if self._draws_heatmaps else None,
+        )
 
     def _rectangles(self) -> list[Rectangle]:
         """The rectangle of pixels that the crops of each instance may need; transforms need all of them."""

@@ -31,6 +31,7 @@ class Paths:
         labels/<scene>.left_out.json  frames that the user excluded from exports
         export/<format>/              coco, coco_truth, ...
         report/index.html
+        synthesis/                    what `rpl synthesize` renders from, of the training scenes alone
     """
 
     root: Path
@@ -72,6 +73,11 @@ class Paths:
     def report(self) -> Path:
         """The report: a page to read in a browser."""
         return self.root / "report" / "index.html"
+
+    @property
+    def studio(self) -> Path:
+        """The folder of what new views are rendered from."""
+        return self.root / "synthesis"
 
     def export(self, name: str) -> Path:
         """The folder of an export."""

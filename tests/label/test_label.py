@@ -13,10 +13,10 @@ import pytest
 from pycocotools import mask as coco
 
 from rpl_data.geometry import from_rotvec, transform
+from rpl_data.keypoint_surface import KeypointSurface
 from rpl_data.label.alone import SceneObject
 from rpl_data.label.label import label_frames, sample_frames
 from rpl_data.label.masks import box_of, encode
-from rpl_data.label.occlusion import KeypointSurface
 from rpl_data.raycast import RayScene
 from rpl_data.types import (
     DataError,

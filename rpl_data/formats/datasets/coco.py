@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Bool, Float64
 
 from rpl_data.files import read_json, writing
 from rpl_data.formats.datasets.coco_check import validate_coco
@@ -193,6 +193,14 @@ def instance_from_coco(annotation: Mapping[str, Any], object_name: str) -> Insta
         corrected=annotation.get("corrected") is True,
         instance=annotation.get("instance", ""),
     )
+
+
+def visible_mask(annotation: Mapping[str, Any]) -> Bool[np.ndarray, "height width"]:
+    """Decode the visible mask of an annotation of ours."""
+    from pycocotools import mask as masks
+
+    decoded: Bool[np.ndarray, "height width"] = masks.decode(annotation["segmentation"]).astype(bool)
+    return decoded
 
 
 def _xyxy(xywh: Sequence[float]) -> Box:

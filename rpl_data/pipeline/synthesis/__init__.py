@@ -1,0 +1,1 @@
+"""`rpl synthesize`: which scenes new views may be made of, their dense models, and the export."""

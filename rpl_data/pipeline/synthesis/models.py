@@ -1,0 +1,104 @@
+"""Dense models of the training scenes alone, and the tables of these scenes.
+
+The workspace's own models are made of all scenes; those here never read a file of any other scene.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool
+
+from rpl_data.formats.datasets.coco import CocoObject
+from rpl_data.geometry import transform
+from rpl_data.meshes import load_mesh, oriented_points, thinned
+from rpl_data.pipeline.context import Context, crop_of
+from rpl_data.pipeline.register import object_named
+from rpl_data.pipeline.stages.segment import depth_views, given_mesh
+from rpl_data.types import DataError, Mesh
+from rpl_data.types.instances import places_in, scene_of
+from rpl_data.workspace.workspace import Workspace
+
+SURFACE_M = 0.01
+"""Voxels to which a surface is thinned to find its table."""
+SAME_MODEL_M = 1e-4
+
+
+def training_mesh(
+    context: Context, item: CocoObject, videos: tuple[str, ...]
+) -> tuple[Mesh, Bool[np.ndarray, " m"]]:
+    """The dense model of an object in the export's frame, and which of its triangles were seen.
+
+    Args:
+        videos: recordings that it is made of.
+
+    Raises:
+        DataError: none of them shows the object standing still, or their surfaces are missing.
+    """
+    from rpl_data.segment.segment import segment_object
+
+    workspace, name = context.workspace, item.model.name
+    solution = workspace.load_placed(name)
+    _refuse_other_model(item, workspace)
+    given = given_mesh(workspace, name)
+    if given is not None:
+        return _in_export_frame(given, item), np.ones(len(given.triangles), bool)
+    places = training_places(context, name, videos)
+    if not places:
+        raise DataError(
+            f"object {name} stands still in none of the training scenes ({', '.join(videos)}), so there is "
+            "no dense model of them; leave it out by --objects, or train on more scenes"
+        )
+    only = replace(solution, scene_from_object={place: solution.scene_from_object[place] for place in places})
+    dense = segment_object(
+        {place: load_mesh(_surface(workspace, place)) for place in places},
+        only,
+        voxel_m=context.recipe.reconstruct.voxel_m,
+        crop_m=crop_of(workspace, object_named(context, name)),
+        depth_views=[view for place in places for view in depth_views(workspace, place, only)],
+    )
+    return _in_export_frame(dense.mesh, item), dense.seen
+
+
+def training_places(context: Context, name: str, videos: tuple[str, ...]) -> list[str]:
+    """Where the object stands still in these recordings."""
+    parts = context.workspace.parts()
+    poses = context.workspace.load_placed(name).scene_from_object
+    scenes = [scene for scene in context.placed_scenes() if parts.video_of(scene) in videos]
+    places = [place for scene in scenes for place in places_in(scene, poses)]
+    return [place for place in context.still_places(places) if _surface(context.workspace, place).exists()]
+
+
+def _surface(workspace: Workspace, place: str) -> Path:
+    return workspace.surface_file(scene_of(place))
+
+
+def _in_export_frame(mesh: Mesh, item: CocoObject) -> Mesh:
+    return mesh if item.frame is None else replace(mesh, vertices=transform(item.frame, mesh.vertices))
+
+
+def _refuse_other_model(item: CocoObject, workspace: Workspace) -> None:
+    """DataError where the workspace was solved anew after the export."""
+    own = workspace.load_placed(item.model.name).model.points_object
+    moved = own if item.frame is None else transform(item.frame, own)
+    exported = item.model.points_object
+    if moved.shape != exported.shape or not np.allclose(moved, exported, atol=SAME_MODEL_M, equal_nan=True):
+        raise DataError(
+            f"object {item.model.name}: its keypoints are not those of the export any more; run "
+            f"`rpl export --workspace {workspace.root}` again"
+        )
+
+
+def scene_table(workspace: Workspace, scene: str) -> tuple[np.ndarray, float] | None:
+    """What a scene's things stand on: the plane's upward normal and offset, scene frame; None = unknown."""
+    from rpl_data.place.things import things_on_support
+
+    file = workspace.surface_file(scene)
+    if not file.exists():
+        return None
+    surface = thinned(oriented_points(load_mesh(file)), voxel_m=SURFACE_M)
+    trajectory = workspace.load_trajectory(workspace.load_scene(scene))
+    things = things_on_support(surface, trajectory.scene_from_camera[:, :3, 3])
+    return None if things is None else (things.plane.normal, things.plane.offset_m)

@@ -1,0 +1,80 @@
+"""What training may know: the images and labels of an export's training split, and their scenes."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rpl_data.export.split import SplitName
+from rpl_data.files import read_bytes, read_json
+from rpl_data.formats.datasets.coco import CocoObject, objects_from_coco, read_coco
+from rpl_data.json_arrays import Json
+from rpl_data.types import DataError
+from rpl_data.workspace.workspace import Workspace
+
+
+@dataclass(frozen=True)
+class Training:
+    """The training split of an export.
+
+    Attributes:
+        folder: the export.
+        objects: all of the export's, in the order of their categories.
+        scenes: the recordings that its images are of.
+        data: the file.
+        digest: stands for its content.
+    """
+
+    folder: Path
+    objects: tuple[CocoObject, ...]
+    scenes: tuple[str, ...]
+    data: Json
+    digest: str
+
+    def labels(self, name: str) -> list[tuple[Json, Json]]:
+        """Image and annotation of every instance of an object."""
+        number = [item.model.name for item in self.objects].index(name) + 1
+        images = {image["id"]: image for image in self.data["images"]}
+        return [
+            (images[one["image_id"]], one)
+            for one in self.data["annotations"]
+            if one["category_id"] == number and not one["iscrowd"]
+        ]
+
+
+def training_split(workspace: Workspace) -> Training:
+    """Read the training split of a workspace's export.
+
+    Raises:
+        DataError: there is no export, or a scene is in its training split and in its test split.
+    """
+    folder = workspace.export("coco")
+    file = folder / "train.json"
+    if not file.exists():
+        raise DataError(
+            f"{workspace.root} has no labels to make views of: there is no {file}; run "
+            f"`rpl export --workspace {workspace.root}` first"
+        )
+    data = read_coco(file)
+    scenes = _scenes(data)
+    shared = scenes & scenes_of(folder, "test")
+    if shared:
+        raise DataError(
+            f"scene {', '.join(sorted(shared))} is in train.json and in test.json of {folder}, so nothing "
+            "can be made of training scenes alone; split by scenes (`split: {test_scenes: ...}`) and export "
+            "again"
+        )
+    digest = hashlib.sha256(read_bytes(file)).hexdigest()[:16]
+    return Training(folder, tuple(objects_from_coco(data)), tuple(sorted(scenes)), data, digest)
+
+
+def scenes_of(folder: Path, split: SplitName) -> set[str]:
+    """Names of the scenes of a split; empty where the export has none."""
+    file = folder / f"{split}.json"
+    return _scenes(read_json(file)) if file.exists() else set()
+
+
+def _scenes(data: Any) -> set[str]:
+    return {image["scene"] for image in data["images"]}
