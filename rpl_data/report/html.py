@@ -84,3 +84,8 @@ def page(title: str, body: str) -> str:
         '<meta name="color-scheme" content="light dark"><link rel="icon" href="data:,">'
         f"<title>{text(title)}</title><style>{style}</style></head><body><main>{body}</main></body></html>\n"
     )
+
+
+def body_of(document: str) -> str:
+    """The body that `page` was given, from the whole document."""
+    return document.partition("<main>")[2].rpartition("</main>")[0]

@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 import pytest
 
+from rpl_data.command_line import parser_of
 from rpl_data.formats.models.meshlab import write_picked_points
 from rpl_data.geometry import fit_rigid, transform
 from rpl_data.meshes import load_mesh, save_mesh
@@ -21,6 +22,7 @@ from rpl_data.pipeline.build import recipe_of
 from rpl_data.types import Click, DataError
 from rpl_data.workspace.workspace import Workspace
 from training.reproduce.__main__ import COMMANDS, main
+from training.reproduce.all_experiments import PRESETS, command_lines, run_all
 from training.reproduce.curves import resample
 from training.reproduce.curves.slopes import before_the_fit, slope_of
 from training.reproduce.results import finite_or_none, write_results
@@ -30,6 +32,7 @@ from training.reproduce.table1.experiment import measure
 from training.reproduce.table1.page import write_page
 from training.reproduce.table1.rows import Row
 from training.reproduce.table1.worst import worst_scenes
+from training.runs.presets import with_preset_files
 
 ROOT = Path(__file__).parents[2]
 
@@ -169,6 +172,36 @@ def test_results_hold_no_nan(tmp_path: Path) -> None:
     assert json.loads((tmp_path / "x.json").read_text()) == {"a": [None, 1.0]}
     assert "&lt;X&gt;" in page.read_text()
     assert finite_or_none({"t": (1, float("inf"))}) == {"t": [1, None]}
+
+
+# All ----------------------------------------------------------------------------------------------
+
+
+def test_all_experiments_go_on_where_they_were(tmp_path: Path) -> None:
+    """One fails and is tried again, the others are not; a changed command runs anew; one page shows them."""
+    ran: list[str] = []
+
+    def run(command: list[str]) -> int:
+        name = command[0]
+        ran.append(name)
+        if name == "curves" and ran.count("curves") == 1:
+            return 1
+        write_results(tmp_path / name, name, title=name, data={}, sections=[f"<p>body of {name}</p>"])
+        return 0
+
+    options: dict[str, Any] = {"weights": "scratch", "workers": 1}
+    given = PRESETS["cpu"], tmp_path / "ws", ["drill", "cup"], tmp_path
+    commands = command_lines(*given, seeds=1, **options)
+    assert run_all(commands, tmp_path, run) == ["curves"]
+    page = (tmp_path / "all.html").read_text()
+    assert "failed" in page and "body of table2" in page and "body of curves" not in page
+    assert run_all(commands, tmp_path, run) == []
+    assert run_all(command_lines(*given, seeds=2, **options), tmp_path, run) == []
+    assert ran == [*commands, "curves", "table2"]
+    assert "body of curves" in (tmp_path / "all.html").read_text()
+    parser = parser_of(COMMANDS, program="reproduce", description="", presets=[COMMANDS["table2"]])
+    for command in commands.values():  # it ends the test where it does not understand one
+        parser.parse_args(with_preset_files(command))
 
 
 # Ablation -----------------------------------------------------------------------------------------

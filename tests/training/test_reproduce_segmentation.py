@@ -13,10 +13,16 @@ import pytest
 from rpl_data.types import DataError
 from rpl_data.workspace.workspace import Workspace
 from training.masks.scores import ClassScore, SplitScore
-from training.masks.settings import comparable, load_settings
+from training.masks.settings import MaskSettings, comparable, load_settings
 from training.reproduce.__main__ import main
 from training.reproduce.segmentation import experiment
-from training.reproduce.segmentation.experiment import given, segmentation, sources_of, train_round
+from training.reproduce.segmentation.experiment import (
+    given,
+    segmentation,
+    sources_of,
+    train_round,
+    with_weights,
+)
 from training.reproduce.segmentation.page import verdict
 from training.reproduce.segmentation.progress import Progress
 from training.train_masks import train_masks
@@ -120,3 +126,10 @@ def test_the_comparison_counts_from_half_on() -> None:
     assert not verdict({"OURS": scored(0.54), "MANUAL": scored(0.6)})["within_5_points"]
     assert not verdict({"OURS": scored(0.49), "MANUAL": scored(0.49)})["valid"]
     assert verdict({"OURS": scored(None), "MANUAL": scored(None)})["ours_minus_manual_points"] is None
+
+
+def test_a_random_backbone_is_not_frozen() -> None:
+    papers = MaskSettings()
+    scratch, others = with_weights(papers, "scratch"), with_weights(papers, "resnet101.pth")
+    assert (scratch.weights, scratch.head_epochs) == ("scratch", 0)
+    assert (others.weights, others.head_epochs) == ("resnet101.pth", papers.head_epochs)

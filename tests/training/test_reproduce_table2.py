@@ -14,8 +14,15 @@ from rpl_data.pose.errors import INFINITE, PoseErrors
 from rpl_data.workspace.workspace import Workspace
 from training.pose.scores import Judged, PoseScore
 from training.reproduce.table2.experiment import table2
-from training.reproduce.table2.page import verdict
-from training.reproduce.table2.pose_comparison import Cell, Ratio, counts, ratios
+from training.reproduce.table2.page import interval_note, verdict
+from training.reproduce.table2.pose_comparison import (
+    PROTOCOLS,
+    Cell,
+    Ratio,
+    counts,
+    ratios,
+    resampled_medians,
+)
 from training.runs.options import DetectorNetwork, Learning, Machine, Network
 
 NETWORK = Network(stacks=1, features=16, levels=2, input_px=32, heatmap_px=8, loss="entropy")
@@ -41,12 +48,16 @@ def test_table_of_a_workspace_is_made_once(
 
     assert run(1).count("s of CPU time") == 4
     found = json.loads((tmp_path / "table2.json").read_text())
-    rows = {(c["source"], c["split"], c["method"]): c["score"] for c in found["cells"]}
-    assert len(rows) == len(found["cells"]) == 8
+    rows = {(c["source"], c["split"], c["crops"], c["method"]): c for c in found["cells"]}
+    assert len(rows) == len(found["cells"]) == 16 and {key[1:3] for key in rows} == set(PROTOCOLS)
     for split in ("val", "test"):
-        assert len({score["instances"] for (_, s, _), score in rows.items() if s == split}) == 1
-    assert found["counts"] == {"carton": False} and len(found["ratios"]) == 8
-    assert set(found["seconds"]) == {f"{s}/{w}" for s in ("OURS", "MANUAL") for w in ("carton", "detector")}
+        assert len({c["score"]["instances"] for (_, s, *_), c in rows.items() if s == split}) == 1
+    for cell in rows.values():
+        low, high = (np.inf if value is None else value for value in cell["position_95"])
+        assert low <= (cell["score"]["position_mm"] or np.inf) <= high
+    assert found["counts"] == {"carton": {"val": False, "test": False}} and len(found["ratios"]) == 16
+    runs = {f"{s}/seed0/{what}" for s in ("OURS", "MANUAL") for what in ("carton", "detector")}
+    assert set(found["seconds"]) == runs
     page = (tmp_path / "table2.html").read_text()
     assert "does not count" in page and (tmp_path / "table2_curves.png").exists()
     assert "s of CPU time" not in run(1)
@@ -58,14 +69,14 @@ def judged(position_mm: float, *, failed: bool = False) -> Judged:
     return Judged("drill", "1.jpg", "epnp", "ok", errors, np.zeros(1), None, None)
 
 
-def cell(source: str, *, split: str = "val", pck: float = 0.9) -> Cell:
-    return Cell("drill", source, split, "epnp", replace(SCORE, pck=pck))
+def cell(source: str, *, split: str = "val", crops: str = "given", pck: float = 0.9) -> Cell:
+    return Cell("drill", source, split, crops, "epnp", replace(SCORE, pck=pck))
 
 
 def test_ratio_of_medians_by_hand() -> None:
     errors = [1.0, 2.0, 3.0, 4.0, 5.0]
     ours = [judged(1.2 * error) for error in errors]
-    found = ratios([(cell("OURS"), ours), (cell("MANUAL"), [judged(error) for error in errors])])
+    found = ratios([(cell("OURS"), [ours]), (cell("MANUAL"), [[judged(error) for error in errors]])])
     assert [ratio.figure for ratio in found] == ["position", "orientation"]
     for ratio in found:  # pairs are drawn, and every pair has the same ratio
         assert (ratio.value, ratio.low, ratio.high) == pytest.approx((1.2, 1.2, 1.2))
@@ -74,9 +85,18 @@ def test_ratio_of_medians_by_hand() -> None:
 def test_ratio_counts_failures_as_infinite() -> None:
     fine = [judged(1.0)] * 5
     broken = [judged(1.0)] * 2 + [judged(0.0, failed=True)] * 3
-    position = ratios([(cell("OURS"), broken), (cell("MANUAL"), fine)])[0]
+    position = ratios([(cell("OURS"), [broken]), (cell("MANUAL"), [fine])])[0]
     assert position.value == np.inf and position.high == np.inf
-    assert np.isnan(ratios([(cell("OURS"), broken), (cell("MANUAL"), broken)])[0].value)
+    assert np.isnan(ratios([(cell("OURS"), [broken]), (cell("MANUAL"), [broken])])[0].value)
+
+
+def test_intervals_cover_frames_and_seeds() -> None:
+    """With one seed all resamples of equal frames agree; seeds that differ widen the interval."""
+    same = np.full((1, 6, 2), 3.0)
+    np.testing.assert_array_equal(resampled_medians(same), np.full((2000, 2), 3.0))
+    apart = np.concatenate([same, same + 2])
+    assert set(np.unique(resampled_medians(apart))) == {3.0, 4.0, 5.0}  # one, both or the other seed drawn
+    assert "one seed" in interval_note(1) and "and 3 seeds" in interval_note(3)
 
 
 @pytest.mark.parametrize(("value", "low", "high", "expected"), [
@@ -84,16 +104,17 @@ def test_ratio_counts_failures_as_infinite() -> None:
     (1.2, 1.0, 1.4, "no, not surely"), (1.4, 1.2, np.inf, "no"),
 ])  # fmt: skip
 def test_verdict_says_what_the_interval_leaves_open(value, low, high, expected) -> None:
-    assert verdict(Ratio("drill", "val", "epnp", "position", value, low, high)) == expected
+    assert verdict(Ratio("drill", "val", "given", "epnp", "position", value, low, high)) == expected
 
 
 def test_ratio_of_unlike_instances_is_none() -> None:
-    assert ratios([(cell("OURS"), [judged(1.0)]), (cell("MANUAL"), [judged(1.0)] * 2)]) == []
+    assert ratios([(cell("OURS"), [[judged(1.0)]]), (cell("MANUAL"), [[judged(1.0)] * 2])]) == []
 
 
-@pytest.mark.parametrize(("source", "split", "pck", "expected"), [
-    ("MANUAL", "val", 0.8, True), ("MANUAL", "val", 0.79, False),
-    ("OURS", "val", 0.9, False), ("MANUAL", "test", 0.9, False),
+@pytest.mark.parametrize(("source", "split", "crops", "pck", "expected"), [
+    ("MANUAL", "test", "given", 0.8, True), ("MANUAL", "test", "given", 0.79, False),
+    ("OURS", "test", "given", 0.9, False), ("MANUAL", "val", "given", 0.9, False),
+    ("MANUAL", "test", "detected", 0.9, False),
 ])  # fmt: skip
-def test_comparison_counts_when_manual_has_learned(source, split, pck, expected) -> None:
-    assert counts([(cell(source, split=split, pck=pck), [])], "drill") is expected
+def test_comparison_counts_when_manual_has_learned(source, split, crops, pck, expected) -> None:
+    assert counts([cell(source, split=split, crops=crops, pck=pck)], "drill", "test") is expected

@@ -9,6 +9,7 @@ from typing import Any
 from ..runs.presets import with_preset_files
 from ..runs.program import PROGRAMS, said
 from .ablation.experiment import ablation
+from .all_experiments import reproduce_all
 from .curves.experiment import curves
 from .segmentation.experiment import segmentation
 from .table1.experiment import table1
@@ -21,6 +22,7 @@ COMMANDS: dict[str, Any] = {
     "segmentation": segmentation,
     "curves": curves,
     "ablation": ablation,
+    "all": reproduce_all,
 }
 
 

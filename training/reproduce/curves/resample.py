@@ -17,8 +17,8 @@ from .curve import Curve
 
 KEYPOINTS, SCENES = 9, 8
 """The paper's: N_k = 9 while N_s varies, N_s = 8 while N_k does."""
-LEAST_KEYPOINTS, LEAST_SCENES = 5, 2
-"""Three points tie two scenes, but one side of an object shows few of few: below five most draws fail."""
+LEAST_KEYPOINTS, LEAST_SCENES = 4, 2
+"""Three points tie two scenes, but one side of an object shows few of few: with four, many draws fail."""
 
 
 def curves_of(workspace: Workspace, *, seeds: int, click_noise_px: float) -> list[Curve]:

@@ -29,6 +29,7 @@ def segmentation(
     out: Path = Path("runs/segmentation"),
     preset: Path = Path("masks_cpu"),
     epochs: int | None = None,
+    weights: str | None = None,
     threads: int | None = None,
 ) -> None:
     """Mean IoU per class of Mask R-CNN trained on OURS and on MANUAL labels (the paper's figure).
@@ -43,6 +44,8 @@ def segmentation(
         out: folder for segmentation.json, segmentation.html, the figure and both runs.
         preset: options of the training: `masks_cpu`, `masks_paper`, or a YAML file.
         epochs: of each source; those of the preset when left out.
+        weights: what both start from: `scratch`, `imagenet`, or the path of trained weights; the preset's
+            when left out. From scratch all layers learn from the first epoch.
         threads: processor threads of torch; those of the preset when left out.
     """
     from rpl_data.formats.datasets.coco import read_coco
@@ -54,6 +57,8 @@ def segmentation(
     settings = load_settings(preset_file(preset))
     if epochs is not None:
         settings = replace(settings, learning=replace(settings.learning, epochs=epochs))
+    if weights is not None:
+        settings = with_weights(settings, weights)
     if threads is not None:
         settings = replace(settings, machine=replace(settings.machine, threads=threads))
     progress = load_progress(out, settings)
@@ -63,6 +68,12 @@ def segmentation(
     splits = [name for name in ("val", "test") if read_coco(sources[MANUAL] / f"{name}.json")["images"]]
     scores = score_sources(sources, out, splits)
     print(write_figure(sources, scores, progress, settings, out))
+
+
+def with_weights(settings: MaskSettings, weights: str) -> MaskSettings:
+    """The settings with other weights to start from; a random ResNet knows nothing, so it is not frozen."""
+    frozen = 0 if weights == "scratch" else settings.head_epochs
+    return replace(settings, weights=weights, head_epochs=frozen)
 
 
 def sources_of(workspace: Path) -> dict[str, Path]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 from rpl_data.torch.transforms import Augmentation
@@ -22,16 +23,18 @@ def table2(
     detector_learning: Learning = Learning(),  # noqa: B008
     machine: Machine = Machine(),  # noqa: B008
     validate_every: int = 1,
-    seed: int = 0,
+    seeds: int = 1,
 ) -> None:
     """Errors of poses by networks trained on our labels and on true ones (the paper's Table II).
 
-    One hourglass per object and one detector per label source, with the same frames, steps and seed for both
-    sources. An interrupted experiment goes on when the same command is given again. table2.json and
-    table2.html are written anew after each hourglass. Preset: --config table2_cpu.
+    Four cells per object: crops given by the labels or found by the detector, in random frames of the
+    training scenes (val, the paper's) or in scenes that training never saw (test). One hourglass per object
+    and one detector per label source, with the same frames, steps and seeds for both sources. An interrupted
+    experiment goes on when the same command is given again. table2.json and table2.html are written anew
+    after each hourglass. Presets: --config table2_cpu, or table2_paper for the paper's network on a GPU.
 
     Args:
-        workspace: a built workspace whose truth is known.
+        workspace: a built workspace whose truth is known, of datasets/training_twin.yaml for example.
         objects: their names; the paper has three.
         out: folder for checkpoints, figures, table2.json and table2.html.
         network: the hourglass.
@@ -41,35 +44,39 @@ def table2(
         detector_learning: how long and how fast the detector is trained.
         machine: the hardware.
         validate_every: epochs from one validation to the next.
-        seed: of everything that is drawn at random.
+        seeds: how often each network is trained, with seeds 0, 1, ...; the intervals then cover them too.
     """
+    from rpl_data.types import DataError
+
     from ...runs.folder import trained_epochs
     from ...train_detector import train_detector
     from ...train_keypoints import train_keypoints
     from ..label_sources import exports_of
     from .page import write_page
+    from .pose_comparison import run_folder
 
+    if seeds < 1:
+        raise DataError(f"--seeds is {seeds}; at least 1 training per object and source is needed")
     exports = exports_of(workspace)
     upright = replace(augment, rotation_deg=0.0)
-    for source, export in exports.items():  # first, so that every hourglass is judged by both protocols
-        run = out / source / "detector"
+    for seed, (source, export) in product(range(seeds), exports.items()):  # first: every cell needs one
+        run = run_folder(out, source, seed, "detector")
         if trained_epochs(run / "last.ckpt") < detector_learning.epochs:
             with _measured(run):
                 train_detector(
                     export, run, detector, detector_learning, upright, machine,
                     validate_every=validate_every, seed=seed, resume=True,
                 )  # fmt: skip
-    for name in objects:
-        for source, export in exports.items():
-            run = out / source / name
-            if trained_epochs(run / "last.ckpt") < learning.epochs:
-                with _measured(run):
-                    train_keypoints(
-                        export, name, run, network, learning, augment, machine,
-                        validate_every=validate_every, seed=seed, resume=True,
-                    )  # fmt: skip
-                write_page(out, workspace, objects)
-    print(write_page(out, workspace, objects))
+    for seed, name, (source, export) in product(range(seeds), objects, exports.items()):
+        run = run_folder(out, source, seed, name)
+        if trained_epochs(run / "last.ckpt") < learning.epochs:
+            with _measured(run):
+                train_keypoints(
+                    export, name, run, network, learning, augment, machine,
+                    validate_every=validate_every, seed=seed, resume=True,
+                )  # fmt: skip
+            write_page(out, workspace, objects, seeds)
+    print(write_page(out, workspace, objects, seeds))
 
 
 class _measured:

@@ -23,17 +23,17 @@ from rpl_data.workspace.workspace import Workspace
 from ...pose.pictures import close_up, drawn
 from ...pose.scores import Judged
 from ..results import png_of
-from .pose_comparison import Cell
+from .pose_comparison import Cell, Found, run_folder
 
 
 def curves(out: Path, objects: Sequence[str]) -> bytes | None:
-    """Validation error by epoch of every hourglass."""
+    """Validation error by epoch of every hourglass of the first seed."""
     figure = Figure(figsize=(9, 3), layout="constrained")
     plots = figure.subplots(1, 2)
     validated = False
     for source, style in (("OURS", "-"), ("MANUAL", "--")):
         for number, name in enumerate(objects):
-            logs = sorted((out / source / name).glob("logs*/metrics.csv"))
+            logs = sorted(run_folder(out, source, 0, name).glob("logs*/metrics.csv"))
             rows = [row for log in logs for row in csv.DictReader(log.read_text().splitlines())]
             rows = [row for row in rows if row.get("val_pck")]
             epochs = [int(row["epoch"]) + 1 for row in rows]
@@ -56,20 +56,29 @@ Row = list[tuple[Cell, Judged]]
 """Of the mosaic."""
 
 
-def samples(found: Sequence[tuple[Cell, list[Judged]]], split: str) -> list[Row]:
-    """Five instances per object and source, from one of the best by ADD to one of the worst."""
-    return _rows(found, split, (0.1, 0.3, 0.5, 0.7, 0.9))
+def samples(found: Sequence[Found], key: tuple[str, str]) -> list[Row]:
+    """Five instances per object and source, from one of the best by ADD to one of the worst.
+
+    Args:
+        found: all cells.
+        key: split and crops of those that are shown.
+    """
+    return _rows(found, key, (0.1, 0.3, 0.5, 0.7, 0.9))
 
 
-def worst(found: Sequence[tuple[Cell, list[Judged]]]) -> list[Row]:
+def worst(found: Sequence[Found]) -> list[Row]:
     """The five instances with the largest ADD that have a pose, per object and source; strict protocol."""
-    return _rows(found, "test", (0.96, 0.97, 0.98, 0.99, 1.0))
+    return _rows(found, ("test", "detected"), (0.96, 0.97, 0.98, 0.99, 1.0))
 
 
-def _rows(found: Sequence[tuple[Cell, list[Judged]]], split: str, shares: Sequence[float]) -> list[Row]:
-    """Instances judged with our PnP; empty where none has a pose."""
-    mine = [each for each in found if (each[0].method, each[0].split) == ("consensus", split)]
-    return [row for cell, judged in mine if (row := _near(cell, judged, shares))]
+def _rows(found: Sequence[Found], key: tuple[str, str], shares: Sequence[float]) -> list[Row]:
+    """Instances judged with our PnP, of all seeds; empty where none has a pose."""
+    return [
+        row
+        for cell, judged in found
+        if (cell.split, cell.crops) == key and cell.method == "consensus"
+        if (row := _near(cell, [each for rows in judged for each in rows], shares))
+    ]
 
 
 def _near(cell: Cell, judged: list[Judged], shares: Sequence[float]) -> Row:
