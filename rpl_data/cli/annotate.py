@@ -17,7 +17,6 @@ from rpl_data.geometry import transform
 from rpl_data.label.certainty import HALF_QUALITY_PX, expected_error_px
 from rpl_data.pipeline.automatic import find_step
 from rpl_data.pipeline.build import (
-    Progress,
     build,
     context_of,
     recipe_of,
@@ -27,6 +26,7 @@ from rpl_data.pipeline.build import (
 )
 from rpl_data.pipeline.context import Context
 from rpl_data.pipeline.grasp import object_from_grasp
+from rpl_data.pipeline.progress import Progress
 from rpl_data.pipeline.recipe import ObjectRecipe
 from rpl_data.pipeline.results import sparse_labels
 from rpl_data.pipeline.stages.solve import solve_annotation_unchecked

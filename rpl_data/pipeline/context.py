@@ -31,12 +31,14 @@ class Context:
 
     Attributes:
         choice: what an export is limited to; a build limits none.
+        lost: recordings in which a step of this build failed; all steps after it do without them.
     """
 
     recipe: Recipe
     workspace: Workspace
     pool: Pool
     choice: ExportChoice = ExportChoice()
+    lost: frozenset[str] = frozenset()
 
     @property
     def scene_sources(self) -> tuple[SceneSource, ...]:
@@ -88,12 +90,18 @@ class Context:
         if not self.tracks:
             return ["import"]
         parts, known = self.workspace.parts(), scenes or tuple(self.workspace.scene_names())
-        return ["import", *sorted({f"track/{parts.video_of(scene)}" for scene in known})]
+        videos = {parts.video_of(scene) for scene in known} - self.lost
+        return ["import", *sorted(f"track/{video}" for video in videos)]
+
+    def videos(self) -> list[str]:
+        """Names of the recordings, without those in which a step failed."""
+        return [name for name in self.workspace.video_names() if name not in self.lost]
 
     def still_places(self, places: Iterable[str]) -> list[str]:
         """Those of an object's places in which it stands still while it is filmed, sorted."""
-        moving = self.workspace.parts().moving
-        return sorted(place for place in places if scene_of(place) not in moving)
+        parts = self.workspace.parts()
+        left_out = parts.moving | self.lost
+        return sorted(place for place in places if parts.video_of(place) not in left_out)
 
     def solutions_in(self, scene: str) -> list[Solution]:
         """Solutions of the objects that have a pose in a scene."""
@@ -128,7 +136,9 @@ class Context:
         """Scenes in which at least one object has a pose."""
         solutions = [self.workspace.load_solution(name) for name in self.object_names]
         placed = {scene_of(place) for solution in solutions for place in solution.scene_from_object}
-        return [scene for scene in self.workspace.scene_names() if scene in placed]
+        parts = self.workspace.parts()
+        there = [scene for scene in self.workspace.scene_names() if parts.video_of(scene) not in self.lost]
+        return [scene for scene in there if scene in placed]
 
 
 def step(
