@@ -98,7 +98,7 @@ def _run(workspace: Workspace, stage: str, tell: Tell) -> list[str]:
         tell(f"{progress.stage} {progress.item}".strip(), progress.done, progress.total)
         if progress.state == "ran":
             lines.extend(progress.outcome.messages)
-        if progress.state != "runs" and progress.stage == "export":
+        if progress.state != "runs" and "images" in progress.outcome.details:
             images = progress.outcome.details["images"]
             counts = ", ".join(f"{count} of {split}" for split, count in images.items())
             lines.append(f"{workspace.export(progress.item).resolve()}: images: {counts}")

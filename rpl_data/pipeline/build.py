@@ -19,6 +19,7 @@ from rpl_data.pipeline.pool import Pool
 from rpl_data.pipeline.progress import Progress, Tell
 from rpl_data.pipeline.recipe import Recipe
 from rpl_data.pipeline.recipe_file import load_recipe, recipe_to_yaml
+from rpl_data.pipeline.remotes import fetch_recordings
 from rpl_data.pipeline.stages import (
     clicks,
     cut,
@@ -119,6 +120,7 @@ def _build(
     export.refuse_unknown_exports(recipe.export.formats)
     sweep(workspace.root)
     save_recipe(recipe, workspace)
+    fetch_recordings(recipe, workspace, tell)
     ledger, context = Ledger(workspace.stages_file), Context(recipe, workspace, pool)
     graph = Graph(ledger, pool, tell, again, keep_going)
     for group in TOGETHER:

@@ -73,8 +73,8 @@ class Cluster:
         """What a fault means for a person."""
         if isinstance(error, CancelledError):
             return EngineLost(
-                f"the Dask scheduler {self._address} was lost while {name} was at work; start it and its workers "
-                "again, and run the command again: finished steps stay finished"
+                f"the Dask scheduler {self._address} was lost while {name} was at work; start it and its "
+                "workers again, and run the command again: finished steps stay finished"
             )
         if isinstance(error, _distributed().KilledWorker):
             return DataError(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +17,8 @@ from rpl_data.pipeline.choice import ExportChoice
 from rpl_data.pipeline.ledger import Advance, Outcome, Step
 from rpl_data.pipeline.pool import Pool
 from rpl_data.pipeline.recipe import ObjectRecipe, Recipe, SceneSource
+from rpl_data.pipeline.remotes import copy_of
+from rpl_data.remote import url_of
 from rpl_data.types import DataError, Frame, KeypointModel, Scene, Solution, Trajectory
 from rpl_data.types.instances import places_in, scene_of
 from rpl_data.workspace.workspace import Workspace
@@ -47,7 +49,12 @@ class Context:
         casts = () if twin is None else zip(twin.scene_names, twin.casts, strict=True)
         moving = tuple(name for name, cast in casts if cast.moving) or False
         made = SceneSource(self._twin_recording, metres_per_unit=0.001, moving=moving)
-        return self.recipe.scenes or (made,)
+        return tuple(map(self._here, self.recipe.scenes)) or (made,)
+
+    def _here(self, source: SceneSource) -> SceneSource:
+        """A source with its copy in place of an address in an object store."""
+        url = url_of(source.path)
+        return source if url is None else replace(source, path=copy_of(self.workspace, url))
 
     @property
     def objects(self) -> tuple[ObjectRecipe, ...]:

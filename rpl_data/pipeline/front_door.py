@@ -39,9 +39,8 @@ def build(
         again: a stage, or several, to run although nothing they depend on has changed; "all" for all.
         workers: number of processes; one per core when left out, 1 = this process only. More than one needs
             a program that can be imported: keep its calls below `if __name__ == "__main__":`.
-        dask: a Dask cluster that does the work instead: `tcp://HOST:PORT` of its scheduler, or `local:N` for N
-            processes of this machine. Its workers must see the recordings and the workspace at the same
-            paths.
+        dask: a Dask cluster that does the work instead: `tcp://HOST:PORT` of its scheduler, or `local:N`, N
+            processes of this machine. Its workers must see recordings and workspace at the same paths.
         keep_going: where a step fails in one scene, leave that scene out and make the rest; what failed is
             raised at the end.
         tell: called with the `Progress` of every step, as often as it advances; its `state` is "ran" when

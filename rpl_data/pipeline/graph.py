@@ -26,8 +26,9 @@ TOGETHER = (
     ("export", "quality", "report"),
 )
 """Stages that can be planned at once: planning one needs results of earlier groups alone."""
-HERE = ("twin", "clicks", "cut")
-"""Stages of this process: two take no time, and a twin is rendered by processes of its own."""
+HERE = ("twin", "clicks", "cut", "export/to")
+"""Stages, and a step, of this process: two take no time, a twin is rendered by processes of its own, and
+workers need no access to the store that exports are copied to."""
 BY_RANGES = ("label",)
 """Stages that spread the frames of one scene over the pool, where there are fewer scenes than workers."""
 BY_SCENE = ("track", "drift", "surface", "label")
@@ -84,7 +85,6 @@ class Graph:
             if not dropped.isdisjoint(step.after):
                 dropped.add(step.name)
             elif not self._is_up_to_date(step):
-                self.tell(Progress(step.stage, step.item, "runs"))
                 ready.append(step)
                 continue
             open_names.discard(step.name)
@@ -104,7 +104,11 @@ class Graph:
     def _is_sent(self, step: Step, others_ready: int) -> bool:
         """Whether a step runs in another process."""
         known = self.ledger.entries.get("import")
-        if step.stage in HERE or not self.pool.is_worth(known.outcome.frames if known else 0):
+        if (
+            step.stage in HERE
+            or step.name in HERE
+            or not self.pool.is_worth(known.outcome.frames if known else 0)
+        ):
             return False
         beside = others_ready + len(self._running)
         if step.stage in BY_RANGES and beside + 1 < self.pool.workers:
@@ -116,6 +120,7 @@ class Graph:
             self.tell(Progress(step.stage, step.item, "runs", done, total))
             self._tell_reports()
 
+        self.tell(Progress(step.stage, step.item, "runs"))
         try:
             entry = self.ledger.run(step, advance)
         except Exception as error:

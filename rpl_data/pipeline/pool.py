@@ -33,8 +33,11 @@ class Engine(Protocol):
     @property
     def near(self) -> bool: ...  # noqa: D102
 
-    workers: int
-    executor: Executor
+    @property
+    def workers(self) -> int: ...  # noqa: D102
+
+    @property
+    def executor(self) -> Executor: ...  # noqa: D102
 
     def submit(self, step: Step) -> Future[Done]: ...  # noqa: D102
 

@@ -47,8 +47,8 @@ class Processes:
         """What a fault means for a person."""
         if isinstance(error, BrokenProcessPool):
             return EngineLost(
-                f"a worker process was ended from outside while {name} was at work, mostly for lack of memory; "
-                "use fewer `--workers` and run the command again: finished steps stay finished"
+                f"a worker process was ended from outside while {name} was at work, mostly for lack of "
+                "memory; use fewer `--workers` and run the command again: finished steps stay finished"
             )
         return error
 

@@ -54,5 +54,6 @@ def run_packed(
             reported = now
             report((name, done, total))
 
+    report((name, 0, 0))
     outcome = run(advance)
     return outcome, time.perf_counter() - started
