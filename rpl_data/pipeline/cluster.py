@@ -131,7 +131,7 @@ def _connected(distributed: Any, address: str) -> tuple[Any, Any]:
             n_workers=int(local[1]),
             threads_per_worker=1,
             memory_limit=0,  # no step is ended for its memory that would not be without Dask
-            dashboard_address=None,
+            dashboard_address=":0",
             silence_logs=logging.CRITICAL,
         )
         return cluster, distributed.Client(cluster, set_as_default=False)

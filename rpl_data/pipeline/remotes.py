@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from rpl_data.pipeline.ledger import Outcome
@@ -25,19 +25,27 @@ def fetch_recordings(recipe: Recipe, workspace: Workspace, tell: Tell) -> None:
     Raises:
         DataError: a store cannot be reached.
     """
-    for url in filter(None, (url_of(source.path) for source in recipe.scenes)):
-        copied = fetch(url, copy_of(workspace, url), _advance(tell, url))
-        said = (f"{counted(copied, 'file')} copied",) if copied else ()
-        tell(Progress("import", url, "ran" if copied else "kept", outcome=Outcome(messages=said)))
+    for source in recipe.scenes:
+        fetched(source.path, workspace, tell)
+
+
+def fetched(path: Path, workspace: Workspace, tell: Tell) -> Path:
+    """The copy of a recording, brought up to date; a recording of this machine itself."""
+    url = url_of(path)
+    if url is None:
+        return path
+    copy = copy_of(workspace, url)
+    copied = fetch(url, copy, _advance(tell, url))
+    said = (f"{counted(copied, 'file')} copied",) if copied else ()
+    tell(Progress("import", url, "ran" if copied else "kept", outcome=Outcome(messages=said)))
+    return copy
 
 
 def _advance(tell: Tell, url: str) -> Advance:
     return lambda done, total: tell(Progress("import", url, "runs", done, total))
 
 
-def upload_exports(
-    workspace: Workspace, folders: Sequence[Path], url: str, advance: Callable[[int, int], None]
-) -> Outcome:
+def upload_exports(workspace: Workspace, folders: Sequence[Path], url: str, advance: Advance) -> Outcome:
     """Copy exports to an object store, one folder for each; only what has changed.
 
     Raises:

@@ -6,7 +6,8 @@ scheduler with two workers; and again, while a worker, the scheduler or the buil
 must make the same bytes.
 
 Run: PYTHONPATH=. python tests/bench/bench_scale.py [--frames 600] [--scenes 4] [--only serial ...]
-Where no recording is given, a twin of four scenes is rendered (some minutes).
+Where no recording is given, a twin of four scenes is rendered (some minutes). `--grow frames` (or scenes)
+builds a second recording with twice as many, and prints how the cost of each stage grows.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import argparse
 import csv
 import hashlib
 import json
+import math
 import os
 import shutil
 import signal
@@ -246,15 +248,41 @@ def digest(workspace: Path) -> str:
     return hashlib.sha256("\n".join(lines).encode()).hexdigest()[:16]
 
 
-def unit_costs(workspace: Path) -> dict[str, dict[str, float]]:
-    """By stage: seconds, frames and steps, as the ledger of a serial build says them."""
-    found: dict[str, dict[str, float]] = {}
-    for name, entry in json.loads((workspace / "stages.json").read_text()).items():
-        row = found.setdefault(name.split("/")[0], {"seconds": 0.0, "frames": 0, "steps": 0})
-        row["seconds"] += entry["seconds"]
-        row["frames"] += entry["outcome"]["frames"]
+COUNTED = """
+import json, sys, time
+from pathlib import Path
+from rpl_data import build
+cost, began = {}, {}
+def tell(progress):
+    name = f"{progress.stage}/{progress.item}"
+    if progress.state == "runs":
+        began.setdefault(name, time.process_time())
+    elif progress.state == "ran":
+        row = cost.setdefault(progress.stage, {"cpu_s": 0.0, "frames": 0, "steps": 0})
+        row["cpu_s"] += time.process_time() - began[name]
+        row["frames"] += progress.outcome.frames
         row["steps"] += 1
+if __name__ == "__main__":
+    build(sys.argv[1], sys.argv[2], workers=1, tell=tell)
+    Path(sys.argv[2]).with_suffix(".cost.json").write_text(json.dumps(cost))
+"""
+"""A build in one process that adds up the CPU seconds of each stage, whatever else the machine does."""
+
+
+def unit_costs(recipe: Path, workspace: Path) -> dict[str, dict[str, float]]:
+    """CPU seconds, frames and steps by stage, of a build in one process."""
+    command = [sys.executable, "-c", COUNTED, str(recipe), str(workspace)]
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    found: dict[str, dict[str, float]] = json.loads(workspace.with_suffix(".cost.json").read_text())
     return found
+
+
+def print_growth(small: dict[str, dict[str, float]], large: dict[str, dict[str, float]]) -> None:
+    """By stage: CPU seconds of both, and the exponent of the doubling."""
+    for stage, row in small.items():
+        one, two = row["cpu_s"], large[stage]["cpu_s"]
+        exponent = f"{math.log2(two / one):6.2f}" if one > 0.2 else "     - (too short to tell)"
+        print(f"{stage:10s} {one:8.2f} s  {two:8.2f} s  {exponent}", flush=True)
 
 
 def sizes(workspace: Path) -> dict[str, float]:
@@ -381,6 +409,9 @@ def main() -> None:
     parser.add_argument("--kill-after", type=int, default=0, help="steps done before a kill; half when 0")
     parser.add_argument("--folder", type=Path, help="where to work; a temporary folder when left out")
     parser.add_argument("--only", nargs="+", choices=KINDS, default=KINDS)
+    parser.add_argument(
+        "--grow", choices=["frames", "scenes"], help="what is doubled, in place of the builds"
+    )
     parser.add_argument("--json", type=Path, help="file for the results")
     parser.add_argument("--port", type=int, default=18786)
     told = parser.parse_args()
@@ -388,21 +419,41 @@ def main() -> None:
         folder = told.folder or Path(scratch)
         folder.mkdir(parents=True, exist_ok=True)
         short = told.recording or short_twin(folder / "short")
-        shutil.rmtree(folder / "long", ignore_errors=True)
-        recipe = long_recording(short, folder / "long", frames=told.frames, scenes=told.scenes)
-        runs = Runs(folder, recipe, told.port)
-        print(f"{told.frames} frames in {told.scenes} scenes, load {os.getloadavg()[0]:.1f}", flush=True)
-        for kind in told.only:
-            at = (told.kill_after or 2 + 2 * told.scenes,)
-            getattr(runs, kind)(*(at if kind.startswith("kill") else ()))
-        first = folder / f"ws_{told.only[0]}"
-        content = {"runs": runs.rows, "stages": unit_costs(first), "megabytes": sizes(first)}
-        for stage, row in content["stages"].items():
-            rate = f"{1000 * row['seconds'] / row['frames']:8.2f} ms a frame" if row["frames"] else ""
-            print(f"{stage:10s} {row['seconds']:8.1f} s  {row['steps']:4.0f} steps {rate}")
-        print("MB:", {name: round(size, 2) for name, size in content["megabytes"].items()})
+        content = grown(told, short, folder) if told.grow else built(told, short, folder)
         if told.json is not None:
             told.json.write_text(json.dumps(content, indent=1) + "\n")
+
+
+def built(told: argparse.Namespace, short: Path, folder: Path) -> dict[str, Any]:
+    """The builds, one after the other, and what the first made."""
+    shutil.rmtree(folder / "long", ignore_errors=True)
+    recipe = long_recording(short, folder / "long", frames=told.frames, scenes=told.scenes)
+    runs = Runs(folder, recipe, told.port)
+    print(f"{told.frames} frames in {told.scenes} scenes, load {os.getloadavg()[0]:.1f}", flush=True)
+    for kind in told.only:
+        at = (told.kill_after or 2 + 2 * told.scenes,)
+        getattr(runs, kind)(*(at if kind.startswith("kill") else ()))
+    megabytes = sizes(folder / f"ws_{told.only[0]}")
+    print("MB:", {name: round(size, 2) for name, size in megabytes.items()})
+    return {"runs": runs.rows, "megabytes": megabytes}
+
+
+def grown(told: argparse.Namespace, short: Path, folder: Path) -> dict[str, Any]:
+    """Two builds in one process, the second of twice as many frames or scenes."""
+    costs = []
+    for times in (1, 2):
+        frames, scenes = told.frames * times, told.scenes * (times if told.grow == "scenes" else 1)
+        shutil.rmtree(folder / "long", ignore_errors=True)
+        recipe = long_recording(short, folder / "long", frames=frames, scenes=scenes)
+        place = folder / f"ws_grown_{times}"
+        shutil.rmtree(place, ignore_errors=True)
+        costs.append(unit_costs(recipe, place))
+        print(
+            f"{frames} frames in {scenes} scenes: {sum(row['cpu_s'] for row in costs[-1].values()):.1f} CPU s"
+        )
+        print({name: round(size, 2) for name, size in sizes(place).items()}, flush=True)
+    print_growth(*costs)
+    return {"small": costs[0], "large": costs[1]}
 
 
 if __name__ == "__main__":

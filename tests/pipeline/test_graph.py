@@ -5,8 +5,10 @@ from __future__ import annotations
 import os
 import signal
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
+import fsspec
 import numpy as np
 import pytest
 from built_once import moved_copy
@@ -24,6 +26,7 @@ from rpl_data.pipeline.processes import Processes
 from rpl_data.pipeline.progress import Progress
 from rpl_data.pipeline.stages import ORDER
 from rpl_data.pipeline.worker import EngineLost
+from rpl_data.remote import MANIFEST
 from rpl_data.types import DataError, Mesh
 from rpl_data.workspace.workspace import Workspace
 
@@ -31,7 +34,7 @@ from rpl_data.workspace.workspace import Workspace
 @pytest.fixture(scope="module")
 def scheduler() -> Iterator[str]:
     """A Dask scheduler with two workers' threads in this process."""
-    options = {"processes": False, "threads_per_worker": 1, "dashboard_address": None}
+    options = {"processes": False, "threads_per_worker": 1, "dashboard_address": ":0"}
     with LocalCluster(n_workers=2, **options) as cluster:
         yield cluster.scheduler_address
 
@@ -139,6 +142,34 @@ def test_a_scene_that_fails_is_left_out_and_the_rest_goes_on(
     assert "surface/01" not in ledger.entries["refine/carton"].after
     monkeypatch.setitem(module.STAGES, "surface", plan)
     assert stale_steps(recipe, built)["surface"] == [("00", True), ("01", False), ("02", True)]
+
+
+def test_recordings_come_from_a_store_and_exports_go_there(built: Workspace) -> None:
+    store = fsspec.filesystem("memory")
+    store.put(str(built.root.parent / "recording"), "/lab/recording", recursive=True)
+    recipe = recipe_of(built)
+    remote = replace(recipe.scenes[0], path=Path("memory://lab/recording"))  # a Path loses a slash
+    told = Told()
+    build(
+        replace(recipe, scenes=(remote,)),
+        place := Workspace(built.root.parent / "far"),
+        until="import",
+        tell=told,
+    )
+    assert place.scene_names() == built.scene_names()
+    assert told.names("ran") == ["import/memory://lab/recording", "import/"]
+    build(recipe_of(place), place, until="import", tell=(told := Told()))  # as the workspace keeps it
+    assert told.names("ran") == []
+    sent = replace(recipe, export=replace(recipe.export, to="memory://lab/out"))
+    build(sent, built, until="export", tell=(told := Told()))
+    assert told.names("ran") == ["export/to"]
+    own = {
+        path.relative_to(built.export("coco")).as_posix()
+        for path in built.export("coco").rglob("*")
+        if path.is_file()
+    }
+    assert {path.removeprefix("/lab/out/coco/") for path in store.find("/lab/out")} == own | {MANIFEST}
+    store.rm("/lab", recursive=True)
 
 
 def test_a_process_that_is_killed_is_said() -> None:
