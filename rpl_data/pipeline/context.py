@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import astuple, dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -112,8 +113,11 @@ class Context:
 
     def solutions_in(self, scene: str) -> list[Solution]:
         """Solutions of the objects that have a pose in a scene."""
-        solutions = [self.workspace.load_solution(name) for name in self.object_names]
-        return [one for one in solutions if places_in(scene, one.scene_from_object)]
+        return [one for one in self._solutions() if places_in(scene, one.scene_from_object)]
+
+    def _solutions(self) -> list[Solution]:
+        """Solutions of all objects; every scene asks for them, so they are only read when they changed."""
+        return [_solution(self.workspace, name, _stamp(self.workspace, name)) for name in self.object_names]
 
     def placed_by(self, object_name: str) -> str:
         """Name of the step whose solution the labels of an object follow."""
@@ -141,11 +145,21 @@ class Context:
 
     def placed_scenes(self) -> list[str]:
         """Scenes in which at least one object has a pose."""
-        solutions = [self.workspace.load_solution(name) for name in self.object_names]
-        placed = {scene_of(place) for solution in solutions for place in solution.scene_from_object}
+        placed = {scene_of(place) for one in self._solutions() for place in one.scene_from_object}
         parts = self.workspace.parts()
         there = [scene for scene in self.workspace.scene_names() if parts.video_of(scene) not in self.lost]
         return [scene for scene in there if scene in placed]
+
+
+def _stamp(workspace: Workspace, object_name: str) -> tuple[int, int]:
+    path = workspace.solution_file(object_name)
+    status = path.stat() if path.exists() else None
+    return (0, 0) if status is None else (status.st_mtime_ns, status.st_ino)
+
+
+@lru_cache(256)
+def _solution(workspace: Workspace, object_name: str, stamp: tuple[int, int]) -> Solution:
+    return workspace.load_solution(object_name)
 
 
 def step(
