@@ -121,7 +121,7 @@ def _build(
     sweep(workspace.root)
     save_recipe(recipe, workspace)
     fetch_recordings(recipe, workspace, tell)
-    ledger, context = Ledger(workspace.stages_file), Context(recipe, workspace, pool)
+    ledger, context = Ledger(workspace.stages_file), Context(recipe, workspace, pool, keep_going=keep_going)
     graph = Graph(ledger, pool, tell, again, keep_going)
     for group in TOGETHER:
         stages = group[: group.index(until) + 1] if until in group else group

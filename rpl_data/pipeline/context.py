@@ -35,6 +35,7 @@ class Context:
     Attributes:
         choice: what an export is limited to; a build limits none.
         lost: recordings in which a step of this build failed; all steps after it do without them.
+        keep_going: whether sources that cannot be read are left out, too.
     """
 
     recipe: Recipe
@@ -42,6 +43,7 @@ class Context:
     pool: Pool
     choice: ExportChoice = ExportChoice()
     lost: frozenset[str] = frozenset()
+    keep_going: bool = False
 
     @property
     def scene_sources(self) -> tuple[SceneSource, ...]:

@@ -6,9 +6,10 @@ whatever is killed, a step is either in the ledger or runs again.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Collection, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from rpl_data.pipeline.ledger import Ledger, Outcome, Step
 from rpl_data.pipeline.pool import Pool
@@ -121,12 +122,14 @@ class Graph:
             self._tell_reports()
 
         self.tell(Progress(step.stage, step.item, "runs"))
+        self.ledger.begin(step)
+        started = time.perf_counter()
         try:
-            entry = self.ledger.run(step, advance)
+            outcome = step.run(advance)
         except Exception as error:
             self._fail(step, error)
         else:
-            self.tell(Progress(step.stage, step.item, "ran", seconds=entry.seconds, outcome=entry.outcome))
+            self._record(step, outcome, time.perf_counter() - started)
 
     def _collect(self, open_names: set[str]) -> None:
         """Wait for a step in another process to end, and record it."""
@@ -142,8 +145,16 @@ class Graph:
             except Exception as error:
                 self._fail(step, error)
                 continue
-            self.ledger.record(step, outcome, seconds)
-            self.tell(Progress(step.stage, step.item, "ran", seconds=seconds, outcome=outcome))
+            self._record(step, outcome, seconds)
+
+    def _record(self, step: Step, outcome: Outcome, seconds: float) -> None:
+        """Note a step as done; where it left something out, so that the next build runs it again."""
+        left_out: dict[str, str] = outcome.details.get("left_out", {})
+        if left_out:
+            step = replace(step, options=step.options | {"left_out": sorted(left_out)})
+            self.failed |= {f"{step.stage}/{path}": DataError(why) for path, why in left_out.items()}
+        self.ledger.record(step, outcome, seconds)
+        self.tell(Progress(step.stage, step.item, "ran", seconds=seconds, outcome=outcome))
 
     def _tell_reports(self) -> None:
         at_work = {step.name: step for step in self._running.values()}
@@ -169,7 +180,7 @@ class Graph:
 
     def refuse_objects_and_exports(self) -> None:
         """Raise the list of what failed, where more than some scenes did: there is no going on without it."""
-        if any(name.partition("/")[0] not in BY_SCENE for name in self.failed):
+        if any(name.partition("/")[0] not in ("import", *BY_SCENE) for name in self.failed):
             self.refuse_failed()
 
     def refuse_failed(self) -> None:

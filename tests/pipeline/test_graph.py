@@ -144,6 +144,22 @@ def test_a_scene_that_fails_is_left_out_and_the_rest_goes_on(
     assert stale_steps(recipe, built)["surface"] == [("00", True), ("01", False), ("02", True)]
 
 
+def test_a_recording_that_cannot_be_read_is_left_out_and_tried_again(
+    built: Workspace, tmp_path: Path
+) -> None:
+    recipe = recipe_of(built)
+    (tmp_path / "empty").mkdir()
+    both = replace(recipe, scenes=(*recipe.scenes, replace(recipe.scenes[0], path=tmp_path / "empty")))
+    place = Workspace(tmp_path / "new")
+    with pytest.raises(DataError, match=f"\n    import {tmp_path}/empty: "):
+        build(both, place, until="clicks", keep_going=True)
+    assert place.scene_names() == built.scene_names()
+    assert Ledger(place.stages_file).entries.keys() == {"import", "clicks/carton"}
+    assert stale_steps(both, place)["import"] == [("", False)]
+    with pytest.raises(DataError, match="empty"):
+        build(both, Workspace(tmp_path / "other"), until="clicks")
+
+
 def test_recordings_come_from_a_store_and_exports_go_there(built: Workspace) -> None:
     store = fsspec.filesystem("memory")
     store.put(str(built.root.parent / "recording"), "/lab/recording", recursive=True)
