@@ -322,7 +322,9 @@ class Runs:
         same = "" if first is None else "same bytes" if made == first["digest"] else "OTHER BYTES"
         row = {**vars(cost), "digest": made, **more}
         self.rows[name] = row
-        lost = "" if "lost_s" not in more else f"  lost {more['lost_s']:6.1f} s"
+        lost = (
+            "" if "lost_s" not in more else f"  lost {more['lost_s']:.1f} s, {more['lost_cpu_s']:.1f} CPU s"
+        )
         print(
             f"{name:22s} {cost.wall_s:7.1f} s  CPU {cost.cpu_s:7.1f} s  peak {cost.peak_mb:6.0f} MB  "
             f"status {cost.status}  {made} {same}{lost}",
@@ -351,7 +353,7 @@ class Runs:
         with scheduler(self.port, 2) as (address, main, nanny):
             disturb = after_steps(place, at, lambda: kill_children(nanny.pid))
             cost = run(self.recipe, place, ["--dask", address], [main.pid, nanny.pid], disturb)
-        self.note("dask, worker killed", place, cost, lost_s=self._lost(cost, "dask 2"))
+        self.note("dask, worker killed", place, cost, **self._lost(cost, "dask 2"))
 
     def kill_scheduler(self, at: int) -> None:
         """The scheduler is killed; the build ends with a message, and is started again on a new one."""
@@ -363,7 +365,7 @@ class Runs:
         with scheduler(self.port + 1, 2) as (address, main, nanny):
             second = run(self.recipe, place, ["--dask", address], [main.pid, nanny.pid])
         both = _sum(first, second)
-        self.note("dask, scheduler killed", place, both, lost_s=self._lost(both, "dask 2"))
+        self.note("dask, scheduler killed", place, both, **self._lost(both, "dask 2"))
 
     def kill_client(self, at: int) -> None:
         """The building process is killed, and started again at once on the same workers."""
@@ -374,20 +376,24 @@ class Runs:
             first = run(self.recipe, place, command, told, self._killing_client(place, at))
             second = run(self.recipe, place, command, told)
         both = _sum(first, second)
-        self.note("dask, client killed", place, both, lost_s=self._lost(both, "dask 2"))
+        self.note("dask, client killed", place, both, **self._lost(both, "dask 2"))
 
     def kill_client_processes(self, at: int) -> None:
         """The same with processes of this machine."""
         place = self.workspace("kill_local")
         first = run(self.recipe, place, ["--workers", "2"], (), self._killing_client(place, at))
         both = _sum(first, run(self.recipe, place, ["--workers", "2"]))
-        self.note("processes, killed", place, both, lost_s=self._lost(both, "processes 2"))
+        self.note("processes, killed", place, both, **self._lost(both, "processes 2"))
 
     def _killing_client(self, place: Path, at: int) -> Callable[[Any], None]:
         return lambda process: after_steps(place, at, lambda: os.kill(process.pid, signal.SIGKILL))(process)
 
-    def _lost(self, cost: Cost, straight: str) -> float:
-        return cost.wall_s - self.rows[straight]["wall_s"] if straight in self.rows else float("nan")
+    def _lost(self, cost: Cost, straight: str) -> dict[str, float]:
+        """What a kill cost, wall time and CPU time; nothing where the straight build was not measured."""
+        if straight not in self.rows:
+            return {}
+        row = self.rows[straight]
+        return {"lost_s": cost.wall_s - row["wall_s"], "lost_cpu_s": cost.cpu_s - row["cpu_s"]}
 
 
 def _sum(one: Cost, two: Cost) -> Cost:
