@@ -231,6 +231,28 @@ def joined_meshes(meshes: Sequence[Mesh]) -> Mesh:
     )
 
 
+def in_order(mesh: Mesh) -> Mesh:
+    """The same surface with vertices and triangles sorted, so that it is the same bytes however it was made.
+
+    Open3D's threads extract vertices in an order that differs from run to run. Vertices that are equal become
+    one.
+    """
+    columns = mesh.vertices if mesh.colors is None else np.c_[mesh.vertices, mesh.colors]
+    order = np.lexsort(columns.T[::-1])
+    is_new = np.r_[True, (columns[order[1:]] != columns[order[:-1]]).any(axis=1)] if len(order) else order > 0
+    place = np.empty(len(order), dtype=np.int64)
+    place[order] = np.cumsum(is_new) - 1
+    corners = place[mesh.triangles]
+    first = corners.argmin(axis=1)[:, None]
+    corners = np.take_along_axis(corners, (first + np.arange(3)) % 3, axis=1)  # turned, never mirrored
+    kept = order[is_new]
+    return Mesh(
+        mesh.vertices[kept],
+        corners[np.lexsort(corners.T[::-1])],
+        None if mesh.colors is None else mesh.colors[kept],
+    )
+
+
 def simplified(mesh: Mesh, *, most_triangles: int) -> Mesh:
     """Reduce a mesh to at most `most_triangles`, by quadric error (Garland and Heckbert, SIGGRAPH 1997)."""
     if len(mesh.triangles) <= most_triangles:

@@ -15,7 +15,7 @@ LAYERS = [
     {"version", "wording"},
     {"types"},
     {"command_line", "directions", "files", "geometry"},
-    {"json_arrays", "orientation", "registered", "untrusted"},
+    {"json_arrays", "orientation", "registered", "remote", "untrusted"},
     {"images", "meshes", "raycast", "overlay", "drift", "symmetries"},
     {"keypoint_surface"},
     {"formats", "clicks", "pose", "reconstruct", "workspace", "synthesize"},
@@ -46,13 +46,15 @@ CONFINED = {
     "pyrealsense2": {"capture"},
     "open3d": {"export", "meshes", "raycast", "reconstruct", "segment", "twin"},
     "rosbags": {"formats"},
+    "distributed": {"pipeline"},
+    "fsspec": {"remote"},
     "pycocotools": {"annotate", "evaluate", "export", "formats", "label", "overlay", "torch", "twin"},
 }
 """The rooms that need a package; no other imports it."""
 
 SLOW = {
-    "av", "fastapi", "faster_coco_eval", "imagecodecs", "matplotlib", "open3d", "plotly", "pycocotools",
-    "pyrealsense2", "small_gicp", "torch", "torchvision", "uvicorn",
+    "av", "cloudpickle", "distributed", "fastapi", "faster_coco_eval", "fsspec", "imagecodecs", "matplotlib",
+    "open3d", "plotly", "pycocotools", "pyrealsense2", "small_gicp", "torch", "torchvision", "uvicorn",
 }  # fmt: skip
 """Imported inside the functions that need them, so that `rpl --help` is quick."""
 

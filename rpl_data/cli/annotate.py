@@ -17,7 +17,6 @@ from rpl_data.geometry import transform
 from rpl_data.label.certainty import HALF_QUALITY_PX, expected_error_px
 from rpl_data.pipeline.automatic import find_step
 from rpl_data.pipeline.build import (
-    Progress,
     build,
     context_of,
     recipe_of,
@@ -27,6 +26,7 @@ from rpl_data.pipeline.build import (
 )
 from rpl_data.pipeline.context import Context
 from rpl_data.pipeline.grasp import object_from_grasp
+from rpl_data.pipeline.progress import Progress
 from rpl_data.pipeline.recipe import ObjectRecipe
 from rpl_data.pipeline.results import sparse_labels
 from rpl_data.pipeline.stages.solve import solve_annotation_unchecked
@@ -98,7 +98,7 @@ def _run(workspace: Workspace, stage: str, tell: Tell) -> list[str]:
         tell(f"{progress.stage} {progress.item}".strip(), progress.done, progress.total)
         if progress.state == "ran":
             lines.extend(progress.outcome.messages)
-        if progress.state != "runs" and progress.stage == "export":
+        if progress.state != "runs" and "images" in progress.outcome.details:
             images = progress.outcome.details["images"]
             counts = ", ".join(f"{count} of {split}" for split, count in images.items())
             lines.append(f"{workspace.export(progress.item).resolve()}: images: {counts}")

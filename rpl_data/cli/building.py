@@ -47,6 +47,8 @@ def run_build(
     again: str | None,
     workers: int | None = None,
     *,
+    dask: str | None = None,
+    keep_going: bool = False,
     results: bool = True,
 ) -> Ledger:
     """Build with progress on the terminal, and say what came out unless more is to follow."""
@@ -57,7 +59,16 @@ def run_build(
     chosen = stages_named(again, until)
     place = Workspace(workspace)
     with Screen() as screen:
-        ledger = build(recipe, place, until=until, again=chosen, workers=workers, tell=screen.tell)
+        ledger = build(
+            recipe,
+            place,
+            until=until,
+            again=chosen,
+            workers=workers,
+            dask=dask,
+            keep_going=keep_going,
+            tell=screen.tell,
+        )
     if results:
         print_results(place, ledger, screen, until, fresh_steps(recipe, place))
     return ledger

@@ -56,6 +56,14 @@ PARTS = (
         "pytorch-lightning", "pytorch_lightning", "the training programs", "pip install 'rpl-data[training]'"
     ),
     Part("tensorboard", "tensorboard", "curves of a training", "pip install 'rpl-data[training]'"),
+    Part(
+        "distributed",
+        "distributed",
+        "builds on a Dask cluster",
+        "pip install 'rpl-data[dask]'",
+        optional=True,
+    ),
+    Part("s3fs", "s3fs", "recordings and exports in S3", "pip install 'rpl-data[s3]'", optional=True),
     Part("depthai", "depthai", "capture with OAK cameras", "pip install 'rpl-data[oak]'", optional=True),
     Part(
         "pyorbbecsdk2",

@@ -84,6 +84,8 @@ def build_recipe(
     root: Path | None = None,
     workers: int | None = None,
     again: str | None = None,
+    dask: str | None = None,
+    keep_going: bool = False,
 ) -> None:
     """Make everything a recipe asks for; only what is out of date is run.
 
@@ -106,13 +108,25 @@ def build_recipe(
         workspace: folder for everything that is made; when left out, the current one if it is a workspace,
             else workspaces/<name of the file>.
         root: where the relative paths of the recipe start; the recipe's own folder when left out.
-        workers: number of processes for labelling and rendering; as many as there are cores when left out,
-            1 = only this one.
+        workers: number of processes, which work on scenes side by side; as many as there are cores when left
+            out, 1 = only this one.
         again: a stage to run again although nothing it depends on has changed, or `all`.
+        dask: a Dask cluster that does the work instead: `tcp://HOST:PORT` of its scheduler, or `local:N`. Its
+            workers must see recordings and workspace at the same paths.
+        keep_going: where a step fails in one scene, leave that scene out and make the rest; what failed is
+            listed at the end, with exit status 1.
     """
     from rpl_data.pipeline.recipe_file import load_recipe
 
-    run_build(load_recipe(recipe, root=root), workspace or workspace_for(recipe), None, again, workers)
+    run_build(
+        load_recipe(recipe, root=root),
+        workspace or workspace_for(recipe),
+        None,
+        again,
+        workers,
+        dask=dask,
+        keep_going=keep_going,
+    )
 
 
 def register(object: str, scene: str, workspace: Path = HERE, auto: bool = False) -> None:

@@ -9,8 +9,8 @@ from tempfile import TemporaryDirectory
 
 from rpl_data.cli.building import workspace_for
 from rpl_data.cli.check import recordings_at
-from rpl_data.cli.screen import print_diagnoses
-from rpl_data.pipeline.build import recipe_of
+from rpl_data.cli.screen import Screen, print_diagnoses
+from rpl_data.pipeline.build import alone_in, context_of
 from rpl_data.pipeline.first_recipe import (
     HowStored,
     KeypointsSaid,
@@ -21,6 +21,7 @@ from rpl_data.pipeline.first_recipe import (
 )
 from rpl_data.pipeline.recipe import Recipe
 from rpl_data.pipeline.recipe_file import recipe_from_text, resolve_paths
+from rpl_data.pipeline.remotes import fetched
 from rpl_data.recordings.open import only_format
 from rpl_data.types import DataError
 from rpl_data.untrusted.names import checked_name
@@ -88,13 +89,29 @@ def recipe_for(
     """
     kept = Workspace(workspace)
     if kept.recipe_file.exists() and object is None and keypoints is None and told == NOTHING_TOLD:
-        known = recipe_of(kept)
-        if [source.path.resolve() for source in known.scenes] == [recording.resolve()]:
-            return known
+        known = context_of(kept)
+        if [source.path.resolve() for source in known.scene_sources] == [recording.resolve()]:
+            return known.recipe
     stem = "recording" if workspace.name in ("", "..") else workspace.name
     place = Path.cwd() / f"{stem}.yaml"
     text = text_for(recording, place, object=object, keypoints=keypoints, told=told)
     return resolve_paths(recipe_from_text(text, source=str(recording)), place.parent)
+
+
+def recipe_at(
+    address: Path,
+    workspace: Path,
+    *,
+    object: str | None = None,
+    keypoints: str | None = None,
+    told: HowStored = NOTHING_TOLD,
+) -> Recipe:
+    """As `recipe_for`, of a recording in an object store, which is copied into the workspace first."""
+    place = Workspace(workspace)
+    with alone_in(place), Screen() as screen:
+        copy = fetched(address, place, screen.tell)
+    recipe = recipe_for(copy, workspace, object=object, keypoints=keypoints, told=told)
+    return replace(recipe, scenes=tuple(replace(source, path=address) for source in recipe.scenes))
 
 
 def next_commands(recipe: Path, *, clicked: bool) -> str:

@@ -16,7 +16,8 @@ from rpl_data.annotate.work import Tell
 from rpl_data.cli.annotate import work_of
 from rpl_data.cli.listening import listening, server_of
 from rpl_data.cli.new_recipe import recipe_for
-from rpl_data.pipeline.build import Progress, build
+from rpl_data.pipeline.build import build
+from rpl_data.pipeline.progress import Progress
 from rpl_data.types import DataError
 from rpl_data.workspace.workspace import Workspace
 

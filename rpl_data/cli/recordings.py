@@ -7,6 +7,7 @@ from typing import Literal
 
 from rpl_data.cli.building import run_build, workspace_for
 from rpl_data.formats.recordings.ros.wanted import Topics
+from rpl_data.remote import url_of
 from rpl_data.types import DataError
 
 
@@ -28,7 +29,8 @@ def import_(
     Example: rpl import my-recording --workspace my-workspace --object mug --keypoints 8
 
     Args:
-        recipe: the YAML file, or a recording.
+        recipe: the YAML file, or a recording; also one in an object store, such as s3://bucket/recording,
+            which is copied into the workspace.
         workspace: folder for everything that is made; when left out, the current one if it is a workspace,
             else workspaces/<name of the recipe or recording>.
         root: where the relative paths of the recipe start; the recipe's own folder when left out.
@@ -42,7 +44,8 @@ def import_(
     from rpl_data.pipeline.recipe_file import load_recipe
 
     workspace = workspace or workspace_for(recipe)
-    if recipe.suffix in (".yaml", ".yml") or not recipe.exists():
+    is_remote = url_of(recipe) is not None
+    if recipe.suffix in (".yaml", ".yml") or not (is_remote or recipe.exists()):
         if any(option is not None for option in (object, keypoints, format, camera, topics)):
             raise DataError(
                 f"{recipe} says what is there and how it is stored; --object, --keypoints, --format, "
@@ -50,11 +53,12 @@ def import_(
             )
         loaded = load_recipe(recipe, root=root)
     else:
-        from rpl_data.cli.new_recipe import recipe_for
+        from rpl_data.cli.new_recipe import recipe_at, recipe_for
         from rpl_data.pipeline.first_recipe import HowStored
 
         told = HowStored(format, camera, topics)
-        loaded = recipe_for(recipe, workspace, object=object, keypoints=keypoints, told=told)
+        find = recipe_at if is_remote else recipe_for
+        loaded = find(recipe, workspace, object=object, keypoints=keypoints, told=told)
     run_build(loaded, workspace, "import", "import" if again else None)
 
 

@@ -12,8 +12,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 
 from rpl_data.doctor.findings import Diagnosis
 from rpl_data.evaluate.quality import format_table
-from rpl_data.pipeline import build
 from rpl_data.pipeline.ledger import Ledger
+from rpl_data.pipeline.progress import Progress as BuildProgress
 from rpl_data.pipeline.results import quality_rows, split_summary, timings, worth_knowing
 from rpl_data.types import Recording
 from rpl_data.workspace.workspace import Workspace
@@ -23,26 +23,31 @@ TELL_EVERY_S = 10.0
 
 
 class _Lines:
-    """Lines in place of a progress bar, for a log file or a pipe."""
+    """Lines in place of progress bars, for a log file or a pipe."""
 
     def __init__(self, console: Console) -> None:
         self.console = console
         self._told_s = time.monotonic()
-        self._title = ""
+        self._running: dict[str, tuple[float, str]] = {}
 
     def tell(self, title: str, done: int, total: int) -> None:
-        """Say how far a step is; nothing when it began, or was named, a short time ago."""
+        """Say how far all steps are that have run for some time; nothing when that was said shortly ago."""
         now_s = time.monotonic()
-        if title != self._title:
-            self._title, self._told_s = title, now_s
-        if self.console.is_terminal or now_s - self._told_s < TELL_EVERY_S:
+        began_s, _ = self._running.get(title, (now_s, ""))
+        self._running[title] = began_s, f"{done} of {total}" if total else "at work"
+        long = [step for step in self._running.items() if now_s - step[1][0] >= TELL_EVERY_S]
+        if self.console.is_terminal or now_s - self._told_s < TELL_EVERY_S or not long:
             return
         self._told_s = now_s
-        self.console.print(f"{title:20s} {f'{done} of {total}' if total else 'at work'}")
+        self.console.print(", ".join(f"{name.strip():20s} {state}" for name, (_, state) in long))
+
+    def end(self, title: str) -> None:
+        """The step is done."""
+        self._running.pop(title, None)
 
 
 class Screen:
-    """Prints one line per finished step, and how far the running one is: a bar, or lines for a log file."""
+    """Prints one line per finished step, and how far those at work are: bars, or lines for a log file."""
 
     def __init__(self) -> None:
         self.console = Console(highlight=False, markup=False, soft_wrap=True)
@@ -50,7 +55,7 @@ class Screen:
         quiet = not self.console.is_terminal
         self._bar = Progress(*columns, console=self.console, transient=True, disable=quiet)
         self._lines = _Lines(self.console)
-        self._task: TaskID | None = None
+        self._tasks: dict[str, TaskID] = {}
         self.ran = 0
 
     def __enter__(self) -> Screen:
@@ -62,24 +67,25 @@ class Screen:
     ) -> None:
         self._bar.stop()
 
-    def tell(self, progress: build.Progress) -> None:
+    def tell(self, progress: BuildProgress) -> None:
         """Show the progress of a step."""
         title = f"{progress.stage:8s} {progress.item}"
         if progress.state == "runs":
-            if self._task is None:
-                self._task = self._bar.add_task(title, total=progress.total or None)
-            self._bar.update(self._task, completed=progress.done, total=progress.total or None)
+            if title not in self._tasks:
+                self._tasks[title] = self._bar.add_task(title, total=progress.total or None)
+            self._bar.update(self._tasks[title], completed=progress.done, total=progress.total or None)
             self._lines.tell(title, progress.done, progress.total)
             return
-        if self._task is not None:
-            self._bar.remove_task(self._task)
-            self._task = None
+        if title in self._tasks:
+            self._bar.remove_task(self._tasks.pop(title))
+        self._lines.end(title)
         if progress.state == "kept":
             return
         self.ran += 1
         frames = progress.outcome.frames
         work = f"  {frames} frames" if frames else ""
-        self.console.print(f"{title:20s} {progress.seconds:6.1f} s{work}")
+        took = "failed" if progress.state == "failed" else f"{progress.seconds:6.1f} s"
+        self.console.print(f"{title:20s} {took}{work}")
         for line in progress.outcome.messages:
             self.console.print(f"    {line}")
 

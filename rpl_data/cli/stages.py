@@ -132,6 +132,7 @@ def export(
     min_quality: float | None = None,
     split: Literal["train", "val", "test"] | None = None,
     color: Literal["recorded", "png", "jpg"] | None = None,
+    to: str | None = None,
     again: bool = False,
 ) -> None:
     """Write the labels in the formats of the recipe, to export/ of the workspace.
@@ -165,6 +166,9 @@ def export(
         split: of this format, only this split.
         color: of this format, colour images as they were recorded, or all as PNG or JPEG
             (bop, bop_onboarding).
+        to: copy what is exported to this address in an object store, such as s3://bucket/cups, this time
+            only: a folder per format, only what has changed. `export: {to: ...}` in the recipe says it for
+            good.
         again: run the stage even if nothing it depends on has changed.
     """
     from rpl_data.pipeline.choice import ExportChoice
@@ -178,10 +182,11 @@ def export(
         from rpl_data.pipeline.stages.export import check_format
 
         check_format(format)
-    run_stage(workspace, "export", again, results=format is None)
-    if labels == "truth" or format is not None:
+    ledger = run_stage(workspace, "export", again, results=format is None)
+    if labels == "truth" or format is not None or to is not None:
         from rpl_data.pipeline.build import alone_in, context_of
         from rpl_data.pipeline.exported_labels import export_truth
+        from rpl_data.pipeline.remotes import upload_exports
         from rpl_data.pipeline.stages.export import export_chosen
         from rpl_data.workspace.workspace import Workspace
 
@@ -190,8 +195,14 @@ def export(
             context = context_of(place)
             if labels == "truth":
                 say_written(place.export("coco_truth"), export_truth(context))
+            formats = sorted(item for item in ledger.of_stage("export") if place.export(item).is_dir())
+            folders = [place.export(name) for name in formats]
             if format is not None:
-                say_written(*export_chosen(context, format, choice))
+                folder, summary = export_chosen(context, format, choice)
+                say_written(folder, summary)
+                folders = [folder]
+            if to is not None:
+                print("\n".join(upload_exports(place, folders, to, lambda done, total: None).messages))
 
 
 def quality(workspace: Path = HERE, again: bool = False) -> None:

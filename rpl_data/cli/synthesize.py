@@ -41,7 +41,8 @@ def synthesize(
         again: make meshes, colours and backgrounds anew, though nothing they depend on has changed.
     """
     from rpl_data.cli.screen import Screen
-    from rpl_data.pipeline.build import Progress, alone_in
+    from rpl_data.pipeline.build import alone_in
+    from rpl_data.pipeline.progress import Progress
     from rpl_data.pipeline.synthesis.run import synthesize_workspace
     from rpl_data.workspace.workspace import Workspace
 

@@ -1,23 +1,25 @@
 """Build a workspace from a recipe: the stages in order, running only steps that are out of date.
 
-Every finished step is in `stages.json` before the next one starts, and every file is written completely or
+Every finished step is in `stages.json` before those after it start, and every file is written completely or
 not at all, so a build can be interrupted anywhere and continues where it was when it is run again.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
-from typing import Literal
 
 from rpl_data.files import locked, read_text, sweep, write_text
 from rpl_data.pipeline.context import Context
-from rpl_data.pipeline.ledger import Advance, Entry, Ledger, Outcome, Step
+from rpl_data.pipeline.graph import TOGETHER, Graph
+from rpl_data.pipeline.ledger import Advance, Entry, Ledger, Step
 from rpl_data.pipeline.pool import Pool
+from rpl_data.pipeline.progress import Progress, Tell
 from rpl_data.pipeline.recipe import Recipe
 from rpl_data.pipeline.recipe_file import load_recipe, recipe_to_yaml
+from rpl_data.pipeline.remotes import fetch_recordings
 from rpl_data.pipeline.stages import (
     clicks,
     cut,
@@ -62,37 +64,6 @@ FORGET: dict[str, Callable[[Context], None]] = {
 """What removes the files of a stage that the recipe no longer asks for; planning changes nothing."""
 
 
-@dataclass(frozen=True)
-class Progress:
-    """Progress of a build, as its caller receives it.
-
-    Attributes:
-        state: `runs` (with `done` of `total` frames; total 0 = unknown), `ran`, or `kept`: nothing that
-            it depends on has changed, so it was not run.
-        seconds: time it took, now or when it last ran.
-    """
-
-    stage: str
-    item: str
-    state: Literal["runs", "ran", "kept"]
-    done: int = 0
-    total: int = 0
-    seconds: float = 0.0
-    outcome: Outcome = Outcome()
-
-    def __str__(self) -> str:
-        """One line for a person, as `tell=print` shows it."""
-        step = f"{self.stage} {self.item}".strip()
-        if self.state == "kept":
-            return f"{step}: up to date"
-        if self.state == "ran":
-            return f"{step}: done in {self.seconds:.1f} s"
-        return f"{step}: {self.done} of {self.total}" if self.total else f"{step}: {self.done} done"
-
-
-Tell = Callable[[Progress], None]
-
-
 def build(
     recipe: Recipe,
     workspace: Workspace,
@@ -100,24 +71,41 @@ def build(
     until: str | None = None,
     again: Collection[str] = (),
     workers: int | None = None,
+    dask: str | None = None,
+    keep_going: bool = False,
     tell: Tell = lambda progress: None,
 ) -> Ledger:
-    """Run the steps that are out of date, in order.
+    """Run the steps that are out of date, each once those before it are done.
 
     Args:
         until: the last stage to run; None for all.
         again: stages whose steps run even if they are up to date.
         workers: number of processes; None for the number of cores, 1 for this process only.
+        dask: address of a Dask scheduler, or `local:N`, whose workers run the steps instead.
+        keep_going: leave out the scenes in which a step fails, and make the rest.
         tell: called with every step's progress.
 
     Returns:
         The ledger: what every step ran with, how long it took, and its messages.
 
     Raises:
-        DataError: what the user can mend; steps that were finished stay finished.
+        DataError: what the user can mend; steps that were finished stay finished. With `keep_going`, the list
+            of the steps that failed, once all others are done.
     """
-    with alone_in(workspace):
-        return _build(recipe, workspace, until, again, workers, tell)
+    if dask is not None:
+        workspace = Workspace(workspace.root.absolute())  # workers are in folders of their own
+    with alone_in(workspace), _pool(workers, dask, workspace) as pool:
+        return _build(recipe, workspace, until, again, pool, keep_going, tell)
+
+
+def _pool(workers: int | None, dask: str | None, workspace: Workspace) -> Pool:
+    if dask is None:
+        return Pool(workers)
+    if workers is not None:
+        raise DataError("give either --workers or --dask: a cluster has the workers that it was started with")
+    from rpl_data.pipeline.cluster import Cluster
+
+    return Pool(engine=Cluster(dask, workspace))
 
 
 def _build(
@@ -125,25 +113,45 @@ def _build(
     workspace: Workspace,
     until: str | None,
     again: Collection[str],
-    workers: int | None,
+    pool: Pool,
+    keep_going: bool,
     tell: Tell,
 ) -> Ledger:
     export.refuse_unknown_exports(recipe.export.formats)
-    with Pool(workers) as pool:
-        sweep(workspace.root)
-        save_recipe(recipe, workspace)
-        ledger = Ledger(workspace.stages_file)
-        context = Context(recipe, workspace, pool)
-        for stage, plan in STAGES.items():
-            steps = plan(context)
-            ledger.keep_only(stage, [item.item for item in steps])
+    sweep(workspace.root)
+    save_recipe(recipe, workspace)
+    fetch_recordings(recipe, workspace, tell)
+    ledger, context = Ledger(workspace.stages_file), Context(recipe, workspace, pool, keep_going=keep_going)
+    graph = Graph(ledger, pool, tell, again, keep_going)
+    for group in TOGETHER:
+        stages = group[: group.index(until) + 1] if until in group else group
+        context = _run_together(graph, stages, context)
+        graph.refuse_objects_and_exports()
+        if until in group:
+            break
+    graph.refuse_failed()
+    return ledger
+
+
+def _run_together(graph: Graph, stages: Sequence[str], context: Context) -> Context:
+    """Run stages; once more without the scenes in which a step failed, as what joins scenes needs all.
+
+    Returns:
+        The context of the stages after them, without those scenes.
+    """
+    while True:
+        steps = []
+        for stage in stages:
+            planned = STAGES[stage](context)
+            graph.ledger.keep_only(stage, [item.item for item in planned])
             if stage in FORGET:
                 FORGET[stage](context)
-            for item in steps:
-                _bring_up_to_date(ledger, item, stage in again, tell)
-            if stage == until:
-                break
-    return ledger
+            steps += planned
+        graph.run(steps)
+        lost = context.lost | {context.workspace.parts().video_of(place) for place in graph.lost_places()}
+        if lost == context.lost:
+            return context
+        context = replace(context, lost=lost)
 
 
 @contextmanager
@@ -167,23 +175,6 @@ def stages_named(again: str | Collection[str] | None, until: str | None = None) 
         if stage not in STAGES:
             raise DataError(f"there is no stage {stage!r}; the stages are {', '.join(STAGES)} (or `all`)")
     return chosen
-
-
-def _bring_up_to_date(ledger: Ledger, step: Step, anyway: bool, tell: Tell) -> None:
-    if ledger.holds(step) and not anyway:
-        ledger.renew(step)
-        entry = ledger.entries[step.name]
-        tell(Progress(step.stage, step.item, "kept", seconds=entry.seconds, outcome=entry.outcome))
-        return
-    tell(Progress(step.stage, step.item, "runs"))
-    try:
-        entry = ledger.run(
-            step, lambda done, total: tell(Progress(step.stage, step.item, "runs", done, total))
-        )
-    except Exception as error:
-        error.add_note(step.name)  # for whoever reports a fault of ours
-        raise
-    tell(Progress(step.stage, step.item, "ran", seconds=entry.seconds, outcome=entry.outcome))
 
 
 def stale_steps(recipe: Recipe, workspace: Workspace) -> dict[str, list[tuple[str, bool]]]:
@@ -227,7 +218,8 @@ def run_step(
         title: how progress names that work, as stage and item.
     """
     with alone_in(workspace):
-        ledger = _build(recipe, workspace, "cut", (), None, tell)
+        with Pool() as pool:
+            ledger = _build(recipe, workspace, "cut", (), pool, False, tell)
 
         def advance(done: int, total: int) -> None:
             tell(Progress(*title, "runs", done, total))

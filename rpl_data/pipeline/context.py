@@ -5,7 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,8 @@ from rpl_data.pipeline.choice import ExportChoice
 from rpl_data.pipeline.ledger import Advance, Outcome, Step
 from rpl_data.pipeline.pool import Pool
 from rpl_data.pipeline.recipe import ObjectRecipe, Recipe, SceneSource
+from rpl_data.pipeline.remotes import copy_of
+from rpl_data.remote import url_of
 from rpl_data.types import DataError, Frame, KeypointModel, Scene, Solution, Trajectory
 from rpl_data.types.instances import places_in, scene_of
 from rpl_data.workspace.workspace import Workspace
@@ -31,12 +34,16 @@ class Context:
 
     Attributes:
         choice: what an export is limited to; a build limits none.
+        lost: recordings in which a step of this build failed; all steps after it do without them.
+        keep_going: whether sources that cannot be read are left out, too.
     """
 
     recipe: Recipe
     workspace: Workspace
     pool: Pool
     choice: ExportChoice = ExportChoice()
+    lost: frozenset[str] = frozenset()
+    keep_going: bool = False
 
     @property
     def scene_sources(self) -> tuple[SceneSource, ...]:
@@ -45,7 +52,12 @@ class Context:
         casts = () if twin is None else zip(twin.scene_names, twin.casts, strict=True)
         moving = tuple(name for name, cast in casts if cast.moving) or False
         made = SceneSource(self._twin_recording, metres_per_unit=0.001, moving=moving)
-        return self.recipe.scenes or (made,)
+        return tuple(map(self._here, self.recipe.scenes)) or (made,)
+
+    def _here(self, source: SceneSource) -> SceneSource:
+        """A source with its copy in place of an address in an object store."""
+        url = url_of(source.path)
+        return source if url is None else replace(source, path=copy_of(self.workspace, url))
 
     @property
     def objects(self) -> tuple[ObjectRecipe, ...]:
@@ -88,17 +100,26 @@ class Context:
         if not self.tracks:
             return ["import"]
         parts, known = self.workspace.parts(), scenes or tuple(self.workspace.scene_names())
-        return ["import", *sorted({f"track/{parts.video_of(scene)}" for scene in known})]
+        videos = {parts.video_of(scene) for scene in known} - self.lost
+        return ["import", *sorted(f"track/{video}" for video in videos)]
+
+    def videos(self) -> list[str]:
+        """Names of the recordings, without those in which a step failed."""
+        return [name for name in self.workspace.video_names() if name not in self.lost]
 
     def still_places(self, places: Iterable[str]) -> list[str]:
         """Those of an object's places in which it stands still while it is filmed, sorted."""
-        moving = self.workspace.parts().moving
-        return sorted(place for place in places if scene_of(place) not in moving)
+        parts = self.workspace.parts()
+        left_out = parts.moving | self.lost
+        return sorted(place for place in places if parts.video_of(place) not in left_out)
 
     def solutions_in(self, scene: str) -> list[Solution]:
         """Solutions of the objects that have a pose in a scene."""
-        solutions = [self.workspace.load_solution(name) for name in self.object_names]
-        return [one for one in solutions if places_in(scene, one.scene_from_object)]
+        return [one for one in self._solutions() if places_in(scene, one.scene_from_object)]
+
+    def _solutions(self) -> list[Solution]:
+        """Solutions of all objects; every scene asks for them, so they are only read when they changed."""
+        return [_solution(self.workspace, name, _stamp(self.workspace, name)) for name in self.object_names]
 
     def placed_by(self, object_name: str) -> str:
         """Name of the step whose solution the labels of an object follow."""
@@ -126,9 +147,21 @@ class Context:
 
     def placed_scenes(self) -> list[str]:
         """Scenes in which at least one object has a pose."""
-        solutions = [self.workspace.load_solution(name) for name in self.object_names]
-        placed = {scene_of(place) for solution in solutions for place in solution.scene_from_object}
-        return [scene for scene in self.workspace.scene_names() if scene in placed]
+        placed = {scene_of(place) for one in self._solutions() for place in one.scene_from_object}
+        parts = self.workspace.parts()
+        there = [scene for scene in self.workspace.scene_names() if parts.video_of(scene) not in self.lost]
+        return [scene for scene in there if scene in placed]
+
+
+def _stamp(workspace: Workspace, object_name: str) -> tuple[int, int]:
+    path = workspace.solution_file(object_name)
+    status = path.stat() if path.exists() else None
+    return (0, 0) if status is None else (status.st_mtime_ns, status.st_ino)
+
+
+@lru_cache(256)
+def _solution(workspace: Workspace, object_name: str, stamp: tuple[int, int]) -> Solution:
+    return workspace.load_solution(object_name)
 
 
 def step(

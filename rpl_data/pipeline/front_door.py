@@ -6,7 +6,8 @@ from collections.abc import Collection
 from pathlib import Path
 
 from rpl_data.pipeline import build as pipeline
-from rpl_data.pipeline.build import Progress, Tell, stages_named
+from rpl_data.pipeline.build import stages_named
+from rpl_data.pipeline.progress import Progress, Tell
 from rpl_data.pipeline.recipe import Recipe
 from rpl_data.pipeline.recipe_file import load_recipe
 from rpl_data.types import DataError
@@ -21,6 +22,8 @@ def build(
     until: str | None = None,
     again: str | Collection[str] = (),
     workers: int | None = None,
+    dask: str | None = None,
+    keep_going: bool = False,
     tell: Tell | None = None,
 ) -> Workspace:
     """Make everything that a recipe asks for; only what is out of date is run.
@@ -36,6 +39,10 @@ def build(
         again: a stage, or several, to run although nothing they depend on has changed; "all" for all.
         workers: number of processes; one per core when left out, 1 = this process only. More than one needs
             a program that can be imported: keep its calls below `if __name__ == "__main__":`.
+        dask: a Dask cluster that does the work instead: `tcp://HOST:PORT` of its scheduler, or `local:N`, N
+            processes of this machine. Its workers must see recordings and workspace at the same paths.
+        keep_going: where a step fails in one scene, leave that scene out and make the rest; what failed is
+            raised at the end.
         tell: called with the `Progress` of every step, as often as it advances; its `state` is "ran" when
             the step is finished. `print` shows a line each time; nothing is printed when left out.
 
@@ -49,7 +56,14 @@ def build(
     place = workspace if isinstance(workspace, Workspace) else Workspace(workspace)
     chosen = stages_named(again, until)
     pipeline.build(
-        _recipe(recipe, root), place, until=until, again=chosen, workers=workers, tell=tell or _say_nothing
+        _recipe(recipe, root),
+        place,
+        until=until,
+        again=chosen,
+        workers=workers,
+        dask=dask,
+        keep_going=keep_going,
+        tell=tell or _say_nothing,
     )
     return place
 

@@ -125,11 +125,18 @@ class Ledger:
 
     def run(self, step: Step, advance: Advance) -> Entry:
         """Run the step and record it; when it fails or is interrupted, nothing is recorded."""
-        if self.entries.pop(step.name, None) is not None:
-            self._save()  # its files are about to change
+        self.begin(step)
         started = time.perf_counter()
         outcome = step.run(advance)
-        seconds = time.perf_counter() - started
+        return self.record(step, outcome, time.perf_counter() - started)
+
+    def begin(self, step: Step) -> None:
+        """Forget what is known of a step whose files are about to change."""
+        if self.entries.pop(step.name, None) is not None:
+            self._save()
+
+    def record(self, step: Step, outcome: Outcome, seconds: float) -> Entry:
+        """Note that a step has run to its end."""
         before, folders = self._before(step), {str(p): contents(p) for p in step.outputs if p.is_dir()}
         entry = Entry(
             self.key(step), step.version, step.options, step.sources, before, seconds, outcome, folders

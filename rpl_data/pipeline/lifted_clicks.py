@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 from rpl_data.clicks.lift import lift_clicks
 from rpl_data.types import Click, DataError, Observation, Scene, Trajectory
 from rpl_data.types.instances import scene_of
 from rpl_data.workspace.workspace import Workspace
 
 
-def observe(workspace: Workspace, object_name: str, *, scene: str | None = None) -> list[Observation]:
+def observe(
+    workspace: Workspace, object_name: str, *, scene: str | None = None, without: Collection[str] = ()
+) -> list[Observation]:
     """The clicks of an object (in one scene, or all), lifted; those in frames without a pose are left out.
+
+    Args:
+        workspace: where they are.
+        object_name: of the object.
+        scene: only the clicks in this scene.
+        without: recordings whose clicks are left out.
 
     Raises:
         DataError: there are none, or a click cannot be lifted.
@@ -17,6 +27,8 @@ def observe(workspace: Workspace, object_name: str, *, scene: str | None = None)
     clicks = workspace.load_annotation(object_name).clicks
     if scene is not None:
         clicks = tuple(click for click in clicks if click.scene == scene)
+    parts = workspace.parts()
+    clicks = tuple(click for click in clicks if parts.video_of(click.scene) not in without)
     where = f" in scene {scene}" if scene else ""
     if not clicks:
         raise DataError(

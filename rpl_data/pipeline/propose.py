@@ -10,8 +10,9 @@ import numpy as np
 from rpl_data.geometry import Transform
 from rpl_data.images import read_color
 from rpl_data.pipeline.automatic import find_step
-from rpl_data.pipeline.build import Progress, Tell, context_of, recipe_of, run_step
+from rpl_data.pipeline.build import context_of, recipe_of, run_step
 from rpl_data.pipeline.context import posed_frames
+from rpl_data.pipeline.progress import Progress, Tell
 from rpl_data.pipeline.register import object_named
 from rpl_data.pipeline.symmetry import frame_change
 from rpl_data.pose.agreement import agreements, keypoint_distance_m

@@ -47,7 +47,8 @@ class SceneSource:
     """Source of some scenes.
 
     Attributes:
-        path: a folder of scenes, or one scene.
+        path: a folder of scenes, or one scene; or its address in an object store, such as
+            `s3://bucket/recording`, from which it is copied into the workspace.
         format: how they are stored; `rpl` is a RapidPoseLabels tree (`camera.txt` and, per scene,
             `rgb/`, `depth/`, `associations.txt`, `camera.poses`). The README lists the others.
         names: the scenes of the folder to use; all when left out.
@@ -245,6 +246,8 @@ class ExportRecipe:
             that no program that writes into an export can change the recording; they take no space where the
             file system can clone files. `link` never takes space, but such a program changes the recording.
         license: under which the dataset may be used, for its card (`export/coco/README.md`).
+        to: address in an object store, such as `s3://bucket/cups`, that the exports are copied to: a folder
+            for each format, with the list `rpl-manifest.json`, which is there only when all files are.
     """
 
     formats: tuple[str, ...] = ("coco",)
@@ -253,6 +256,7 @@ class ExportRecipe:
     frame: FrameChoice = "keypoints"
     images: Images = "copy"
     license: str | None = None
+    to: str | None = None
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from rpl_data.files import FAULTS, read_text
 from rpl_data.pipeline.presets import fill_in
 from rpl_data.pipeline.recipe import Recipe
 from rpl_data.pipeline.recipe_faults import misfit
+from rpl_data.remote import url_of
 from rpl_data.types import DataError
 from rpl_data.untrusted.names import MOST_KEYPOINTS, checked_keypoints, checked_name
 
@@ -96,7 +97,8 @@ def recipe_to_yaml(recipe: Recipe) -> str:
 def resolve_paths(recipe: AnyRecipe, root: Path) -> AnyRecipe:
     """Make every relative path of a dataclass, at any depth, absolute from `root`."""
     if isinstance(recipe, Path):
-        return root / recipe.expanduser()  # an absolute path stays as it is
+        # An absolute path stays as it is, and so does an address.
+        return recipe if url_of(recipe) else root / recipe.expanduser()
     if isinstance(recipe, tuple):
         return tuple(resolve_paths(item, root) for item in recipe)  # type: ignore[return-value]
     if dataclasses.is_dataclass(recipe) and not isinstance(recipe, type):

@@ -14,7 +14,10 @@ from rpl_data.untrusted.names import checked_name
 
 
 def recordings_of(
-    sources: Sequence[SceneSource], *, unpack: Callable[[str], Path] | None = None
+    sources: Sequence[SceneSource],
+    *,
+    unpack: Callable[[str], Path] | None = None,
+    faults: dict[str, DataError] | None = None,
 ) -> list[Recording]:
     """Open all scenes of all sources.
 
@@ -22,9 +25,11 @@ def recordings_of(
         sources: the sources of the scenes.
         unpack: returns an empty folder for the images of a scene whose recording is a single file; called
             once per name.
+        faults: takes the sources that cannot be read, with why, by their paths; without it, the first such
+            fault is raised.
 
     Raises:
-        DataError: two scenes share a name, or a source cannot be read.
+        DataError: two scenes share a name, or a source cannot be read; with `faults`, only when none can.
     """
     found: dict[str, Recording] = {}
     for source in sources:
@@ -38,7 +43,14 @@ def recordings_of(
             assert unpack is not None  # else nothing asks for a folder
             return unpack(name)
 
-        for recording in open_scenes(**_recorded(source), unpack=None if unpack is None else fresh):
+        try:
+            opened = open_scenes(**_recorded(source), unpack=None if unpack is None else fresh)
+        except DataError as error:
+            if faults is None or len(faults) == len(sources) - 1:
+                raise
+            faults[str(source.path)] = error
+            continue
+        for recording in opened:
             name = checked_name(recording.scene.name, "scene", where=str(source.path))
             if name in found:
                 raise _same_name(name, found[name].scene.source, recording.scene.source)

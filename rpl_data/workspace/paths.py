@@ -19,6 +19,8 @@ class Paths:
         stages.json                   the options and inputs that each stage ran with
         corrections.json              what `rpl labels import` changed in labels
         build.lock                    held while a build runs
+        copies/                       recordings that were copied from an object store
+        uploads/                      what was copied to one, while that goes on
         recording/                    recording rendered from a twin (a synthetic scene), with truth/
         scenes/<scene>/               scene.json  trajectory.txt  given.txt  corrected.txt  drift.json
                                       surface.ply  cache/  images/
@@ -63,6 +65,15 @@ class Paths:
     def recording(self) -> Path:
         """The folder that a twin writes its recording to."""
         return self.root / "recording"
+
+    @property
+    def copies(self) -> Path:
+        """The folder of the recordings that were copied from an object store."""
+        return self.root / "copies"
+
+    def upload_log(self, name: str) -> Path:
+        """What was copied to an object store, while that goes on."""
+        return self.root / "uploads" / f"{name}.jsonl"
 
     @property
     def truth(self) -> Path:

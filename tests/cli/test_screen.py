@@ -20,7 +20,21 @@ def test_without_a_terminal_a_long_step_is_named_at_most_every_ten_seconds(
         shown.console = shown._lines.console = Console(file=(file := io.StringIO()))
         for now_s in range(26):
             shown.tell(Progress("label", "00", "runs", now_s, 100))
+        shown.tell(Progress("label", "00", "kept"))
         for now_s in range(26, 34):
             shown.tell(Progress("label", "01", "runs", now_s - 26, 100))
     lines = [line.split() for line in file.getvalue().splitlines()]
     assert lines == [["label", "00", "10", "of", "100"], ["label", "00", "20", "of", "100"]]
+
+
+def test_steps_that_run_side_by_side_are_named_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    now_s = 0.0
+    monkeypatch.setattr(screen.time, "monotonic", lambda: now_s)
+    with screen.Screen() as shown:
+        shown.console = shown._lines.console = Console(file=(file := io.StringIO()), width=200)
+        for now_s in range(12):
+            shown.tell(Progress("track", "00", "runs", now_s, 50))
+            shown.tell(Progress("track", "01", "runs"))
+        shown.tell(Progress("track", "01", "failed"))
+    lines = [" ".join(line.split()) for line in file.getvalue().splitlines()]
+    assert lines == ["track 00 10 of 50, track 01 at work", "track 01 failed"]

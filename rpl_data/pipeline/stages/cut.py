@@ -22,7 +22,7 @@ FEWEST_KEYPOINTS = 4
 def cut_steps(context: Context) -> list[Step]:
     """Plan the step that cuts recordings into scenes, where drift requires it and clicks allow it."""
     workspace, max_drift_mm = context.workspace, context.recipe.reconstruct.max_drift_mm
-    videos = workspace.video_names()
+    videos = context.videos()
 
     def run(advance: Advance) -> Outcome:
         clicks = {

@@ -14,7 +14,7 @@ VERSION = 2
 
 def drift_steps(context: Context) -> list[Step]:
     """Plan the steps that measure how far the poses of each recording drift, from its depth images."""
-    return [_drift_step(context, name) for name in context.workspace.video_names()]
+    return [_drift_step(context, name) for name in context.videos()]
 
 
 def _drift_step(context: Context, name: str) -> Step:

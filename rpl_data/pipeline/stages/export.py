@@ -31,11 +31,14 @@ from rpl_data.pipeline.choice import ExportChoice
 from rpl_data.pipeline.context import Context, step
 from rpl_data.pipeline.exported_labels import export_labels
 from rpl_data.pipeline.ledger import Advance, Ledger, Outcome, Step
+from rpl_data.pipeline.remotes import upload_exports
 from rpl_data.pipeline.symmetry import symmetry_turns
 from rpl_data.types import DataError
 
 Export = Callable[[Context], ExportSummary | DialectSummary]
 
+UPLOAD = "to"
+"""What the step that copies exports to an object store is called among them."""
 VERSION = 4
 """Increase it when the stage writes something else for the same input: its steps then run again."""
 
@@ -43,7 +46,20 @@ VERSION = 4
 def export_steps(context: Context) -> list[Step]:
     """Plan one step per export format; `coco` first, since the others are made from it."""
     formats = sorted(context.recipe.export.formats, key=lambda name: name != "coco")
-    return [_export_step(context, name) for name in formats]
+    steps = [_export_step(context, name) for name in formats]
+    return [*steps, _upload_step(context, formats)] if context.recipe.export.to and formats else steps
+
+
+def _upload_step(context: Context, formats: Sequence[str]) -> Step:
+    """The step that copies the exports to an object store."""
+    workspace, url = context.workspace, context.recipe.export.to
+    assert url is not None
+
+    def run(advance: Advance) -> Outcome:
+        return upload_exports(workspace, [workspace.export(name) for name in formats], url, advance)
+
+    after = [f"export/{name}" for name in formats]
+    return step("export", UPLOAD, run, version=VERSION, options={"to": url}, after=after)
 
 
 def refuse_unknown_exports(names: Sequence[str]) -> None:

@@ -28,7 +28,8 @@ def import_steps(context: Context) -> list[Step]:
 
     def run(advance: Advance) -> Outcome:
         unpack = partial(_emptied, workspace)
-        recordings = recordings_of(sources, unpack=unpack)
+        faults: dict[str, DataError] | None = {} if context.keep_going else None
+        recordings = recordings_of(sources, unpack=unpack, faults=faults)
         if not context.tracks:
             _refuse_without_poses(recordings)
         lost = sorted(set(workspace.video_names()) - {recording.scene.name for recording in recordings})
@@ -47,7 +48,9 @@ def import_steps(context: Context) -> list[Step]:
             for recording in recordings
             for line in (*recording.skipped, *recording.notes, *_certain_faults(recording))
         ]
-        return Outcome(sum(len(recording.scene.frames) for recording in recordings), tuple(lines))
+        frames = sum(len(recording.scene.frames) for recording in recordings)
+        left_out = {path: str(error) for path, error in (faults or {}).items()}
+        return Outcome(frames, tuple(lines), {"left_out": left_out} if left_out else {})
 
     not_here = workspace.truth if context.recipe.twin else workspace.root.resolve()
     seen: Json = {}

@@ -51,7 +51,8 @@ def _refine_step(context: Context, item: ObjectRecipe) -> Step:
             workspace.save_refined(whole)
             return Outcome()
         hold = annotation.known_points is not None
-        clicks = joint_clicks(solution, observe(workspace, item.name), hold_points=hold)
+        observations = observe(workspace, item.name, without=context.lost)
+        clicks = joint_clicks(solution, observations, hold_points=hold)
         regions = scene_regions(workspace, solution, places, voxel_m, crop)
         found = refine_scenes(
             regions, clicks.scenes, clicks.scene_from_object, clicks.points_object, clicks.terms, clicks.costs

@@ -53,7 +53,8 @@ def solve_step(context: Context, item: ObjectRecipe) -> Step:
     workspace, options = context.workspace, asdict(context.recipe.solve)
 
     def run(advance: Advance) -> Outcome:
-        observations, annotation = observe(workspace, item.name), workspace.load_annotation(item.name)
+        observations = observe(workspace, item.name, without=context.lost)
+        annotation = workspace.load_annotation(item.name)
         solution = solve_annotation(context, annotation, observations)
         workspace.save_solution(solution)
         outliers = sum(residual.outlier for residual in solution.residuals)
@@ -78,7 +79,8 @@ def solve_step(context: Context, item: ObjectRecipe) -> Step:
         version=VERSION,
         options=options
         | {"keypoints": list(item.keypoint_names), "skeleton": [list(e) for e in item.skeleton]}
-        | {"parts": {video: list(map(list, spans)) for video, spans in workspace.parts().spans.items()}},
+        | {"parts": {video: list(map(list, spans)) for video, spans in workspace.parts().spans.items()}}
+        | ({"without": sorted(context.lost)} if context.lost else {}),
         sources=context.clicks_source(item.name) | stamps(workspace.placed_file(item.name)),
         after=context.poses_of(),
         outputs=[workspace.solution_file(item.name)],

@@ -8,7 +8,7 @@ import numpy as np
 
 from rpl_data.geometry import Sphere, sphere_around, transform
 from rpl_data.images import read_color
-from rpl_data.meshes import joined_meshes, save_mesh
+from rpl_data.meshes import in_order, joined_meshes, save_mesh
 from rpl_data.pipeline.context import Context, posed_frames, step
 from rpl_data.pipeline.ledger import Advance, Outcome, Step
 from rpl_data.types import Frame, Solution
@@ -48,7 +48,7 @@ def _surface_step(context: Context, name: str) -> Step:
                     colors=read_color,
                 )
             )
-        save_mesh(workspace.surface_file(name), joined_meshes(meshes))
+        save_mesh(workspace.surface_file(name), in_order(joined_meshes(meshes)))
         return Outcome(len(frames))
 
     before = [f"solve/{item.model.name}" for item in context.solutions_in(name)]

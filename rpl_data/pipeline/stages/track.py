@@ -44,7 +44,7 @@ AROUND, SMALLEST_REGION_M = 1.8, 0.12
 
 def track_steps(context: Context) -> list[Step]:
     """Plan the steps that track the camera, one per recording."""
-    return [_track_step(context, name) for name in context.workspace.video_names()] if context.tracks else []
+    return [_track_step(context, name) for name in context.videos()] if context.tracks else []
 
 
 def _track_step(context: Context, name: str) -> Step:

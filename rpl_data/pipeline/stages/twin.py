@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from dataclasses import asdict
 
 from rpl_data.pipeline.context import Context, step
@@ -21,7 +22,8 @@ def twin_steps(context: Context) -> list[Step]:
     def run(advance: Advance) -> Outcome:
         from rpl_data.twin.write import write_twin
 
-        write_twin(workspace.recording, spec, workers=context.pool.workers, progress=advance)
+        workers = min(context.pool.workers, os.cpu_count() or 1)
+        write_twin(workspace.recording, spec, workers=workers, progress=advance)
         return Outcome(spec.total_frames)
 
     outputs = [workspace.recording / "camera.txt", workspace.recording / "clicks.csv"]
