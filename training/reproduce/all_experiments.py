@@ -63,7 +63,7 @@ def reproduce_all(
         seeds: trainings per network of Table II.
         workers: processes; one per core when left out.
     """
-    from .__main__ import main
+    from .commands import run_command
 
     chosen = PRESETS[preset]
     source = recipe or Path("datasets") / chosen.recipe
@@ -72,7 +72,7 @@ def reproduce_all(
     workspace = out / "workspaces" / source.stem
     objects = _built(source, workspace, root, workers)
     commands = command_lines(chosen, workspace, objects, out, weights=weights, seeds=seeds, workers=workers)
-    failed = run_all(commands, out, main)
+    failed = run_all(commands, out, run_command)
     print(out / "all.html")
     if failed:
         raise DataError(f"{', '.join(failed)} failed, as the lines above say; give the same command again")
