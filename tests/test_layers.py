@@ -45,6 +45,7 @@ CONFINED = {
     "av": {"formats"},
     "pyrealsense2": {"capture"},
     "open3d": {"export", "meshes", "raycast", "reconstruct", "segment", "twin"},
+    "orjson": {"formats"},
     "rosbags": {"formats"},
     "distributed": {"pipeline"},
     "fsspec": {"remote"},
