@@ -16,7 +16,7 @@ LAYERS = [
     {"types"},
     {"command_line", "directions", "files", "geometry"},
     {"json_arrays", "orientation", "registered", "remote", "untrusted"},
-    {"images", "meshes", "raycast", "overlay", "drift", "symmetries"},
+    {"compiled_raster", "images", "meshes", "raycast", "overlay", "drift", "symmetries"},
     {"keypoint_surface"},
     {"formats", "clicks", "pose", "reconstruct", "workspace", "synthesize"},
     {"capture", "solve", "refine", "segment", "label", "symmetry", "export", "torch"},
