@@ -89,4 +89,5 @@ def _draw(vertices: Any, triangles: Any, camera: Any, pose: Any, depth_m: Any) -
     return True
 
 
-_compiled = njit(cache=True, error_model="numpy")(unwrap(_draw))  # unwrapped, since the tests check the types of arguments
+# Unwrapped, since the tests check the types of arguments.
+_compiled = njit(cache=True, error_model="numpy")(unwrap(_draw))
