@@ -66,24 +66,26 @@ def _draw(vertices: Any, triangles: Any, camera: Any, pose: Any, depth_m: Any) -
         v[row] = camera[1] * down * nearness[row] + camera[3]
     for row in range(len(triangles)):
         a, b, c = triangles[row, 0], triangles[row, 1], triangles[row, 2]
-        left = max(int(np.ceil(min(u[a], u[b], u[c]))), 0)
-        right = min(int(np.floor(max(u[a], u[b], u[c]))), width - 1)
-        top = max(int(np.ceil(min(v[a], v[b], v[c]))), 0)
-        bottom = min(int(np.floor(max(v[a], v[b], v[c]))), height - 1)
+        ua, ub, uc, va, vb, vc = u[a], u[b], u[c], v[a], v[b], v[c]
+        left = max(int(np.ceil(min(ua, ub, uc))), 0)
+        right = min(int(np.floor(max(ua, ub, uc))), width - 1)
+        top = max(int(np.ceil(min(va, vb, vc))), 0)
+        bottom = min(int(np.floor(max(va, vb, vc))), height - 1)
         if left > right or top > bottom:  # it lies between the pixel centres
             continue
-        area = (u[b] - u[a]) * (v[c] - v[a]) - (u[c] - u[a]) * (v[b] - v[a])
+        area = (ub - ua) * (vc - va) - (uc - ua) * (vb - va)
         if area == 0:  # seen from the side
             continue
+        near_a, near_b, near_c = nearness[a], nearness[b], nearness[c]
         per_area = 1 / area
         for y in range(top, bottom + 1):
             for x in range(left, right + 1):
                 # Shares of the corners at the pixel centre; 1 / z is linear in the image.
-                of_a = ((u[b] - x) * (v[c] - y) - (u[c] - x) * (v[b] - y)) * per_area
-                of_b = ((u[c] - x) * (v[a] - y) - (u[a] - x) * (v[c] - y)) * per_area
+                of_a = ((ub - x) * (vc - y) - (uc - x) * (vb - y)) * per_area
+                of_b = ((uc - x) * (va - y) - (ua - x) * (vc - y)) * per_area
                 of_c = 1 - of_a - of_b
                 if of_a >= -EDGE and of_b >= -EDGE and of_c >= -EDGE:
-                    here_m = 1 / (of_a * nearness[a] + of_b * nearness[b] + of_c * nearness[c])
+                    here_m = 1 / (of_a * near_a + of_b * near_b + of_c * near_c)
                     if here_m < depth_m[y, x]:
                         depth_m[y, x] = here_m
     return True
