@@ -73,9 +73,10 @@ def annotations_as_exported(
 
 def _is_exported(annotation: Json) -> bool:
     """Whether an annotation has packed masks and is no crowd, as nearly all are."""
-    packed = all(isinstance(annotation.get(key), dict) for key, _ in MASKS)
-    texts = packed and all(isinstance(annotation[key].get("counts"), str) for key, _ in MASKS)
-    return texts and not annotation.get("iscrowd")
+    seen, full = annotation.get("segmentation"), annotation.get("segmentation_full")
+    if not isinstance(seen, dict) or not isinstance(full, dict) or annotation.get("iscrowd"):
+        return False
+    return isinstance(seen.get("counts"), str) and isinstance(full.get("counts"), str)
 
 
 def number_ids(*entries: list[Json]) -> None:
