@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from array import array
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -12,6 +13,7 @@ import numpy as np
 from jaxtyping import Float64, Int64, UInt8
 
 from rpl_data.formats.datasets.coco import CocoObject, objects_from_coco
+from rpl_data.formats.datasets.coco_parts import collector_waiting
 from rpl_data.torch.symmetric import canonical_label
 from rpl_data.torch.targets import decoded_masks
 from rpl_data.types import DataError, Intrinsics
@@ -70,6 +72,11 @@ ANNOTATION_KEYS = (
 
 def keypoint_rows(data: Mapping[str, Any], category_id: int, folder: Path) -> KeypointRows:
     """Collect the annotations of an object; the files of `data` are relative to `folder`."""
+    with collector_waiting():
+        return _keypoint_rows(data, category_id, folder)
+
+
+def _keypoint_rows(data: Mapping[str, Any], category_id: int, folder: Path) -> KeypointRows:
     images = _ImageColumns.of(data["images"], folder)
     masks: list[bytes] = []
     own, poses, keypoints, boxes = array("q"), array("d"), array("d"), array("d")
@@ -115,17 +122,23 @@ class _ImageColumns:
         count = len(images)
         row_of: dict[int, int] = {}
         files, scenes = [], []
-        sizes = np.zeros((count, 2), dtype=np.int64)
-        matrices, distortions = np.zeros((count, 9)), np.zeros((count, DISTORTION_LENGTH))
+        sizes, matrices, distortions = array("q"), array("d"), np.zeros((count, DISTORTION_LENGTH))
         for row, image in enumerate(images):
             row_of[image["id"]] = row
-            files.append(str(folder / image["file_name"]))
+            files.append(os.path.join(folder, image["file_name"]))
             scenes.append(image["scene"])
-            sizes[row] = image["width"], image["height"]
-            matrices[row] = image["cam_K"]
-            distortions[row, : len(image["distortion"])] = image["distortion"]
-        names = np.array(scenes, dtype=np.str_)
-        return _ImageColumns(row_of, np.array(files), names, sizes, matrices.reshape(-1, 3, 3), distortions)
+            sizes.extend((image["width"], image["height"]))
+            matrices.extend(image["cam_K"])
+            if image["distortion"]:
+                distortions[row, : len(image["distortion"])] = image["distortion"]
+        return _ImageColumns(
+            row_of,
+            np.array(files, dtype=np.str_),
+            np.array(scenes, dtype=np.str_),
+            np.array(sizes, dtype=np.int64).reshape(-1, 2),
+            np.array(matrices).reshape(-1, 3, 3),
+            distortions,
+        )
 
 
 def canonical_rows(rows: KeypointRows, item: CocoObject) -> KeypointRows:

@@ -10,6 +10,7 @@ import gc
 from array import array
 from bisect import bisect_right
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from itertools import accumulate, chain
 from pathlib import Path
 from typing import IO, Any, overload
@@ -69,7 +70,7 @@ class Packed(Sequence[Json]):
 
     def __iter__(self) -> Iterator[Json]:
         """Parse the entries, a block at a time."""
-        return chain.from_iterable(_loads(b"[" + block + b"]") for block in self._blocks)
+        return chain.from_iterable(orjson.loads(b"[" + block + b"]") for block in self._blocks)
 
 
 def read_packed(path: Path, keys: Mapping[str, Sequence[str]]) -> Json:
@@ -82,11 +83,12 @@ def read_packed(path: Path, keys: Mapping[str, Sequence[str]]) -> Json:
         DataError: the file is damaged or foreign.
     """
     source = str(path)
-    try:
-        return _packed(path, source, keys)
-    except _OtherLinesError:
-        data = as_exported(read_fast(path), source=source)
-    validate_coco(data, source=source)
+    with collector_waiting():
+        try:
+            return _packed(path, source, keys)
+        except _OtherLinesError:
+            data = as_exported(read_fast(path), source=source)
+        validate_coco(data, source=source)
     for name in (*LISTS, "crowds"):
         if name in data:
             entries, data[name] = data[name], Packed()
@@ -96,14 +98,15 @@ def read_packed(path: Path, keys: Mapping[str, Sequence[str]]) -> Json:
 
 def read_fast(path: Path) -> Any:
     """Read a JSON file, unchecked; DataError when it is missing or broken."""
-    try:
-        return _whole(path)
-    except _OtherLinesError:
-        content = read_bytes(path)
-    try:
-        return _loads(content)
-    except orjson.JSONDecodeError:  # or a number, an encoding or a nesting that only the slow reader takes
-        return read_json(path)
+    with collector_waiting():
+        try:
+            return _whole(path)
+        except _OtherLinesError:
+            content = read_bytes(path)
+        try:
+            return orjson.loads(content)
+        except orjson.JSONDecodeError:  # or what only the slow reader takes: odd numbers, encodings, nesting
+            return read_json(path)
 
 
 def _whole(path: Path) -> Json:
@@ -125,14 +128,15 @@ def _head(file: IO[bytes]) -> Json:
     return data
 
 
-def _loads(content: bytes) -> Any:
-    """Parse JSON. The collector of cycles waits: it would look at each new list and dictionary in vain."""
-    waiting = gc.isenabled()
+@contextmanager
+def collector_waiting() -> Iterator[None]:
+    """Let the collector of cycles wait: it would look at each of a million new lists in vain."""
+    running = gc.isenabled()
     gc.disable()
     try:
-        return orjson.loads(content)
+        yield
     finally:
-        if waiting:
+        if running:
             gc.enable()
 
 
@@ -187,6 +191,6 @@ def _parts(file: IO[bytes], name: str) -> Iterator[list[Json]]:
 
 def _parsed(text: bytes) -> Any:
     try:
-        return _loads(text)
+        return orjson.loads(text)
     except orjson.JSONDecodeError as error:
         raise _OtherLinesError from error
