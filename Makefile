@@ -2,7 +2,7 @@
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 STAMP := .venv/.made-from-constraints
 
-.PHONY: demo test bench lint docs gpu-check attack
+.PHONY: demo test bench bench-compare lint docs gpu-check attack
 
 demo: $(STAMP)
 	.venv/bin/rpl build datasets/demo.yaml --workspace workspaces/demo
@@ -12,12 +12,23 @@ demo: $(STAMP)
 test: $(STAMP)
 	PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 .venv/bin/python -m pytest -n 2 tests
 
-# Most benchmarks are programs; those that share the tests' fixtures are run by pytest.
+# Most benchmarks are programs; those that share the tests' fixtures are run by pytest. All ratios are printed once
+# more at the end, and kept with machine, versions and commit in runs/bench/, a file per run.
+BENCH_RUN := runs/bench/$(shell date -u +%Y-%m-%dT%H-%M-%S)
 bench: demo
-	set -e; for program in $$(grep -L 'def test_' tests/bench/bench_*.py); do \
-		echo "== $$program"; PYTHONPATH=. .venv/bin/python $$program; done
+	mkdir -p runs/bench && rm -f $(BENCH_RUN).rows
+	set -e; export RPL_BENCH_ROWS=$(abspath $(BENCH_RUN).rows); \
+	for program in $$(grep -L 'def test_' tests/bench/bench_*.py); do \
+		echo "== $$program"; PYTHONPATH=. .venv/bin/python $$program; done; \
 	.venv/bin/python -m pytest -s -o addopts= -o python_files='bench_*.py' tests/bench
 	$(MAKE) attack
+	.venv/bin/python tests/bench/rows.py table $(BENCH_RUN).rows $(BENCH_RUN).json
+	rm -f $(BENCH_RUN).rows
+
+# What became slower or faster between two runs: make bench-compare A=runs/bench/one.json B=runs/bench/other.json
+bench-compare: $(STAMP)
+	@test -f "$(A)" -a -f "$(B)" || { echo "usage: make bench-compare A=runs/bench/one.json B=..." >&2; exit 1; }
+	@.venv/bin/python tests/bench/rows.py compare $(A) $(B)
 
 # The paper's presets on this machine's GPU, in less than eight minutes.
 gpu-check: demo

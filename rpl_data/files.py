@@ -143,6 +143,8 @@ def opened(path: Path) -> Iterator[BinaryIO]:
     try:
         with path.open("rb") as file:
             yield file
+    except FileNotFoundError as error:
+        raise DataError(f"{path} does not exist") from error
     except OSError as error:
         raise _unreadable(path, error) from error
 

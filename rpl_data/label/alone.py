@@ -88,18 +88,24 @@ class Body:
         rays = RayScene([item.mesh], threads=1)
         corners = ConvexHull(item.mesh.vertices, qhull_options="QJ").vertices  # QJ: flat meshes too
         around = KeypointSurface.around(rays, item.model.points_object)
-        draw = cast(rays) if item.dots is None else splat(item.dots.points)
+        draw = cast(item.mesh, rays) if item.dots is None else splat(item.dots.points)
         return Body(item, draw, rays, item.mesh.vertices[corners], around)
 
 
-def cast(rays: RayScene) -> Draw:
-    """Draw a mesh by ray casting."""
+def cast(mesh: Mesh, rays: RayScene) -> Draw:
+    """Draw a mesh: its triangles one by one or, where the lens bends their edges, by ray casting."""
 
     def draw(
         camera: PixelTable, window: Window, camera_from_object: Transform
     ) -> tuple[DepthPatch, MaskPatch]:
-        depth_m = depth_along_m(rays, camera.directions[window], camera_from_object)
-        depth_m[depth_m == 0] = FAR_M
+        from rpl_data.compiled_raster import drawn_depth_m
+
+        depth_m = None
+        if not camera.intrinsics.distortion:
+            depth_m = drawn_depth_m(mesh, camera.intrinsics, camera_from_object, window, nothing_m=FAR_M)
+        if depth_m is None:
+            depth_m = depth_along_m(rays, camera.directions[window], camera_from_object)
+            depth_m[depth_m == 0] = FAR_M
         # Pin-holes of a fused mesh are closed; the hole of a handle is wider and stays.
         return depth_m, cleaned(depth_m < FAR_M, "close", size_px=3)
 

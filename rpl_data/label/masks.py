@@ -61,11 +61,17 @@ def encode(mask: MaskPatch, window: Window, *, width: int, height: int) -> Rle:
     from pycocotools import mask as coco
 
     # A row of zeros below ends every run in its own column.
-    columns = np.zeros((mask.shape[1], mask.shape[0] + 1), dtype=np.int8)
+    columns = np.zeros((mask.shape[1], mask.shape[0] + 1), dtype=np.bool_)
     columns[:, :-1] = mask.T
-    column, row = np.divmod(np.flatnonzero(np.diff(columns.ravel(), prepend=0)), columns.shape[1])
-    edges, times = np.unique((window[1].start + column) * height + window[0].start + row, return_counts=True)
-    edges = edges[times == 1]  # an end that is also a start: the run goes on at the top of the next column
+    flat = columns.ravel()
+    changes = np.flatnonzero(flat[1:] != flat[:-1]) + 1
+    if flat[0]:
+        changes = np.concatenate([[0], changes])
+    column, row = np.divmod(changes, columns.shape[1])
+    edges = (window[1].start + column) * height + window[0].start + row  # they ascend
+    twice = np.flatnonzero(edges[1:] == edges[:-1])
+    # An end that is also a start: the run goes on at the top of the next column.
+    edges = np.delete(edges, np.concatenate([twice, twice + 1]))
     counts = np.diff(edges, prepend=0, append=width * height)
     if len(edges) and edges[-1] == width * height:
         counts = counts[:-1]

@@ -41,7 +41,7 @@ class Motion:
                 camera, frame, replace(item, path=None, scene_from_object=np.eye(4))
             )
         row = int(np.searchsorted(self.trajectory.frames, frame))
-        middle = np.nanmean(item.model.points_object, axis=0, keepdims=True)
+        middle = item.model.points_object[item.model.known].mean(axis=0, keepdims=True)
         rows = [k for k in (row - 1, row, row + 1) if 0 <= k < len(self.times_s)]
         camera_from_object = invert(self.trajectory.scene_from_camera[rows]) @ item.scene_from_object
         uv_px = camera.project(np.concatenate([transform(pose, middle) for pose in camera_from_object]))

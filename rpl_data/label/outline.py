@@ -195,8 +195,15 @@ def image_motion(
 ) -> Float64[np.ndarray, "n 2 6"]:
     """Derivative of projections by a turn about the centre and a shift."""
     by_point = projection_by_point(camera.intrinsics, points_camera)
-    turned = np.cross((points_camera - centre)[:, None], by_point)
-    motion: Float64[np.ndarray, "n 2 6"] = np.concatenate([turned, by_point], axis=2)
+    motion: Float64[np.ndarray, "n 2 6"] = np.empty((len(points_camera), 2, 6))
+    x, y, z = (points_camera - centre).T[..., None]
+    along_x, along_y, along_z = np.moveaxis(by_point, 2, 0)
+    motion[..., 0] = (
+        y * along_z - z * along_y
+    )  # the cross product, which NumPy's own takes three times as long for
+    motion[..., 1] = z * along_x - x * along_z
+    motion[..., 2] = x * along_y - y * along_x
+    motion[..., 3:] = by_point
     return motion
 
 

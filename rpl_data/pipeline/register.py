@@ -17,7 +17,7 @@ from rpl_data.pipeline.placements import with_placements
 from rpl_data.pipeline.recipe import ObjectRecipe
 from rpl_data.pipeline.stages.segment import depth_views
 from rpl_data.pipeline.stages.solve import solve_step, trajectory_sigmas_m
-from rpl_data.pipeline.stages.surface import reporting, spheres_of
+from rpl_data.pipeline.stages.surface import spheres_of
 from rpl_data.place.decide import MOST_FREE
 from rpl_data.place.verify import free_share
 from rpl_data.solve.expected import covariance_by_pose, expected_px
@@ -257,12 +257,13 @@ def _region(
     mesh = fuse_surface(
         recorded,
         trajectory,
-        reporting(chosen, advance, 0, len(chosen)),
+        chosen,
         workspace.depth_reader(recorded),
         centre_scene=sphere.centre_m,
         radius_m=sphere.radius_m,
         voxel_m=voxel_m,
         colors=read_color,
+        advance=advance,
     )
     grown = grown_regions({scene: mesh}, alone, voxel_m=voxel_m, crop_m=crop_of(workspace, item)).get(scene)
     if grown is None:

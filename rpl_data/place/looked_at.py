@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -66,20 +66,16 @@ def looked_at(
         )
     middle = np.median(near, axis=0)
 
-    def reported() -> Iterator[Frame]:
-        for done, frame in enumerate(chosen):
-            advance(done, len(chosen))
-            yield frame
-
     mesh = fuse_surface(
         scene,
         trajectory,
-        reported(),
+        chosen,
         depths,
         centre_scene=middle,
         radius_m=RADIUS_M,
         voxel_m=VOXEL_M,
         colors=colors,
+        advance=advance,
     )
     surface = smoothed_normals(thinned(oriented_points(mesh), voxel_m=SPACING_M), radius_m=2 * VOXEL_M)
     return LookedAt(surface, trajectory.scene_from_camera[:, :3, 3], tuple(views))

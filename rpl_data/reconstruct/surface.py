@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import cv2
 import numpy as np
 from jaxtyping import Float64
 
-from rpl_data.geometry import NEAREST_M, cropped, invert, project, rays, transform
+from rpl_data.geometry import NEAREST_M, Sphere, cropped, invert, project, transform
+from rpl_data.reconstruct.fused_frames import MOST_FRAMES, frames_to_fuse
+from rpl_data.reconstruct.fused_frames import steady_frames as steady_frames
+from rpl_data.reconstruct.tsdf import empty_grid, extract, integrate
 from rpl_data.types import (
     ColorImage,
     DataError,
@@ -23,11 +27,6 @@ from rpl_data.types import (
     Trajectory,
 )
 
-BLOCK_VOXELS = 8  # 8^3 blocks cost half of Open3D's default 16^3 here: fewer voxels far from the surface
-TRUNCATION_VOXELS = 2.0
-"""Truncation distance of the TSDF, in voxels. The two sides of a wall thinner than this share voxels, so it
-comes out too thick."""
-
 
 def fuse_surface(
     scene: Scene,
@@ -39,109 +38,145 @@ def fuse_surface(
     radius_m: float,
     voxel_m: float = 0.003,
     colors: Callable[[Frame], ColorImage] | None = None,
+    most_frames: int = MOST_FRAMES,
+    advance: Callable[[int, int], None] = lambda done, total: None,
 ) -> Mesh:
-    """Fuse depth images to the surface inside a sphere, by a TSDF.
+    """Fuse depth images to the surface inside one sphere; see `fuse_surfaces`."""
+    sphere = Sphere(centre_scene, radius_m)
+    [mesh] = fuse_surfaces(
+        scene,
+        trajectory,
+        frames,
+        depths,
+        spheres=[sphere],
+        voxel_m=voxel_m,
+        colors=colors,
+        most_frames=most_frames,
+        advance=advance,
+    )
+    return mesh
 
-    Only depth inside the sphere is integrated: a whole room at 3 mm would take seconds per frame. The sphere
+
+def fuse_surfaces(
+    scene: Scene,
+    trajectory: Trajectory,
+    frames: Iterable[Frame],
+    depths: ReadDepth,
+    *,
+    spheres: Sequence[Sphere],
+    voxel_m: float = 0.003,
+    colors: Callable[[Frame], ColorImage] | None = None,
+    most_frames: int = MOST_FRAMES,
+    advance: Callable[[int, int], None] = lambda done, total: None,
+) -> list[Mesh]:
+    """Fuse depth images to the surface inside each sphere, by a TSDF; each image is read once.
+
+    Only depth inside the spheres is integrated: a whole room at 3 mm would take seconds per frame. A sphere
     should hold the object and some of its support, so that the support can be recognised; twice the extent of
     the keypoints is a good diameter.
 
     Args:
-        frames: frames to fuse; those that move too fast or do not see the sphere are skipped unread.
+        frames: frames to fuse. Those that move too fast or do not see a sphere are skipped unread.
         depths: reads the depth image of a frame.
-        centre_scene: centre of the sphere, scene frame.
+        spheres: in the scene frame.
         colors: reads the colour image of a frame; called for the fused frames only.
+        most_frames: of more than this, those are fused that show the spheres from all sides
+            (`frames_to_fuse`), so that the cost does not grow with the length of the recording.
+        advance: receives how many of the chosen frames are done, and their number.
 
     Returns:
-        A mesh in the scene frame, counter-clockwise from outside, coloured when `colors` is given.
+        A mesh per sphere in the scene frame, counter-clockwise from outside, coloured when `colors` is given.
 
     Raises:
-        DataError: no depth lies inside the sphere.
+        DataError: no depth lies inside a sphere.
     """
-    grid = _empty_grid(voxel_m, colored=colors is not None)
-    fused = 0
-    steady = steady_frames(scene, trajectory, centre_scene=centre_scene)
+    ideal = replace(scene.intrinsics, distortion=())
+    steady = [steady_frames(scene, trajectory, centre_scene=sphere.centre_m) for sphere in spheres]
+    regions = [_Region(sphere, empty_grid(voxel_m, colored=colors is not None)) for sphere in spheres]
+    seeing: dict[Frame, list[tuple[_Region, _View]]] = {}
     for frame in frames:
-        if frame.index not in steady:
-            continue
-        camera_from_scene = invert(trajectory.at(frame.index))
-        color = None
-        intrinsics = replace(scene.intrinsics, distortion=())
-        centre_camera = transform(camera_from_scene, centre_scene)
-        rectangle = _rectangle_around(intrinsics, centre_camera, radius_m)
-        if rectangle is None:
-            continue
-        depth_m = depths(frame)
-        if scene.intrinsics.distortion:
-            depth_m, _ = _undistorted(depth_m, scene.intrinsics, cv2.INTER_NEAREST)
-        window = (slice(rectangle[1], rectangle[3]), slice(rectangle[0], rectangle[2]))
-        view = cropped(
-            intrinsics,
-            left_px=rectangle[0],
-            top_px=rectangle[1],
-            width=rectangle[2] - rectangle[0],
-            height=rectangle[3] - rectangle[1],
-        )
-        near_m = _only_in_sphere(without_flying_pixels(depth_m[window]), view, centre_camera, radius_m)
+        views = [
+            (region, view)
+            for region, kept in zip(regions, steady, strict=True)
+            if frame.index in kept and (view := _view_of(ideal, trajectory.at(frame.index), region.sphere))
+        ]
+        if views:
+            seeing[frame] = views
+    centres = np.array([sphere.centre_m for sphere in spheres])
+    chosen = frames_to_fuse(scene, trajectory, list(seeing), centres_scene=centres, most=most_frames)
+    for number, frame in enumerate(chosen):
+        advance(number, len(chosen))
+        _fuse_frame(scene, frame, seeing[frame], depths, colors)
+    return [_extracted(region, scene) for region in regions]
+
+
+@dataclass
+class _Region:
+    """A sphere, the grid of its surface, and how many frames were fused to it."""
+
+    sphere: Sphere
+    grid: Any
+    fused: int = 0
+
+
+@dataclass(frozen=True)
+class _View:
+    """The part of an image that can show a sphere."""
+
+    window: tuple[slice, slice]
+    camera: Intrinsics
+    camera_from_scene: Float64[np.ndarray, "4 4"]
+    centre_camera: Float64[np.ndarray, "3"]
+
+
+def _view_of(
+    intrinsics: Intrinsics, scene_from_camera: Float64[np.ndarray, "4 4"], sphere: Sphere
+) -> _View | None:
+    """The part of an image that can show a sphere; None when none can."""
+    camera_from_scene = invert(scene_from_camera)
+    centre_camera = transform(camera_from_scene, sphere.centre_m)
+    rectangle = _rectangle_around(intrinsics, centre_camera, sphere.radius_m)
+    if rectangle is None:
+        return None
+    left, top, right, bottom = rectangle
+    camera = cropped(intrinsics, left_px=left, top_px=top, width=right - left, height=bottom - top)
+    return _View((slice(top, bottom), slice(left, right)), camera, camera_from_scene, centre_camera)
+
+
+def _fuse_frame(
+    scene: Scene,
+    frame: Frame,
+    views: Sequence[tuple[_Region, _View]],
+    depths: ReadDepth,
+    colors: Callable[[Frame], ColorImage] | None,
+) -> None:
+    """Add a frame to the grids of the spheres in which it shows something."""
+    depth_m = depths(frame)
+    if scene.intrinsics.distortion:
+        depth_m = _undistorted(depth_m, scene.intrinsics, cv2.INTER_NEAREST)
+    color = None
+    for region, view in views:
+        near_m = without_flying_pixels(depth_m[view.window])
+        near_m = _only_in_sphere(near_m, view.camera, view.centre_camera, region.sphere.radius_m)
         if not near_m.any():
             continue
-        if colors is not None:
+        if colors is not None and color is None:
             color = colors(frame)
             if scene.intrinsics.distortion:
-                color, _ = _undistorted(color, scene.intrinsics, cv2.INTER_LINEAR)
-            color = color[window]
-        _integrate(grid, near_m, color, view, camera_from_scene)
-        fused += 1
-    if not fused:
-        raise _nothing(scene, centre_scene, radius_m)
-    # A voxel seen once in a long recording is noise; in a recording of a few frames it is all we have.
-    mesh = _extract(grid, weight_threshold=min(3.0, fused / 4))
-    if not len(mesh.triangles) or not np.isfinite(mesh.vertices).all():
-        raise _nothing(scene, centre_scene, radius_m)
-    return mesh
+                color = _undistorted(color, scene.intrinsics, cv2.INTER_LINEAR)
+        part = None if color is None else color[view.window]
+        integrate(region.grid, near_m, part, view.camera, view.camera_from_scene)
+        region.fused += 1
 
 
-def steady_frames(
-    scene: Scene,
-    trajectory: Trajectory,
-    *,
-    centre_scene: Float64[np.ndarray, "3"],
-    same_view_rad: float = 0.17,
-    excess: float = 1.5,
-    still_px: float = 1.0,
-) -> set[int]:
-    """Choose the frames worth fusing: fast ones only where no slower one saw the same side.
-
-    While a hand-held camera moves fast, rolling shutter and the lag between colour and depth make its pose
-    wrong by up to the image motion per frame (25 px on a real recording, 2 px in its slow frames). One such
-    frame blurs the surface.
-
-    Args:
-        same_view_rad: frames whose directions to the centre differ by less than this see the same side.
-        excess: a frame may move this many times faster than the slowest frame of the same side.
-        still_px: frames with less image motion than this are always used.
-
-    Returns:
-        Their `Frame.index`.
-    """
-    camera_from_scene = invert(trajectory.scene_from_camera)
-    if len(camera_from_scene) < 3:
-        return set(trajectory.frames.tolist())
-    cube = 0.1 * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-    uv = np.array([project(scene.intrinsics, transform(t, centre_scene + cube)) for t in camera_from_scene])
-    step_px = np.nan_to_num(np.linalg.norm(np.diff(uv, axis=0), axis=2), nan=np.inf).max(axis=1)
-    step_px = step_px / np.maximum(np.diff(trajectory.frames), 1)
-    motion_px = np.maximum(np.r_[step_px[0], step_px], np.r_[step_px, step_px[-1]])
-    views = trajectory.scene_from_camera[:, :3, 3] - centre_scene
-    views /= np.linalg.norm(views, axis=1, keepdims=True)
-    slowest_px = np.concatenate(  # not all at once: a table of all pairs would grow with the square
-        [
-            np.where(part @ views.T > np.cos(same_view_rad), motion_px, np.inf).min(axis=1)
-            for part in np.array_split(views, len(views) // 500 + 1)
-        ]
-    )
-    kept = motion_px <= np.maximum(excess * slowest_px, still_px)
-    return set(trajectory.frames[kept].tolist())
+def _extracted(region: _Region, scene: Scene) -> Mesh:
+    """The surface of a region; DataError where there is none."""
+    if region.fused:
+        # A voxel seen once in a long recording is noise; in a recording of a few frames it is all we have.
+        mesh = extract(region.grid, weight_threshold=min(3.0, region.fused / 4))
+        if len(mesh.triangles) and np.isfinite(mesh.vertices).all():
+            return mesh
+    raise _nothing(scene, region.sphere.centre_m, region.sphere.radius_m)
 
 
 def without_flying_pixels(depth_m: DepthImage, *, max_step: float = 0.03) -> DepthImage:
@@ -177,18 +212,27 @@ def _rectangle_around(
 def _only_in_sphere(
     depth_m: DepthImage, view: Intrinsics, centre_camera: Float64[np.ndarray, "3"], radius_m: float
 ) -> DepthImage:
-    """The depth image with everything outside the sphere set to 0 (none)."""
-    v, u = np.nonzero(np.abs(depth_m - centre_camera[2]) < radius_m)
-    points = rays(view, np.column_stack([u, v]).astype(float)) * depth_m[v, u, None]
-    inside = ((points - centre_camera) ** 2).sum(axis=1) < radius_m**2
-    masked = np.zeros_like(depth_m)
-    masked[v[inside], u[inside]] = depth_m[v[inside], u[inside]]
-    return masked
+    """The depth image with everything outside the sphere set to 0 (none); the view has no lens distortion."""
+    x = ((np.arange(view.width) - view.cx) / view.fx).astype(np.float32)
+    y = ((np.arange(view.height) - view.cy) / view.fy).astype(np.float32)[:, None]
+    cx, cy, cz = centre_camera.astype(np.float32)
+    # |z (x, y, 1) - c|^2 = z (z (x^2 + y^2 + 1) - 2 (x, y, 1) . c) + |c|^2
+    squared_m2 = depth_m * (x**2 + (y**2 + 1))
+    squared_m2 -= 2 * cx * x + 2 * (cy * y + cz)
+    squared_m2 *= depth_m
+    inside = squared_m2 < np.float32(radius_m**2 - (centre_camera**2).sum())
+    return np.where(inside & (depth_m > 0), depth_m, np.float32(0))
 
 
-def _undistorted(image: Any, intrinsics: Intrinsics, interpolation: int) -> tuple[Any, Intrinsics]:
-    """The image that a camera without lens distortion would have taken, and that camera."""
-    map_u, map_v = cv2.initUndistortRectifyMap(
+def _undistorted(image: Any, intrinsics: Intrinsics, interpolation: int) -> Any:
+    """The image that a camera without lens distortion would have taken."""
+    return cv2.remap(image, *_undistorting_maps(intrinsics), interpolation)
+
+
+@lru_cache(maxsize=1)
+def _undistorting_maps(intrinsics: Intrinsics) -> tuple[Any, Any]:
+    """For each pixel without lens distortion, where it lies in the image."""
+    maps: tuple[Any, Any] = cv2.initUndistortRectifyMap(
         intrinsics.matrix,
         np.array(intrinsics.distortion),
         None,
@@ -196,64 +240,7 @@ def _undistorted(image: Any, intrinsics: Intrinsics, interpolation: int) -> tupl
         (intrinsics.width, intrinsics.height),
         cv2.CV_32FC1,
     )
-    return cv2.remap(image, map_u, map_v, interpolation), replace(intrinsics, distortion=())
-
-
-def _empty_grid(voxel_m: float, *, colored: bool) -> Any:
-    import open3d as o3d
-
-    names, dtypes, channels = ["tsdf", "weight"], [o3d.core.float32] * 2, [(1,), (1,)]
-    if colored:
-        names, dtypes, channels = [*names, "color"], [*dtypes, o3d.core.float32], [*channels, (3,)]
-    # The tensor grid: Open3D 0.20's legacy ScalableTSDFVolume returns an empty mesh without a word.
-    return o3d.t.geometry.VoxelBlockGrid(
-        attr_names=tuple(names),
-        attr_dtypes=tuple(dtypes),
-        attr_channels=tuple(channels),
-        voxel_size=voxel_m,
-        block_resolution=BLOCK_VOXELS,
-        block_count=4000,
-        device=o3d.core.Device("CPU:0"),
-    )
-
-
-def _integrate(
-    grid: Any,
-    depth_m: DepthImage,
-    color: ColorImage | None,
-    view: Intrinsics,
-    camera_from_scene: Float64[np.ndarray, "4 4"],
-) -> None:
-    """Add one depth image to the grid."""
-    import open3d as o3d
-
-    # Open3D truncates projected positions to a pixel; with our pixel centres at whole numbers the
-    # nearest pixel is floor(u + 0.5), hence the half pixel on the principal point.
-    matrix = view.matrix
-    matrix[:2, 2] += 0.5
-    intrinsic, extrinsic = o3d.core.Tensor(matrix), o3d.core.Tensor(camera_from_scene)
-    depth = o3d.t.geometry.Image(np.ascontiguousarray(depth_m, dtype=np.float32))
-    limit_m = float(depth_m.max()) + 0.01
-    blocks = grid.compute_unique_block_coordinates(
-        depth, intrinsic, extrinsic, 1.0, limit_m, trunc_voxel_multiplier=TRUNCATION_VOXELS
-    )
-    if color is None:
-        grid.integrate(blocks, depth, intrinsic, extrinsic, 1.0, limit_m, TRUNCATION_VOXELS)
-    else:
-        # Open3D takes float colours from 0 to 1, and gives back the same.
-        image = o3d.t.geometry.Image(np.ascontiguousarray(color, dtype=np.float32) / 255.0)
-        grid.integrate(blocks, depth, image, intrinsic, extrinsic, 1.0, limit_m, TRUNCATION_VOXELS)
-
-
-def _extract(grid: Any, *, weight_threshold: float) -> Mesh:
-    extracted = grid.extract_triangle_mesh(weight_threshold=weight_threshold)
-    vertices = extracted.vertex.positions.numpy().astype(np.float64)
-    triangles = extracted.triangle.indices.numpy().astype(np.int64)
-    colors = None
-    if "colors" in extracted.vertex:
-        scaled = extracted.vertex.colors.numpy()  # 0..1
-        colors = np.clip(np.round(scaled * 255), 0, 255).astype(np.uint8)
-    return Mesh(vertices, triangles, colors)
+    return maps
 
 
 def _nothing(scene: Scene, centre_scene: Float64[np.ndarray, "3"], radius_m: float) -> DataError:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import TypedDict
 
 import cv2
 import numpy as np
@@ -12,15 +12,18 @@ import torch
 from torch import Tensor
 from torch.utils.data import Dataset
 
-from rpl_data.formats.datasets.coco import read_coco
+from rpl_data.formats.datasets.coco_parts import read_packed
 from rpl_data.torch.augmentation import refuse_pasting
 from rpl_data.torch.colours import jittered
 from rpl_data.torch.image_files import read_image, to_unit_range
 from rpl_data.torch.scenes import only_scenes
 from rpl_data.torch.splits import split_file
+from rpl_data.torch.targets import rows_by_image
 from rpl_data.torch.transforms import Augmentation, moved, random_crop_from_square, warped
 from rpl_data.types import DataError
 
+IMAGE_KEYS = ("id", "file_name", "scene", "width")
+BOX_KEYS = ("image_id", "category_id", "square_box")
 MARGIN = 1.5
 """Side of the paper's square box, as a multiple of the keypoints' bounding box (section III-E)."""
 
@@ -84,16 +87,14 @@ class DetectionDataset(Dataset[tuple[Tensor, DetectionTarget]]):
         if augment is not None:
             refuse_pasting(augment)
         coco_json = split_file(path, split)
-        data = only_scenes(read_coco(coco_json), scenes)
+        data = only_scenes(read_packed(coco_json, {"images": IMAGE_KEYS, "annotations": BOX_KEYS}), scenes)
         if not data["images"]:
             raise DataError(f"{coco_json} has no images; train on another split")
         by_id = sorted(data["categories"], key=lambda category: int(category["id"]))
         self.names = ["background", *(category["name"] for category in by_id)]
         self._folder, self._width_px, self._augment = coco_json.parent, width_px, augment
-        self._images: list[dict[str, Any]] = data["images"]
-        self._annotations: dict[int, list[dict[str, Any]]] = {image["id"]: [] for image in self._images}
-        for annotation in data["annotations"]:
-            self._annotations[annotation["image_id"]].append(annotation)
+        self._images, self._annotations = data["images"], data["annotations"]
+        self._rows_of = rows_by_image(self._annotations)
         self._pixels: dict[int, np.ndarray] = {}
 
     def __len__(self) -> int:
@@ -105,7 +106,8 @@ class DetectionDataset(Dataset[tuple[Tensor, DetectionTarget]]):
         entry = self._images[row]
         if row not in self._pixels:
             self._pixels[row] = shrunk(read_image(str(self._folder / entry["file_name"])), self._width_px)
-        pixels, annotations = self._pixels[row], self._annotations[entry["id"]]
+        pixels = self._pixels[row]
+        annotations = [self._annotations[number] for number in self._rows_of.get(entry["id"], ())]
         squares = np.array([a["square_box"] for a in annotations], dtype=float).reshape(-1, 3)
         boxes = small_from_full_boxes(_tight(squares), self._width_px / entry["width"])
         labels = torch.tensor([a["category_id"] for a in annotations], dtype=torch.int64)

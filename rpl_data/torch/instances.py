@@ -10,16 +10,18 @@ from torch import Tensor
 from torch.utils.data import Dataset, get_worker_info
 from torchvision import tv_tensors
 
-from rpl_data.formats.datasets.coco import read_coco
-from rpl_data.json_arrays import Json
+from rpl_data.formats.datasets.coco_parts import read_packed
 from rpl_data.torch.image_files import read_image, to_unit_range
 from rpl_data.torch.scenes import only_scenes
 from rpl_data.torch.splits import split_file
 from rpl_data.torch.targets import InstanceSample as InstanceSample
 from rpl_data.torch.targets import InstanceTarget as InstanceTarget
-from rpl_data.torch.targets import settled, target_of
+from rpl_data.torch.targets import rows_by_image, settled, target_of
 from rpl_data.torch.transforms import Image
 from rpl_data.wording import counted
+
+IMAGE_KEYS = ("id", "file_name", "scene", "width", "height")
+TARGET_KEYS = ("image_id", "category_id", "segmentation", "area", "bbox", "iscrowd", "keypoints")
 
 
 class InstanceDataset(Dataset[InstanceSample]):
@@ -85,15 +87,17 @@ class InstanceDataset(Dataset[InstanceSample]):
         """
         coco_json = split_file(path, split)
         self._coco_json = coco_json
-        data = only_scenes(read_coco(coco_json), scenes)
+        keys = {"images": IMAGE_KEYS, "annotations": TARGET_KEYS, "crowds": TARGET_KEYS}
+        data = only_scenes(read_packed(coco_json, keys), scenes)
         by_id = sorted(data["categories"], key=lambda category: int(category["id"]))
         self.names = ["background", *(category["name"] for category in by_id)]
         self._most_keypoints = max((len(c["keypoints"]) for c in data["categories"]), default=0)
         self._folder, self._transforms = coco_json.parent, transforms
-        self._images: list[Json] = data["images"]
-        self._annotations: dict[int, list[Json]] = {image["id"]: [] for image in self._images}
-        for annotation in (*data["annotations"], *(data.get("crowds", ()) if crowds else ())):
-            self._annotations[annotation["image_id"]].append(annotation)
+        self._images = data["images"]
+        self._annotations = data["annotations"]
+        self._crowds = data.get("crowds", ()) if crowds else ()
+        self._rows_of = rows_by_image(self._annotations)
+        self._crowds_of = rows_by_image(self._crowds)
 
     def __repr__(self) -> str:
         return (
@@ -132,7 +136,9 @@ class InstanceDataset(Dataset[InstanceSample]):
     def target(self, row: int) -> InstanceTarget:
         """Return the target of an image at full size, untransformed, without reading the image."""
         entry = self._images[row]
-        return target_of(entry, self._annotations[entry["id"]], self._most_keypoints)
+        shown = [self._annotations[number] for number in self._rows_of.get(entry["id"], ())]
+        shown += [self._crowds[number] for number in self._crowds_of.get(entry["id"], ())]
+        return target_of(entry, shown, self._most_keypoints)
 
 
 def collate(batch: Sequence[InstanceSample]) -> tuple[list[Tensor], list[InstanceTarget]]:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+from array import array
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -10,6 +13,7 @@ import numpy as np
 from jaxtyping import Float64, Int64, UInt8
 
 from rpl_data.formats.datasets.coco import CocoObject, objects_from_coco
+from rpl_data.formats.datasets.coco_parts import collector_waiting
 from rpl_data.torch.symmetric import canonical_label
 from rpl_data.torch.targets import decoded_masks
 from rpl_data.types import DataError, Intrinsics
@@ -58,31 +62,83 @@ def choose_object(data: dict[str, Any], name: str | None, source: Path) -> tuple
     return objects[names.index(name)], names.index(name) + 1
 
 
-def keypoint_rows(data: dict[str, Any], category_id: int, folder: Path) -> KeypointRows:
+IMAGE_KEYS = ("id", "file_name", "scene", "width", "height", "cam_K", "distortion")
+ANNOTATION_KEYS = (
+    *("id", "image_id", "category_id", "segmentation", "area", "bbox", "keypoints"),
+    *("camera_from_object", "visib_fract", "square_box"),
+)
+"""What `keypoint_rows` and the cutouts of `pasting_of` need of a COCO file."""
+
+
+def keypoint_rows(data: Mapping[str, Any], category_id: int, folder: Path) -> KeypointRows:
     """Collect the annotations of an object; the files of `data` are relative to `folder`."""
-    chosen = [a for a in data["annotations"] if a["category_id"] == category_id]
-    by_id = {image["id"]: image for image in data["images"]}
-    images = [by_id[annotation["image_id"]] for annotation in chosen]
-    distortions = np.zeros((len(chosen), DISTORTION_LENGTH))
-    for row, image in enumerate(images):
-        distortions[row, : len(image["distortion"])] = image["distortion"]
+    with collector_waiting():
+        return _keypoint_rows(data, category_id, folder)
+
+
+def _keypoint_rows(data: Mapping[str, Any], category_id: int, folder: Path) -> KeypointRows:
+    images = _ImageColumns.of(data["images"], folder)
+    masks: list[bytes] = []
+    own, poses, keypoints, boxes = array("q"), array("d"), array("d"), array("d")
+    for annotation in data["annotations"]:
+        if annotation["category_id"] == category_id:
+            masks.append(annotation["segmentation"]["counts"].encode())
+            own.extend((annotation["id"], annotation["image_id"]))
+            poses.extend(annotation["camera_from_object"])
+            keypoints.extend(annotation["keypoints"])
+            boxes.extend(annotation["square_box"])
+    ids = np.array(own, dtype=np.int64).reshape(-1, 2)
+    rows = np.array([images.row_of[number] for number in ids[:, 1].tolist()], dtype=np.int64)
+    count = len(rows)
     return KeypointRows(
-        files=np.array([str(folder / image["file_name"]) for image in images]),
-        scenes=np.array([image["scene"] for image in images], dtype=np.str_),
-        masks=np.array([a["segmentation"]["counts"].encode() for a in chosen], dtype=np.bytes_),
-        image_ids=np.array([image["id"] for image in images], dtype=np.int64),
-        annotation_ids=np.array([a["id"] for a in chosen], dtype=np.int64),
-        sizes=np.array([[image["width"], image["height"]] for image in images], dtype=np.int64).reshape(
-            -1, 2
-        ),
-        camera_matrices=np.array([image["cam_K"] for image in images], dtype=float).reshape(-1, 3, 3),
-        distortions=distortions,
-        camera_from_object=np.array([a["camera_from_object"] for a in chosen], dtype=float).reshape(-1, 4, 4),
-        keypoints=np.array([a["keypoints"] for a in chosen], dtype=float).reshape(len(chosen), -1, 3)
-        if chosen
-        else np.zeros((0, 0, 3)),
-        square_boxes=np.array([a["square_box"] for a in chosen], dtype=float).reshape(-1, 3),
+        files=images.files[rows],
+        scenes=images.scenes[rows],
+        masks=np.array(masks, dtype=np.bytes_),
+        image_ids=ids[:, 1],
+        annotation_ids=ids[:, 0],
+        sizes=images.sizes[rows],
+        camera_matrices=images.matrices[rows],
+        distortions=images.distortions[rows],
+        camera_from_object=np.array(poses).reshape(-1, 4, 4),
+        keypoints=np.array(keypoints).reshape(count, -1, 3) if count else np.zeros((0, 0, 3)),
+        square_boxes=np.array(boxes).reshape(-1, 3),
     )
+
+
+@dataclass(frozen=True)
+class _ImageColumns:
+    """The images of a file as arrays, and the row of each by its id."""
+
+    row_of: dict[int, int]
+    files: np.ndarray
+    scenes: np.ndarray
+    sizes: Int64[np.ndarray, "n 2"]
+    matrices: Float64[np.ndarray, "n 3 3"]
+    distortions: Float64[np.ndarray, "n c"]
+
+    @staticmethod
+    def of(images: Sequence[Mapping[str, Any]], folder: Path) -> _ImageColumns:
+        """Read them one by one: all of them together may not fit the memory."""
+        count = len(images)
+        row_of: dict[int, int] = {}
+        files, scenes = [], []
+        sizes, matrices, distortions = array("q"), array("d"), np.zeros((count, DISTORTION_LENGTH))
+        for row, image in enumerate(images):
+            row_of[image["id"]] = row
+            files.append(os.path.join(folder, image["file_name"]))
+            scenes.append(image["scene"])
+            sizes.extend((image["width"], image["height"]))
+            matrices.extend(image["cam_K"])
+            if image["distortion"]:
+                distortions[row, : len(image["distortion"])] = image["distortion"]
+        return _ImageColumns(
+            row_of,
+            np.array(files, dtype=np.str_),
+            np.array(scenes, dtype=np.str_),
+            np.array(sizes, dtype=np.int64).reshape(-1, 2),
+            np.array(matrices).reshape(-1, 3, 3),
+            distortions,
+        )
 
 
 def canonical_rows(rows: KeypointRows, item: CocoObject) -> KeypointRows:

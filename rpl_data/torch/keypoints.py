@@ -12,10 +12,16 @@ import numpy as np
 import torch
 from torch.utils.data import Dataset, get_worker_info
 
-from rpl_data.formats.datasets.coco import read_coco
+from rpl_data.formats.datasets.coco_parts import read_packed
 from rpl_data.torch.colours import jittered
 from rpl_data.torch.image_files import read_image
-from rpl_data.torch.keypoint_rows import canonical_rows, choose_object, keypoint_rows
+from rpl_data.torch.keypoint_rows import (
+    ANNOTATION_KEYS,
+    IMAGE_KEYS,
+    canonical_rows,
+    choose_object,
+    keypoint_rows,
+)
 from rpl_data.torch.keypoint_sample import KeypointSample as KeypointSample
 from rpl_data.torch.keypoint_sample import keypoint_sample
 from rpl_data.torch.on_device import batch_on_device
@@ -130,7 +136,9 @@ class KeypointDataset(Dataset[KeypointSample]):
                 f"input_px is {input_px}, heatmap_px {heatmap_px}, sigma_px {sigma_px}; all must be above 0"
             )
         coco_json = split_file(path, split)
-        data = only_scenes(read_coco(coco_json), scenes)
+        data = only_scenes(
+            read_packed(coco_json, {"images": IMAGE_KEYS, "annotations": ANNOTATION_KEYS}), scenes
+        )
         self._coco_json = coco_json
         chosen, category_id = choose_object(data, object, coco_json)
         self.model = chosen.model

@@ -64,6 +64,14 @@ def target_of(image: Json, annotations: Sequence[Json], most_keypoints: int) -> 
     }
 
 
+def rows_by_image(annotations: Sequence[Json]) -> dict[int, list[int]]:
+    """The rows of the annotations of each image, by its id; nothing for an image without any."""
+    rows: dict[int, list[int]] = {}
+    for row, annotation in enumerate(annotations):
+        rows.setdefault(annotation["image_id"], []).append(row)
+    return rows
+
+
 def decoded_masks(segmentations: Sequence[Json], size: tuple[int, int]) -> Tensor:
     """Decode the masks of an image of that height and width: n x height x width, uint8."""
     from pycocotools import mask as masks

@@ -23,6 +23,7 @@ from playwright.sync_api import Browser, CDPSession, Page, sync_playwright
 sys.path.insert(0, str(Path(__file__).parent.parent / "browser"))
 from conftest import FLAGS, chromium
 from driving import SHOWN, Server, on_page, toured
+from rows import record
 
 from rpl_data.annotate.live import Lifter, solve_live
 from rpl_data.annotate.stores.scenes import SceneStore
@@ -229,6 +230,7 @@ def soak(page: Page, server: Server, actions: int) -> list[tuple[int, float, flo
 
 def report(name: str, values: np.ndarray, limit: float, unit: str = "ms") -> None:
     median, worst = np.median(values), np.percentile(values, 95)
+    record("annotate", name, float(median), unit, baseline=("wanted", limit))
     print(f"{name:44s} median {median:7.1f}  p95 {worst:7.1f} {unit}   wanted < {limit:g}", flush=True)
 
 

@@ -24,6 +24,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from labelled_scenes import BOX, CAN, labelled_scene, rle
+from rows import record
 
 import rpl_data.export as exports
 from rpl_data.export import ExportScene, export_coco
@@ -92,6 +93,7 @@ def main() -> None:
                     found.append(pool.apply(write, (name, root, frames)))
             rate = many / found[1][0]
             base = base or rate
+            record("export", name, rate, "frames/s", baseline=("coco", base), more_is_better=True)
             memory = f"{found[0][1]:20.0f} {found[1][1]:11.0f}"
             print(f"{name:16s} {rate:8.0f} {rate / base:8.2f} {memory}", flush=True)
 

@@ -3,10 +3,11 @@
     python tests/bench/bench_label.py [FRAMES]
 
 640x480, 20,480 triangles, a mask of about 16,000 px, an occluder, sensor noise and missing depth.
-Times are the processor's, so that a busy machine does not distort them. The baseline is the
-original tool's mask algorithm, re-implemented: every point of a 5 mm voxel cloud drawn as a disc of
-radius 2 px, a 5x5 closing, the first contour filled; no depth, no occlusion. Peak memory is read
-after 100 frames and after FRAMES (default 10,000), labels written to disk.
+Times are the processor's, so that a busy machine does not distort them. There are two baselines, both of the
+original tool (RapidPoseLabels, `src/utils/annotations.py`), re-implemented. Its mask: every point of a 5 mm
+voxel cloud drawn as a disc of radius 2 px, a 5x5 closing, the first contour filled; no depth, no occlusion.
+Its whole path: the colour image decoded, that mask, the image encoded again, the mask as PNG, and four text
+files. Peak memory is read after 100 frames and after FRAMES (default 10,000), labels written to disk.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import open3d as o3d
+from rows import record
 
 from rpl_data.geometry import from_rotvec, invert, project, transform
 from rpl_data.images import depth_reader, read_depth_m
@@ -29,6 +31,7 @@ from rpl_data.label.alone import SceneObject
 from rpl_data.label.label import label_frames
 from rpl_data.raycast import RayScene, render_depth_m
 from rpl_data.types import Frame, FrameLabel, Intrinsics, KeypointModel, Mesh, Scene, Trajectory
+from rpl_data.workspace.depth_cache import cached_reader
 from rpl_data.workspace.workspace import Workspace
 
 CAMERA = Intrinsics(600.0, 600.0, 319.5, 239.5, 640, 480)
@@ -80,6 +83,30 @@ def splat_mask(points_camera: np.ndarray) -> np.ndarray:
     return filled
 
 
+def published_path(folder: Path, color: Path, number: int, points_camera: np.ndarray) -> None:
+    """The original's work for a frame: labels beside a copy of the image, in the formats it writes.
+
+    Its loop takes each point as a row of an array, and each of its coordinates as a number of NumPy's.
+    """
+    image = cv2.resize(cv2.imread(str(color)), (640, 480))
+    none = np.zeros(3)
+    seen, _ = cv2.projectPoints(points_camera, none, none, CAMERA.matrix, None)
+    mask = np.zeros((480, 640), np.uint8)
+    for point in seen[:, 0]:
+        cv2.circle(mask, tuple(map(int, point)), 2, 255, -1)
+    mask = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))
+    contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+    cv2.drawContours(mask, contours, 0, 255, -1)
+    cv2.imwrite(str(folder / f"{number}.jpg"), image)
+    cv2.imwrite(str(folder / f"{number}_mask.png"), mask)
+    rows, columns = np.nonzero(mask)
+    box = (columns.min(), rows.min(), columns.max(), rows.max())
+    keypoints = project(CAMERA, points_camera[:12])
+    for name, values in (("bbox", box), ("centre", np.mean([box[:2], box[2:]], axis=0)),
+                         ("keypoints", keypoints), ("label", (0, *box))):  # fmt: skip
+        np.savetxt(folder / f"{number}_{name}.txt", np.atleast_2d(values))
+
+
 def rate(count: int, seconds: float) -> str:
     """Frames/s and ms."""
     return f"{count / seconds:8.1f} frames/s  {seconds / count * 1000:6.2f} ms"
@@ -115,6 +142,14 @@ def main(count: int) -> None:
         start = time.process_time()
         labels(scene.frames[:FILES])
         warm = time.process_time() - start
+        photo = np.random.default_rng(1).normal(120, 40, (120, 160, 3)).clip(0, 255).astype(np.uint8)
+        color = Path(folder) / "color.jpg"
+        cv2.imwrite(str(color), cv2.resize(photo, (640, 480), interpolation=cv2.INTER_CUBIC))
+        start = time.process_time()
+        for i in range(FILES):
+            seen = transform(invert(trajectory.scene_from_camera[i]), points)
+            published_path(Path(folder), color, i, seen)
+        published = time.process_time() - start
         start = time.process_time()
         for frame in scene.frames[:FILES]:
             read_depth_m(scene, frame)
@@ -126,12 +161,30 @@ def main(count: int) -> None:
         )
         print(f"point splat (baseline, mask only)     {rate(FILES, splat)}  ratio 1.00")
         print(f"labels, depth at hand                 {rate(FILES, warm)}  ratio {splat / warm:.2f}")
+        print(f"published code's whole path           {rate(FILES, published)}  {published / warm:.2f}")
+        by_published = ("the published code's whole path", FILES / published)
+        by_splat = ("point splat, mask only", FILES / splat)
+        at_hand, more = FILES / warm, {"more_is_better": True}
+        record("label", "depth at hand, occlusion", at_hand, "frames/s", baseline=by_splat, **more)
+        work = "depth at hand, occlusion, beside the published path"
+        record("label", work, at_hand, "frames/s", baseline=by_published, asked=10.0, **more)
+        cached = cached_reader(Path(folder) / "cache", scene, keep=True)
+        for frame in scene.frames[:FILES]:
+            cached(frame)
+        start = time.process_time()
+        list(label_frames(scene, trajectory, [item], scene.frames[:FILES], cached))
+        from_cache = FILES / (time.process_time() - start)
+        print(f"labels, depth from the cache          {rate(FILES, FILES / from_cache)}")
+        work = "depth from the cache, occlusion, beside the published path"
+        record("label", work, from_cache, "frames/s", baseline=by_published, asked=10.0, **more)
         print(f"reading depth PNG alone               {rate(FILES, decoding)}")
         for frames in (100, count):
             start = time.process_time()
             made = label_frames(scene, trajectory, [item], scene.frames[:frames], depth_reader(scene))
             workspace.save_labels("bench", made)
             seconds = time.process_time() - start
+            work = f"{frames} frames, PNG to labels on disk"
+            record("label", work, frames / seconds, "frames/s", baseline=by_published, **more)
             print(
                 f"{frames:6d} frames, PNG to labels on disk  {rate(frames, seconds)}  "
                 f"ratio {splat / FILES * frames / seconds:.2f}  peak {peak_mb():.1f} MB",

@@ -15,6 +15,7 @@ import numpy as np
 import torch
 from PIL import Image
 from pycocotools import mask as masks
+from rows import record
 from torchvision import tv_tensors
 from torchvision.io import decode_image
 from torchvision.transforms import v2
@@ -252,6 +253,9 @@ def main() -> None:
             rate = samples_per_second(KeypointDataset(files[suffix], **{"augment": Augmentation()} | options))
             ratios = f"{rate / loop:.1f}x the loop, {rate / plain:.1f}x torchvision's"
             print(f"{name:24s} {1e3 / rate:6.2f} ms a sample: {ratios}")
+            for beside, other in (("loop and resize", loop), ("torchvision v2, untuned", plain)):
+                work = f"keypoint sample, {name}, beside {beside}"
+                record("torch", work, 1e3 / rate, "ms", baseline=(beside, 1e3 / other))
         print("asked: 20x the loop with the cache")
         for name, network in (("cpu preset", CPU), ("paper's network", Network())):
             sizes = {"input_px": network.input_px, "heatmap_px": network.heatmap_px}

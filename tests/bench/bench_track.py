@@ -18,6 +18,7 @@ import cv2
 import numpy as np
 import pytest
 from made_scenes import errors, orbit, tracked
+from rows import record
 
 from rpl_data.drift.reprojection import reprojection_over_gap
 from rpl_data.geometry import fit_rigid, invert, resized, transform
@@ -103,6 +104,8 @@ def test_partial_orbit_with_clutter(name: str, request: pytest.FixtureRequest) -
     print(f"\n{name}: 20-s partial orbit, {len(recording.scene.frames)} frames, {len(found.lost)} lost")
     print(f"  position  median {median_mm:.2f} mm (5 allowed: {5 / median_mm:.1f}x), largest {mm.max():.2f}")
     print(f"  rotation  median {median_deg:.3f} deg (0.3: {0.3 / median_deg:.1f}x), largest {deg.max():.3f}")
+    record("track", f"{name}, position", median_mm, "mm", baseline=("allowed", 5.0))
+    record("track", f"{name}, rotation", median_deg, "deg", baseline=("allowed", 0.3))
     assert median_mm <= 5 and median_deg <= 0.3
 
 
@@ -159,6 +162,8 @@ def against_given(recording: Recording, gaps: tuple[int, ...]) -> None:
             for poses in (recording.trajectory, found.trajectory)
         )
         print(f"  gap {gap:2d}: given {given * 1e3:5.2f} mm, ours {ours * 1e3:5.2f} mm: {given / ours:.2f}x")
+        work = f"{scene.name}, depth reprojection over {gap} frames"
+        record("track", work, 1e3 * ours, "mm", baseline=("given poses", 1e3 * given), asked=1.0)
         assert ours <= given
     assert not found.lost
 
@@ -192,6 +197,10 @@ def test_cost_against_open3d(twin: Recording, plain: Recording, kitchen: Recordi
                 f"  {name:8s} {who:18s} {cpu_ms:6.1f} ms, error {rmse_mm(recording, poses):6.2f} mm, "
                 f"depth reprojection over {gap} frames {apart:5.2f} mm"
             )
+        slam = ("Open3D slam.Model, 1 cm", other_ms)
+        record("track", f"{name}, CPU per frame", mine_ms, "ms", baseline=slam, asked=10.0)
+        slam = ("Open3D slam.Model, 1 cm", rmse_mm(recording, other))
+        record("track", f"{name}, error", rmse_mm(recording, mine), "mm", baseline=slam, asked=1.0)
         print(f"  {name:8s} ratio {other_ms / mine_ms:.1f}x")
 
 
@@ -249,6 +258,8 @@ def test_end_to_end(twin: Recording, tmp_path: Path) -> None:
     wall_s = time.perf_counter() - started
     count = len(scene.frames)
     rate, cpu_ms = count / wall_s, (time.process_time() - cpu_s) / count * 1e3
+    wanted = ("wanted", 25.0)
+    record("track", "decode, track and fuse", rate, "frames/s", baseline=wanted, more_is_better=True)
     print(
         f"\ndecode, keep and track {count / tracked_s:.1f} frames/s; with the surface of 3 mm voxels "
         f"({len(mesh.triangles)} triangles) {rate:.1f} frames/s: {rate / 25:.2f}x the 25 wanted; "

@@ -22,6 +22,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import open3d as o3d
+from rows import record
 
 from rpl_data.geometry import invert
 from rpl_data.raycast import pixel_rays, rays_in_object
@@ -79,6 +80,7 @@ def main(frames: int = 12) -> None:
     )
     for name, seconds in rows:
         print(f"{name:34s} {1 / seconds:6.2f} frames/s a core  {seconds / rays_s:5.2f} x the baseline's time")
+        record("twin", name, 1 / seconds, "frames/s", baseline=("bare rays", 1 / rays_s), more_is_better=True)
     print(f"{size_kb:.0f} kB a frame on disk")
     assert 1 / shaded_s >= LEAST_FRAMES_A_S, f"{1 / shaded_s:.2f} frames/s; expected {LEAST_FRAMES_A_S}"
 

@@ -11,6 +11,7 @@ from pycocotools import mask as masks
 from pycocotools.coco import COCO
 from pycocotools.cocoeval import COCOeval
 
+from rpl_data.formats.datasets import coco_check, coco_parts
 from rpl_data.formats.datasets.coco import (
     CocoObject,
     header,
@@ -24,6 +25,8 @@ from rpl_data.formats.datasets.coco import (
     write_coco,
     writing_coco,
 )
+from rpl_data.formats.datasets.coco_batch import sound_annotations, sound_images
+from rpl_data.formats.datasets.coco_parts import read_packed
 from rpl_data.geometry import from_rotvec
 from rpl_data.types import DataError, Frame, FrameLabel, InstanceLabel, Symmetries, SymmetryAxis
 
@@ -184,8 +187,64 @@ def wrong(data, change):
         (lambda d: d["rpl"].update(objects=None), "a list"),
     ],
 )
-def test_what_is_refused(data, change, message):
+def test_what_is_refused(data, change, message, monkeypatch):
     assert message in wrong(data, change)
+    monkeypatch.setattr(coco_check, "FEWEST_IN_BATCH", 1)  # all of them are first looked at together
+    assert message in wrong(data, change)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda a: a.pop("quality"),
+        lambda a: a.update(truncated=0),
+        lambda a: a.update(instance=2),
+        lambda a: a.update(category_id=3),
+        lambda a: a.update(area=True),
+        lambda a: a.update(area=float(a["area"])),
+        lambda a: a.update(bbox_full=[0, 0, 3, 3]),
+        lambda a: a.update(square_box=(1.0, 2.0, 3.0)),
+        lambda a: a["sigma_px"].append(0.5),
+        lambda a: a["keypoints"].__setitem__(2, 3),
+        lambda a: a["camera_from_object"].__setitem__(12, 0.1),
+        lambda a: a["camera_from_object"].__setitem__(0, "1"),
+        lambda a: a["segmentation_full"].update(size=[120.0, 160.0]),
+        lambda a: a.update(segmentation=None),
+    ],
+)
+def test_many_entries_are_checked_at_once(data, change):
+    images = {image["id"]: image for image in data["images"]}
+    categories = {category["id"]: category for category in data["categories"]}
+    limits = {"skew": coco_check.SKEW, "box_px": coco_check.BOX_PX}
+    assert sound_images(data["images"], skew=coco_check.SKEW, longest_distortion=14)
+    assert sound_annotations(data["annotations"], images, categories, **limits)
+    change(data["annotations"][1])
+    assert not sound_annotations(data["annotations"], images, categories, **limits)
+
+
+def test_a_packed_file_is_the_same_dataset(data, tmp_path, monkeypatch):
+    monkeypatch.setattr(coco_parts, "BATCH", 2)
+    with writing_coco(tmp_path / "lines.json", OBJECTS) as writer:
+        first = 1
+        for number, label in enumerate(LABELS, start=1):
+            image, annotations = entries(label, number, first)
+            writer.add(image, annotations)
+            first += len(annotations)
+    write_coco(tmp_path / "one_line.json", data)
+    for name in ("lines.json", "one_line.json"):
+        packed = read_packed(tmp_path / name, {"images": ("id", "scene")})
+        assert list(packed["annotations"]) == packed["annotations"][:] == data["annotations"]
+        assert packed["annotations"][-1] == data["annotations"][-1]
+        assert packed["images"][1] == {"id": 2, "scene": "desk"} and len(packed["images"]) == 3
+        with pytest.raises(IndexError):
+            packed["images"][3]
+    text = (tmp_path / "lines.json").read_text()
+    (tmp_path / "damaged.json").write_text(text.replace('"truncated": false', '"truncated": 5'))
+    with pytest.raises(DataError, match="annotation 1: truncated: 5 is neither true nor false"):
+        read_packed(tmp_path / "damaged.json", {})
+    (tmp_path / "cut.json").write_text(text[:-200])
+    with pytest.raises(DataError, match="not valid JSON"):
+        read_packed(tmp_path / "cut.json", {})
 
 
 def edited(data, tmp_path, change):

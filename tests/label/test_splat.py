@@ -24,7 +24,7 @@ def test_the_splat_of_a_cube_is_its_silhouette() -> None:
     pose = from_rotvec(np.array([0.5, 0.7, 0.1]), np.array([0.02, -0.01, 0.6]))
     points = sampled(CUBE, count=30_000)
     depth_m, mask = splat(points)(CAMERA, WHOLE, pose)
-    true_m, silhouette = cast(RayScene([CUBE]))(CAMERA, WHOLE, pose)
+    true_m, silhouette = cast(CUBE, RayScene([CUBE]))(CAMERA, WHOLE, pose)
     disk = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (7, 7))
     wider, narrower = cv2.dilate(silhouette.view(np.uint8), disk), cv2.erode(silhouette.view(np.uint8), disk)
     assert not (mask & (wider == 0)).any()

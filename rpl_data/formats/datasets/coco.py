@@ -19,13 +19,14 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from rpl_data.files import read_json, writing
+from rpl_data.files import writing
 from rpl_data.formats.datasets.coco_check import validate_coco
 from rpl_data.formats.datasets.coco_edited import as_exported
 from rpl_data.formats.datasets.coco_entries import CocoWriter, writing_entries
 from rpl_data.formats.datasets.coco_objects import CocoObject as CocoObject
 from rpl_data.formats.datasets.coco_objects import category_to_coco, object_to_coco
 from rpl_data.formats.datasets.coco_objects import objects_from_coco as objects_from_coco
+from rpl_data.formats.datasets.coco_parts import read_fast
 from rpl_data.json_arrays import Json, asdict_values, matrix_from_json, numbers
 from rpl_data.types import Box, DataError, Frame, FrameLabel, InstanceLabel, Intrinsics, Rle, SquareBox
 from rpl_data.version import installed_version
@@ -231,6 +232,6 @@ def write_coco(path: Path, data: Json) -> None:
 
 def read_coco(path: Path) -> Json:
     """Read and validate a file, which may be edited elsewhere; DataError when it is damaged or foreign."""
-    data = as_exported(read_json(path), source=str(path))
+    data = as_exported(read_fast(path), source=str(path))
     validate_coco(data, source=str(path))
     return data

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
 from rpl_data.files import FAULTS, decoding
+from rpl_data.formats.datasets.coco_batch import sound_annotations, sound_images
 from rpl_data.formats.datasets.coco_edited import REMEDY, check_packed
 from rpl_data.json_arrays import Json, each, flag, matrix_from_json, number, optional, positive, text, whole
 from rpl_data.symmetries import symmetries_from_json
@@ -63,6 +64,11 @@ ANNOTATION_FIELDS: Fields = {
 """What the fields of an entry are, where no other check says it."""
 
 
+BATCH = 2_000
+FEWEST_IN_BATCH = 300
+"""Entries that are first looked at together, which a small file is not worth."""
+
+
 def validate_coco(data: Any, *, source: str) -> None:
     """Check everything that this module guarantees about a file.
 
@@ -70,30 +76,70 @@ def validate_coco(data: Any, *, source: str) -> None:
         DataError: the first fault, with the entry's id, what was expected and what was found.
     """
     with decoding(source, REMEDY):
-        _validate(data, source)
+        _check_keys(data, TOP_KEYS, source)
+        check = CocoCheck(data, source)
+        check.images(data["images"])
+        check.annotations(data["annotations"])
 
 
-def _validate(data: Any, source: str) -> None:
-    _check_keys(data, TOP_KEYS, source)
-    _check_keys(data["rpl"], ("version", "objects"), f"{source}: rpl")
-    categories = {c["id"]: c for c in _unique(data["categories"], CATEGORY_KEYS, f"{source}: category")}
-    images = {i["id"]: i for i in _unique(data["images"], IMAGE_KEYS, f"{source}: image")}
-    _check_categories(categories, data["rpl"]["objects"], source)
-    for image in images.values():
-        where = f"{source}: image {image['id']}"
-        _check_fields({"metres_per_unit": 1.0} | image, IMAGE_FIELDS, where)
-        if len(image["distortion"]) > LONGEST_DISTORTION:
-            found = len(image["distortion"])
-            raise _wrong(f"{where}: distortion", f"at most {LONGEST_DISTORTION} numbers", found)
-        _check_numbers(image["cam_K"], 9, f"{where}: cam_K")
-        _check_rigid(image["scene_from_camera"], f"{where}: scene_from_camera")
-    for annotation in _unique(data["annotations"], ANNOTATION_KEYS, f"{source}: annotation"):
-        where = f"{source}: annotation {annotation['id']}"
-        if annotation["image_id"] not in images or annotation["category_id"] not in categories:
-            raise _wrong(where, "an image_id and category_id that exist in this file", _ids(annotation))
-        _check_instance(
-            annotation, images[annotation["image_id"]], categories[annotation["category_id"]], where
-        )
+class CocoCheck:
+    """The check of a file that may be read a part at a time: its head, then images, then annotations."""
+
+    def __init__(self, head: Json, source: str) -> None:
+        """Check everything but images and annotations; DataError as `validate_coco`."""
+        self._source = source
+        _check_keys(head["rpl"], ("version", "objects"), f"{source}: rpl")
+        entries = _entries(head["categories"], CATEGORY_KEYS, f"{source}: category", set(), 0)
+        self._categories = {c["id"]: c for c in entries}
+        self._images: dict[int, Json] = {}
+        self._image_ids: set[int] = set()
+        self._annotation_ids: set[int] = set()
+        _check_categories(self._categories, head["rpl"]["objects"], source)
+
+    def images(self, entries: Any) -> None:
+        """Check some images; of each, only the size is kept."""
+        what, seen = f"{self._source}: image", self._image_ids
+        for image in _entries(entries, IMAGE_KEYS, what, seen, len(seen)):
+            self._images[image["id"]] = {"height": image["height"], "width": image["width"]}
+        for part in _batches(entries):
+            if len(part) >= FEWEST_IN_BATCH and sound_images(
+                part, skew=SKEW, longest_distortion=LONGEST_DISTORTION
+            ):
+                continue
+            for image in part:
+                _check_image(image, f"{what} {image['id']}")
+
+    def annotations(self, entries: Any) -> None:
+        """Check some annotations of images that were checked before."""
+        what, seen = f"{self._source}: annotation", self._annotation_ids
+        _entries(entries, ANNOTATION_KEYS, what, seen, len(seen))
+        images, categories = self._images, self._categories
+        for part in _batches(entries):
+            if len(part) >= FEWEST_IN_BATCH and sound_annotations(
+                part, images, categories, skew=SKEW, box_px=BOX_PX
+            ):
+                continue
+            for annotation in part:
+                where = f"{what} {annotation['id']}"
+                if annotation["image_id"] not in images or annotation["category_id"] not in categories:
+                    raise _wrong(
+                        where, "an image_id and category_id that exist in this file", _ids(annotation)
+                    )
+                of_image, of_category = images[annotation["image_id"]], categories[annotation["category_id"]]
+                _check_instance(annotation, of_image, of_category, where)
+
+
+def _batches(entries: list[Json]) -> Iterator[list[Json]]:
+    return (entries[start : start + BATCH] for start in range(0, len(entries), BATCH))
+
+
+def _check_image(image: Json, where: str) -> None:
+    _check_fields({"metres_per_unit": 1.0} | image, IMAGE_FIELDS, where)
+    if len(image["distortion"]) > LONGEST_DISTORTION:
+        found = len(image["distortion"])
+        raise _wrong(f"{where}: distortion", f"at most {LONGEST_DISTORTION} numbers", found)
+    _check_numbers(image["cam_K"], 9, f"{where}: cam_K")
+    _check_rigid(image["scene_from_camera"], f"{where}: scene_from_camera")
 
 
 def _ids(annotation: Mapping[str, Any]) -> str:
@@ -123,12 +169,16 @@ def _wrong(where: str, expected: str, found: Any) -> DataError:
     return DataError(f"{where}: expected {expected}, found {found!s:.200}; {REMEDY}")
 
 
-def _unique(entries: Any, keys: tuple[str, ...], what: str) -> list[Json]:
-    """Check that each entry has its keys and an id of its own, and return them by id."""
+def _entries(entries: Any, keys: tuple[str, ...], what: str, seen: set[int], first: int) -> list[Json]:
+    """Check that each entry has its keys and an id of its own, and return them.
+
+    Args:
+        seen: ids of the entries before these, to which theirs are added.
+        first: number of the first entry.
+    """
     if not isinstance(entries, list):
         raise _wrong(what, "a list", type(entries).__name__)
-    seen: set[int] = set()
-    for row, entry in enumerate(entries):
+    for row, entry in enumerate(entries, start=first):
         _check_keys(entry, keys, f"{what} number {row}")
         if type(entry["id"]) is not int or entry["id"] in seen:
             raise _wrong(f"{what} number {row}", "a unique whole number as id", entry["id"])

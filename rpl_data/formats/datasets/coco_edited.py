@@ -6,6 +6,8 @@ more objects than they care to separate (`iscrowd`). Nothing else that they chan
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -35,36 +37,54 @@ def as_exported(data: Any, *, source: str) -> Json:
     with decoding(source, REMEDY):
         if not all(isinstance(data.get(key), list) for key in ("images", "annotations", "categories")):
             return data
-        _number_ids(data)
-        for annotation in data["annotations"]:
-            if "iscrowd" in annotation:
-                annotation["iscrowd"] = _crowd(annotation["iscrowd"])
+        number_ids(data["categories"], data.get("rpl", {}).get("objects", []), data["images"])
         sizes = {image["id"]: (_side(image["height"]), _side(image["width"])) for image in data["images"]}
-        crowds = [each for each in data["annotations"] if each.get("iscrowd")]
-        for annotation in data["annotations"]:
-            if _is_exported(annotation):
-                continue
-            with decoding(f"{source}: annotation {annotation['id']!r:.40}", REMEDY):
-                _redraw(annotation, sizes.get(annotation["image_id"]), crowd=bool(annotation.get("iscrowd")))
+        data["annotations"], crowds = annotations_as_exported(data["annotations"], sizes, source=source)
         if crowds:
-            data["annotations"] = [each for each in data["annotations"] if not each.get("iscrowd")]
             data["crowds"] = crowds
     return data
 
 
+def annotations_as_exported(
+    annotations: list[Json], sizes: Mapping[int, tuple[int, int]], *, source: str
+) -> tuple[list[Json], list[Json]]:
+    """Bring some annotations into the form that `rpl export` gives them, and take crowds out.
+
+    Args:
+        sizes: height and width of the images, by id.
+
+    Returns:
+        The annotations, and those that are crowds.
+    """
+    number_ids(annotations)
+    for annotation in annotations:
+        if "iscrowd" in annotation:
+            annotation["iscrowd"] = _crowd(annotation["iscrowd"])
+    for annotation in annotations:
+        if _is_exported(annotation):
+            continue
+        with decoding(f"{source}: annotation {annotation['id']!r:.40}", REMEDY):
+            _redraw(annotation, sizes.get(annotation["image_id"]), crowd=bool(annotation.get("iscrowd")))
+    crowds = [each for each in annotations if each.get("iscrowd")]
+    if crowds:
+        annotations = [each for each in annotations if not each.get("iscrowd")]
+    return annotations, crowds
+
+
 def _is_exported(annotation: Json) -> bool:
     """Whether an annotation has packed masks and is no crowd, as nearly all are."""
-    packed = all(isinstance(annotation.get(key), dict) for key, _ in MASKS)
-    texts = packed and all(isinstance(annotation[key].get("counts"), str) for key, _ in MASKS)
-    return texts and not annotation.get("iscrowd")
+    seen, full = annotation.get("segmentation"), annotation.get("segmentation_full")
+    if not isinstance(seen, dict) or not isinstance(full, dict) or annotation.get("iscrowd"):
+        return False
+    return isinstance(seen.get("counts"), str) and isinstance(full.get("counts"), str)
 
 
-def _number_ids(data: Json) -> None:
+def number_ids(*entries: list[Json]) -> None:
     """Turn ids that are texts or floats into whole numbers."""
-    described = data.get("rpl", {}).get("objects", [])
-    for entry in (*data["images"], *data["annotations"], *data["categories"], *described):
-        for key in entry.keys() & {"id", "image_id", "category_id"}:
-            entry[key] = _whole_id(entry[key])
+    for entry in chain.from_iterable(entries):
+        for key in ("id", "image_id", "category_id"):
+            if key in entry and type(entry[key]) is not int:
+                entry[key] = _whole_id(entry[key])
 
 
 def _whole_id(value: Any) -> int:

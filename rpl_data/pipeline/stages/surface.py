@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -11,10 +11,10 @@ from rpl_data.images import read_color
 from rpl_data.meshes import in_order, joined_meshes, save_mesh
 from rpl_data.pipeline.context import Context, posed_frames, step
 from rpl_data.pipeline.ledger import Advance, Outcome, Step
-from rpl_data.types import Frame, Solution
+from rpl_data.types import Solution
 from rpl_data.types.instances import places_in
 
-VERSION = 2
+VERSION = 3
 """Increase it when the stage writes something else for the same input: its steps then run again."""
 
 
@@ -27,27 +27,23 @@ def _surface_step(context: Context, name: str) -> Step:
     workspace, voxel_m = context.workspace, context.recipe.reconstruct.voxel_m
 
     def run(advance: Advance) -> Outcome:
-        from rpl_data.reconstruct.surface import fuse_surface
+        from rpl_data.reconstruct.surface import fuse_surfaces
 
         scene = workspace.load_scene(name)
         trajectory = workspace.load_trajectory(scene)
         frames = [frame for frame in posed_frames(scene, trajectory) if frame.depth is not None]
         standing = context.solutions_in(name)
         spheres = joined_spheres([sphere for item in standing for sphere in spheres_of(item, name)])
-        meshes = []
-        for number, sphere in enumerate(spheres):
-            meshes.append(
-                fuse_surface(
-                    scene,
-                    trajectory,
-                    reporting(frames, advance, number * len(frames), len(spheres) * len(frames)),
-                    workspace.depth_reader(scene),
-                    centre_scene=sphere.centre_m,
-                    radius_m=sphere.radius_m,
-                    voxel_m=voxel_m,
-                    colors=read_color,
-                )
-            )
+        meshes = fuse_surfaces(
+            scene,
+            trajectory,
+            frames,
+            workspace.depth_reader(scene),
+            spheres=spheres,
+            voxel_m=voxel_m,
+            colors=read_color,
+            advance=advance,
+        )
         save_mesh(workspace.surface_file(name), in_order(joined_meshes(meshes)))
         return Outcome(len(frames))
 
@@ -62,13 +58,6 @@ def _surface_step(context: Context, name: str) -> Step:
         after=[*context.poses_of(name), *before],
         outputs=[output],
     )
-
-
-def reporting(frames: Sequence[Frame], advance: Advance, done: int, total: int) -> Iterator[Frame]:
-    """Yield the frames, reporting the progress."""
-    for number, frame in enumerate(frames, start=done):
-        advance(number, total)
-        yield frame
 
 
 def spheres_of(solution: Solution, scene: str) -> list[Sphere]:
