@@ -48,7 +48,8 @@ class Processes:
         if isinstance(error, BrokenProcessPool):
             return EngineLost(
                 f"a worker process was ended from outside while {name} was at work, mostly for lack of "
-                "memory; use fewer `--workers` and run the command again: finished steps stay finished"
+                "memory: use fewer `--workers` and run the command again, finished steps stay finished; in a "
+                'script of your own, for lack of `if __name__ == "__main__":` before what it runs'
             )
         return error
 
