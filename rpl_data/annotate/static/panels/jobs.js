@@ -109,6 +109,8 @@ function afterClicks() {
     return app.view === "labels"
       ? { text: "look through the labels, click a frame to mend it; when they are good, make the dataset and its report", action: "export", label: "Make them " }
       : { text: "the labels are made: look through them", view: "labels", label: "Show them " };
+  const doubt = app.result?.next.doubt;
+  if (doubt) return { text: `the dataset and its report are made, but its labels are rough: ${doubt}. Film again, or use them as they are` };
   return { text: "done: the dataset and its report are made. Add clicks or scenes whenever you like, and make it again" };
 }
 
