@@ -110,7 +110,12 @@ def test_a_session_from_no_click_to_the_dataset(
     page.get_by_label("export frame 2").uncheck()
     expect(page.locator("#sheet figure.out")).to_have_count(1)
     press_when(page, "g", "export")
-    expect(page.locator("#next-text")).to_contain_text("done", timeout=60_000)
+    try:
+        expect(page.locator("#next-text")).to_contain_text("done", timeout=30_000)
+    except AssertionError:  # a result that was still on its way may bring the step back, unmade
+        print("offered again:", page.locator("#jobs").inner_text(), page.locator("#alert").inner_text())
+        press_when(page, "g", "export")
+        expect(page.locator("#next-text")).to_contain_text("done", timeout=60_000)
     check_dataset(Workspace(server.workspace), truth)
 
 
