@@ -2,26 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from rpl_data.annotate.live import FEWEST, Live
+from rpl_data.annotate.settled import (
+    OFTEN,
+    contradictions,
+    doubt,
+    path_to_check,
+    rarely_marked,
+    settled,
+    unsettled,
+    weak_scenes,
+)
 from rpl_data.clicks.log import Annotation
-from rpl_data.types import HINTS, Statement
 from rpl_data.types.keypoint_names import keypoint_titles
 from rpl_data.wording import counted
 
 ENOUGH = FEWEST + 1
 """Clicks a scene: three place it, the fourth checks them."""
-OFTEN = 6
-"""Clicks on a keypoint after which one more would not help."""
-WORTH_MM = 0.4
-"""A further click that brings less is not asked for."""
+WORTH_MM, WORTH_SHARE = 0.4, 0.1
+"""A further click that lowers the error by less, or by a smaller share of it, is not asked for."""
 UNSURE_M = 0.004
-"""A keypoint less certain than this wants another click."""
+"""A keypoint less certain than this wants another click, where it is what limits the labels."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +39,7 @@ class Advice:
     Attributes:
         scene, frame, keypoint: where; None where it does not matter.
         action: what the page offers to do: `add` a keypoint, or make the `label`s.
+        doubt: why the labels will be rough all the same; the page says so when they are made, too.
     """
 
     text: str
@@ -38,69 +47,56 @@ class Advice:
     frame: int | None = None
     keypoint: int | None = None
     action: Literal["add", "label"] | None = None
+    doubt: str = ""
 
 
 def next_step(
-    annotation: Annotation, live: Live, scenes: Sequence[str], rough_px: Mapping[str, float] | None = None
+    annotation: Annotation,
+    live: Live,
+    scenes: Sequence[str],
+    rough_px: Mapping[str, float] | None = None,
+    judged: Collection[str] = (),
 ) -> Advice:
     """The first of: settle a contradiction, mark what is missing, check, sharpen, make the labels.
 
     Args:
         rough_px: expected error of the scenes whose labels will be rough.
+        judged: scenes whose camera path was compared with their images.
     """
     if not annotation.keypoints:
         return Advice("name the object's keypoints: corners, screws, spouts", action="add")
     if live.check is not None:
         return Advice("checking the clicks against one another ...")
     return (
-        _contradiction(annotation, live)
+        _contradiction(annotation, live, judged)
         or _open_scene(annotation, live, scenes)
         or _unchecked(annotation, live)
+        or _stray(annotation, live, judged)
         or _weak_scene(annotation, live)
         or _most_helpful(annotation, live)
         or _unsure(annotation, live)
-        or Advice(f"{_settled(live, rough_px or {})}: make the dense model and the labels", action="label")
+        or _done(live, doubt(annotation, live, rough_px or {}))
     )
 
 
-def _settled(live: Live, rough_px: Mapping[str, float]) -> str:
-    """What can be said of the scenes and keypoints when nothing is left to do."""
-    if rough_px:
-        worst = max(rough_px, key=lambda scene: rough_px[scene])
-        found = f"scene {worst} should be {rough_px[worst]:.0f} px off"
-        more = f", {counted(len(rough_px) - 1, 'other scene')} less" if len(rough_px) > 1 else ""
-        return f"no further click helps much, but labels will be rough: {found}{more}; film again, or"
-    if live.solution is not None and not live.solution.checked:
-        return "every scene is placed; nothing checks the clicks against one another with this way to solve"
-    weak = sorted({s.clicks[0].scene for s in _weak(live)})
-    unsure = f", but scene {', '.join(weak)} not surely," if weak else ""
-    for statement in live.solution.statements if live.solution else ():
-        if statement.kind == "unjudged":
-            return f"every scene is placed{unsure}, but {statement.text}; or, as it is"
-    return f"every scene is placed{unsure} and {_checked(live)}"
+def _done(live: Live, doubtful: str) -> Advice:
+    text = f"{settled(live, doubtful)}: make the dense model and the labels"
+    return Advice(text, action="label", doubt=doubtful)
 
 
-def _checked(live: Live) -> str:
-    """Which keypoints are checked; those without a position are not."""
-    model = live.solution.model if live.solution else None
-    missing = (
-        []
-        if model is None
-        else [n for n, known in zip(keypoint_titles(model.keypoints), model.known, strict=True) if not known]
-    )
-    if not missing:
-        return "every keypoint is checked"
-    return f"every keypoint is checked but {', '.join(missing)}, which will have no label"
+def _stray(annotation: Annotation, live: Live, judged: Collection[str]) -> Advice | None:
+    """Where clicks were repeated and still disagree, a build looks whether the camera's path is why."""
+    text = path_to_check(annotation, live, judged)
+    return Advice(text, action="label", doubt=text.partition("; ")[0]) if text else None
 
 
-def _contradiction(annotation: Annotation, live: Live) -> Advice | None:
+def _contradiction(annotation: Annotation, live: Live, judged: Collection[str]) -> Advice | None:
     """Mend a click that is wrong; where only some disagree, mark one more to find out which of them is."""
-    said = live.solution.statements if live.solution else ()
-    statements = [s for s in said if s.kind not in HINTS]
-    if not statements:
+    settled_not = unsettled(annotation, live)
+    worst = next((s for s in contradictions(live) if s not in settled_not), None)
+    if worst is None:
         return None
-    worst = statements[0]
-    click = worst.clicks[0]
+    click = next(iter(rarely_marked(annotation, worst)), worst.clicks[0])
     if worst.kind == "disagree":
         scene = _another_scene(annotation, live, click.keypoint)
         same = {c.keypoint for c in worst.clicks} == {click.keypoint}
@@ -110,6 +106,8 @@ def _contradiction(annotation: Annotation, live: Live) -> Advice | None:
             return Advice(worst.text, click.scene, None, click.keypoint)
         return Advice(worst.text, click.scene, click.frame, click.keypoint)
     also = "; if it is right, mark it in another sharp frame (]) too" if len(worst.clicks) == 1 else ""
+    if len(worst.clicks) > 1 and not {c.scene for c in worst.clicks} <= {*judged}:
+        also = "; if all that is right, the camera's path may stray, which a build checks (Make all)"
     return Advice(worst.text + also, click.scene, click.frame, click.keypoint)
 
 
@@ -124,13 +122,9 @@ def _unchecked(annotation: Annotation, live: Live) -> Advice | None:
     return None
 
 
-def _weak(live: Live) -> list[Statement]:
-    return [s for s in (live.solution.statements if live.solution else ()) if s.kind == "weak scene"]
-
-
 def _weak_scene(annotation: Annotation, live: Live) -> Advice | None:
     """A scene that its clicks place badly wants one more of the keypoints that are open there."""
-    for statement in _weak(live):
+    for statement in weak_scenes(live):
         scene = statement.clicks[0].scene
         marked = {click.keypoint for click in annotation.clicks if click.scene == scene}
         for keypoint in range(len(annotation.keypoints)):
@@ -200,10 +194,13 @@ def _asking(annotation: Annotation, scene: str, here: Sequence[int], keypoint: i
 
 def _most_helpful(annotation: Annotation, live: Live) -> Advice | None:
     """The further click that lowers the expected error most, while it is worth the effort."""
+    marked = Counter((click.keypoint, click.scene) for click in annotation.clicks)
     for best in live.solution.next_clicks if live.solution else ():
         if best.gain_mm < WORTH_MM:
             break
-        if (best.keypoint, best.scene) in annotation.skipped:
+        if (best.keypoint, best.scene) in annotation.skipped or best.gain_mm < WORTH_SHARE * best.left_mm:
+            continue
+        if marked[best.keypoint, best.scene] >= OFTEN:
             continue
         name = keypoint_titles(annotation.keypoints)[best.keypoint]
         text = (
@@ -219,11 +216,12 @@ def _unsure(annotation: Annotation, live: Live) -> Advice | None:
     """The keypoint known worst, when another click would help much and there is a place for it."""
     if live.solution is None or annotation.known_points is not None:
         return None
+    limit_m = max(UNSURE_M, 1e-3 * min(live.solution.expected_mm.values(), default=0.0))
     variances = np.trace(live.solution.covariance, axis1=1, axis2=2) / 3
     scenes = sorted(live.solution.scene_from_object)
     for k in np.argsort(-np.nan_to_num(variances)):
         keypoint, sigma_m = int(k), float(np.sqrt(np.nan_to_num(variances[k])))
-        if sigma_m < UNSURE_M:
+        if sigma_m < limit_m:
             break
         clicked = [c.scene for c in annotation.clicks if c.keypoint == keypoint]
         visible = [scene for scene in scenes if (keypoint, scene) not in annotation.skipped]

@@ -110,7 +110,7 @@ def result_payload(result: Result, scenes: Sequence[str]) -> Json:
         ],
         "grasp": None if result.grasp is None else numbers(result.grasp, 7),
         "grasp_problem": result.grasp_problem,
-        "next": asdict(next_step(revision.annotation, live, places, result.rough_scenes())),
+        "next": asdict(next_step(revision.annotation, live, places, result.rough_scenes(), result.judged)),
     }
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -34,6 +34,7 @@ class Result:
         grasp: `object_from_grasp` if one was marked and can be computed; else `grasp_problem` says why not.
         expected_px: expected error of the keypoints over the images of each scene.
         limits_px: see `Work`.
+        judged: scenes whose camera path a build has compared with their images.
     """
 
     revision: Revision
@@ -43,6 +44,7 @@ class Result:
     grasp_problem: str = ""
     expected_px: Mapping[str, float] = field(default_factory=dict)
     limits_px: tuple[float, float] = (np.inf, np.inf)
+    judged: frozenset[str] = frozenset()
 
     def rough_scenes(self) -> dict[str, float]:
         """The expected error in px of the scenes whose labels will be rough."""
@@ -169,7 +171,13 @@ class Session:
             scene: self.work.expected_px(live.solution, scene) for scene in placed if live.solution
         }
         grasp, problem = self._grasp(revision.annotation, live)
-        return Result(revision, live, lifted, grasp, problem, expected_px, self.work.limits_px())
+        limits_px, judged = self.work.limits_px(), self._judged(placed)
+        return Result(revision, live, lifted, grasp, problem, expected_px, limits_px, judged)
+
+    def _judged(self, places: Iterable[str]) -> frozenset[str]:
+        """The places in scenes whose camera path a build has measured (stage `drift`)."""
+        parts = self.workspace.parts()
+        return frozenset(p for p in places if self.workspace.drift_file(parts.video_of(p)).exists())
 
     def find(self, name: str, scene: str, tell: Tell) -> list[str]:
         """Place a known object in a scene without clicks; see `Work`."""

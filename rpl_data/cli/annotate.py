@@ -32,7 +32,7 @@ from rpl_data.pipeline.results import sparse_labels
 from rpl_data.pipeline.stages.solve import solve_annotation_unchecked
 from rpl_data.solve.expected import expected_px
 from rpl_data.solve.solve import register
-from rpl_data.types import DataError, Solution
+from rpl_data.types import DataError, Intrinsics, Solution
 from rpl_data.types.instances import scene_of
 from rpl_data.workspace.workspace import Workspace
 
@@ -133,17 +133,22 @@ VIEWS = 40
 
 def _expected_px(workspace: Workspace, solution: Solution, scene: str) -> float:
     """The expected error of the keypoints in the images of a scene."""
-    recorded = workspace.load_scene(scene_of(scene))
-    stamp = workspace.trajectory_file(recorded.name).stat().st_mtime_ns
-    poses = _camera_poses(workspace, recorded.name, stamp)
+    recorded = scene_of(scene)
+    files = workspace.scene_file(recorded), workspace.trajectory_file(recorded)
+    camera, poses = _camera(workspace, recorded, *(path.stat().st_mtime_ns for path in files))
     points = transform(solution.scene_from_object[scene], solution.model.points_object)
-    return expected_px(solution.covariance_at(scene), points, recorded.intrinsics, poses)
+    return expected_px(solution.covariance_at(scene), points, camera, poses)
 
 
 @lru_cache(256)
-def _camera_poses(workspace: Workspace, scene: str, stamp: int) -> Float64[np.ndarray, "f 4 4"]:
-    poses = workspace.load_trajectory(workspace.load_scene(scene)).scene_from_camera
-    return poses[:: -(-len(poses) // VIEWS)]
+def _camera(workspace: Workspace, name: str, *stamps: int) -> tuple[Intrinsics, Float64[np.ndarray, "f 4 4"]]:
+    """The camera of a scene and `VIEWS` of its poses; read again when their files have changed.
+
+    A recording of minutes takes longer to read than a click to answer.
+    """
+    scene = workspace.load_scene(name)
+    poses = workspace.load_trajectory(scene).scene_from_camera
+    return scene.intrinsics, poses[:: -(-len(poses) // VIEWS)]
 
 
 def _fresh(workspace: Workspace) -> dict[str, bool]:

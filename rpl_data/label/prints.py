@@ -31,6 +31,8 @@ shines in, and the mesh is least exact."""
 CELL_PX = 3
 """A print has at most one point per square of this edge: that of the steepest brightness."""
 MOST_POINTS, FEWEST_POINTS = 500, 60
+REMAP_COLUMNS = 1024
+"""Pixels are read in rows of so many, as `cv2.remap` takes no image with a side over 32,767."""
 SAME_SURFACE_M = 0.006
 """A point lies on the surface that a frame sees where its depth is that of the label's mesh within this."""
 
@@ -67,9 +69,12 @@ class Look:
 
     def at(self, patch: Patch, uv_px: Pixels) -> Float64[np.ndarray, " n"]:
         """Values of a level's patch at pixels of the image, between pixels too."""
-        u, v = (uv_px - self.corner).astype(np.float32).T
-        found = cv2.remap(patch, u[:, None], v[:, None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        values: Float64[np.ndarray, " n"] = np.asarray(found).ravel().astype(np.float64)
+        if not len(uv_px):
+            return np.zeros(0)
+        rows = -(-len(uv_px) // REMAP_COLUMNS)
+        u, v = (np.resize(axis, (rows, REMAP_COLUMNS)) for axis in (uv_px - self.corner).astype(np.float32).T)
+        found = cv2.remap(patch, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        values: Float64[np.ndarray, " n"] = np.asarray(found).ravel()[: len(uv_px)].astype(np.float64)
         return values
 
 

@@ -24,11 +24,11 @@ def solution_of(*statements, helpful=(), points=POINTS):
     )
 
 
-def advised(*statements, clicks=CLICKS, skipped=(), helpful=(), points=POINTS):
+def advised(*statements, clicks=CLICKS, skipped=(), helpful=(), points=POINTS, judged=()):
     solution = solution_of(*statements, helpful=helpful, points=points)
     names = tuple("abcde"[: len(points)])
     annotation = Annotation("it", names, clicks=tuple(clicks), skipped=frozenset(skipped))
-    return next_step(annotation, Live(solution), SCENES)
+    return next_step(annotation, Live(solution), SCENES, judged=judged)
 
 
 def test_done_when_nothing_contradicts_and_everything_is_checked():
@@ -61,6 +61,36 @@ def test_clicks_that_disagree_want_a_third_scene():
     alone = Statement("disagree", (CLICKS[1], replace(CLICKS[1], frame=7)), "its clicks disagree")
     again = advised(alone, clicks=clicks, skipped={(1, "02"), (1, "01")})
     assert (again.scene, again.frame) == ("00", None)  # the page leads to a frame where it is not marked
+
+
+def test_clicks_repeated_as_asked_lead_to_the_build_and_then_to_the_doubt_that_stays():
+    """Each further click there was another frame of a path that strays: the page asked for them for ever."""
+    skipped = {(1, "01"), (1, "02")}
+    apart = ", and nothing tells which is wrong; mark it in one more frame"
+    clicks, steps = [c for c in CLICKS if c.keypoint != 1 or c.scene == "00"], []
+    for frame in range(10, 20):
+        mine = [c for c in clicks if c.keypoint == 1]
+        said = Statement(
+            "disagree", tuple(mine), f"keypoint b: its clicks in scene 00 disagree by 14 px{apart}"
+        )
+        steps.append(advised(said, clicks=clicks, skipped=skipped))
+        if steps[-1].action:
+            break
+        assert (steps[-1].scene, steps[-1].keypoint) == ("00", 1)
+        clicks.append(replace(CLICKS[1], frame=frame))
+    assert len(steps) == 4 and steps[-1].action == "label"
+    assert "disagree by 14 px" in steps[-1].text and "whether the camera's path strays" in steps[-1].text
+    built = advised(said, clicks=clicks, skipped=skipped, judged={"00"})
+    assert built.action == "label" and "labels will be rough: keypoint b" in built.text
+    assert "disagree by 14 px" in built.doubt and "off by as much" in built.doubt
+    assert advised(clicks=clicks, skipped=skipped, judged={"00"}).doubt == ""  # corrected: nothing disagrees
+
+
+def test_a_slip_is_shown_until_its_keypoint_was_marked_often():
+    said = Statement("wrong place", (CLICKS[5],), "scene 01: keypoint b is 40 px off; move it to its place")
+    again = [replace(CLICKS[5], frame=frame) for frame in (7, 9, 11)]
+    assert advised(said, clicks=CLICKS + again[:2]).frame == 3
+    assert advised(said, clicks=CLICKS + again).action == "label"
 
 
 def test_a_scene_with_too_few_clicks_says_how_many_it_needs():
@@ -108,6 +138,9 @@ def test_the_click_that_helps_most_is_named_with_its_gain_while_it_is_worth_it()
     assert "keypoint 2 c here; it should lower the error by 1.2 mm on average, to 3.5 mm" in step.text
     assert advised(helpful=helpful, skipped={(2, "01")}).scene == "02"
     assert advised(helpful=helpful, skipped={(2, "01"), (1, "02")}).action == "label"
+    assert advised(helpful=(NextClick("01", 7, 2, 0.7, 8.0),)).action == "label"  # a tenth of it, or less
+    often = CLICKS + [Click("it", 2, "01", frame, 20.0, 5.0) for frame in (5, 6, 8)]
+    assert advised(helpful=helpful[:1], clicks=often).action == "label"
 
 
 def test_scenes_whose_labels_will_be_rough_are_not_called_good():

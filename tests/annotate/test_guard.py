@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import Iterator
+from collections.abc import Coroutine, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -101,6 +102,12 @@ def test_another_site_may_only_open_the_page_itself_in_a_tab(client: TestClient)
     assert client.post("/", headers=FOREIGN | {"Sec-Fetch-Dest": "document"}).status_code == 403
 
 
+def run_alone(coroutine: Coroutine[Any, Any, None]) -> None:
+    """In a thread of its own: the browser of other tests keeps a loop running in this one."""
+    with ThreadPoolExecutor(1) as thread:
+        thread.submit(asyncio.run, coroutine).result()
+
+
 @pytest.mark.parametrize("length", ["\xb2", "9" * 5000, "-1", "nan", ""])
 def test_a_length_that_is_no_number_is_refused(client: TestClient, length: str) -> None:
     """Straight to the application: the network layer would refuse most of them before."""
@@ -115,7 +122,7 @@ def test_a_length_that_is_no_number_is_refused(client: TestClient, length: str) 
     host = httpx.URL(str(client.base_url)).netloc
     headers = [(b"host", host), (b"content-length", length.encode("latin-1"))]
     scope = {"type": "http", "method": "POST", "path": OBJECT, "query_string": b"", "headers": headers}
-    asyncio.run(client.app(scope, receive, send))  # type: ignore[arg-type]
+    run_alone(client.app(scope, receive, send))  # type: ignore[arg-type]
     assert found[0] == 413
 
 
@@ -147,4 +154,4 @@ def test_listeners_are_bounded_and_one_that_does_not_read_is_let_go() -> None:
             await anext(streams[0])
         assert not news.is_full
 
-    asyncio.run(scenario())
+    run_alone(scenario())

@@ -75,6 +75,7 @@ def elsewhere(server: Server) -> Iterator[str]:
     threading.Thread(target=site.serve_forever, daemon=True).start()
     yield f"http://localhost:{site.server_port}/"
     site.shutdown()
+    site.server_close()
 
 
 def files_of(workspace: Path) -> dict[str, bytes]:
@@ -93,7 +94,7 @@ def test_a_foreign_page_reads_nothing_changes_nothing_and_ends_nothing(
     page.on("response", lambda r: statuses.setdefault(r.url.split("?")[0], set()).add(r.status))
     page.goto(elsewhere)
     page.wait_for_function("window.got.done && window.got.image && window.got.socket && window.got.events")
-    page.wait_for_timeout(500)
+    page.wait_for_load_state("networkidle")  # the frames and the form are answered too
     got = page.evaluate("window.got")
     blind = {got.pop("blind"), got.pop("post")}
     assert blind <= {"opaque", "refused"}, "an opaque answer tells the page nothing"

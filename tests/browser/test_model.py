@@ -19,6 +19,12 @@ PYRAMID = Mesh(
 )
 
 
+HOVERED = """() => {
+    window.hovered = false;
+    document.getElementById("plot").once("plotly_hover", () => { window.hovered = true; });
+}"""
+
+
 def choose(page: Page, entry: str, path: Path) -> None:
     """Load a file by an entry of the menu of files."""
     page.keyboard.press("o")
@@ -38,8 +44,9 @@ def test_keypoints_are_picked_on_a_mesh(page: Page, server: Server, tmp_path: Pa
         x, y = in_plot(page, tuple(1e3 * PYRAMID.vertices[corner]))
         middle = in_plot(page, (50.0, 50.0, -40.0))
         aim = np.array([x, y]) + 3 * (np.array(middle) - [x, y]) / np.hypot(middle[0] - x, middle[1] - y)
+        page.evaluate(HOVERED)
         page.mouse.move(*aim, steps=4)
-        page.wait_for_timeout(400)
+        page.wait_for_function("window.hovered")  # what a click picks
         page.mouse.click(*aim)
         expect(page.locator("#model-panel")).to_contain_text(f"{count} picked", timeout=60_000)
     saved(page)

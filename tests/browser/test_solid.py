@@ -104,8 +104,8 @@ def test_a_crop_box_is_shown_at_once_and_saved_when_the_slider_rests(clicked: Se
     page.mouse.move(slider["x"] + 8 + share * (slider["width"] - 16), middle)
     page.mouse.down()
     page.mouse.move(slider["x"] + 0.55 * slider["width"], middle, steps=5)
-    page.mouse.up()
-    page.wait_for_function("() => document.querySelector('#saved').textContent !== 'all saved'")
+    with page.expect_response(lambda answer: answer.request.method == "POST"):
+        page.mouse.up()
     saved(page)
     crop = Workspace(clicked.workspace).load_annotation("carton").crop_m
     assert crop is not None

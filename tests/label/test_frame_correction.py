@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from rpl_data.geometry import from_rotvec, invert, project, transform
-from rpl_data.label.alone import Body, SceneObject, object_alone
+from rpl_data.label.alone import Body, ObjectAlone, SceneObject, object_alone
 from rpl_data.label.frame_correction import FrameCorrector, frame_corrector, in_standard_errors
 from rpl_data.label.label import label_frames
 from rpl_data.label.occlusion import FAR_M
+from rpl_data.label.prints import MOST_POINTS, look_at, print_of
 from rpl_data.raycast import PixelTable
 from rpl_data.types import Frame, FrameLabel, Intrinsics, KeypointModel, Mesh, Scene, Trajectory
 
@@ -121,6 +122,23 @@ def test_small_corrections_are_left_unless_all_are_wanted() -> None:
     film = Filmed({3: small})
     assert film.labels()[3].instances[0].corrected_px is None
     assert film.labels(unproven=True)[3].instances[0].corrected_px == pytest.approx(0.3, abs=0.1)
+
+
+def test_a_print_of_a_large_object_is_read_and_one_of_a_thin_object_is_empty() -> None:
+    rows, columns = 200, 200  # 40,000 pixels: more than `cv2.remap` takes along a side
+    camera = PixelTable.of(CAMERA)
+    grey = np.random.default_rng(0).integers(0, 255, (240, 320)).astype(np.uint8)
+    window = np.s_[10 : 10 + rows, 20 : 20 + columns]
+    depth_m = np.full((rows, columns), 0.4, np.float32)
+    everywhere = np.ones((rows, columns), dtype=bool)
+    alone = ObjectAlone(Body.of(CUBE), np.eye(4), np.zeros((8, 2)), window, depth_m, everywhere)
+    look = look_at(grey, alone, everywhere)
+    v, u = (grid.ravel() for grid in np.mgrid[10 : 10 + rows, 20 : 20 + columns])
+    read = look.at(look.levels[0][0], np.column_stack([u, v]).astype(float))
+    np.testing.assert_allclose(read, look.levels[0][0][v - look.corner[1], u - look.corner[0]], atol=1e-3)
+    assert len(print_of(camera, look, everywhere, np.eye(4)).points) == MOST_POINTS
+    thin = everywhere & (np.arange(columns) < 5)
+    assert len(print_of(camera, look, thin, np.eye(4)).points) == 0
 
 
 def test_evidence_in_standard_errors_by_hand() -> None:

@@ -44,7 +44,6 @@ async function start() {
   setUpButtons();
   await open();
   listen();
-  tour.startOnce();
 }
 
 // Open the workspace at the object, scene and frame that the address names.

@@ -22,6 +22,7 @@ let asked = null; // the revision that `fresh` was last asked for
 
 export function setUp() {
   onNews("job", heard);
+  onNews("hello", caughtUp);
   onAction("label", () => start("label"));
   onNews("built", elsewhere);
   onAction("export", () => start("report"));
@@ -36,18 +37,32 @@ export function setUp() {
 export async function find() {
   if (atWork()) return alertOnce("A job is running; wait until it ends, or stop it.");
   try {
-    change(await post("/api/jobs", { stage: "find", object: app.state.object, scene: app.scene }));
+    take(await post("/api/jobs", { stage: "find", object: app.state.object, scene: app.scene }));
   } catch (error) {
     alertOnce(error.message);
   }
 }
 
-export const atWork = () => ["running", "stopping"].includes(app.job?.state);
+const runs = (job) => ["running", "stopping"].includes(job?.state);
+export const atWork = () => runs(app.job);
 
+// The news of an end may arrive before the answer to the start, and is not taken back by it.
 async function heard(job) {
-  const ended = atWork() && !["running", "stopping"].includes(job.state);
+  const ended = !runs(job) && (atWork() || job.number !== app.job?.number);
   change({ job });
   if (ended) await rebuilt();
+}
+
+function take(state) {
+  const old = runs(state.job) && !atWork() && state.job.number === app.job?.number;
+  change(old ? { ...state, job: app.job } : state);
+}
+
+// After a lost connection: a job may have ended unheard.
+async function caughtUp() {
+  const before = atWork();
+  await load();
+  if (before && !atWork()) await rebuilt();
 }
 
 // Another program built here, a step or many.
@@ -66,9 +81,10 @@ async function rebuilt() {
   await load();
 }
 
+let loads = 0; // an older answer that arrives late is not taken
 async function load() {
-  const state = await get("/api/jobs").catch(() => null);
-  if (state) change(state);
+  const mine = ++loads, state = await get("/api/jobs").catch(() => null);
+  if (state && mine === loads) take(state);
 }
 
 // Every saved action may change what is up to date.
@@ -82,7 +98,7 @@ function refresh() {
 export async function start(stage) {
   if (atWork()) return alertOnce("A job is running; wait until it ends, or stop it.");
   try {
-    change(await post("/api/jobs", { stage }));
+    take(await post("/api/jobs", { stage }));
   } catch (error) {
     alertOnce(error.message);
   }
@@ -109,6 +125,8 @@ function afterClicks() {
     return app.view === "labels"
       ? { text: "look through the labels, click a frame to mend it; when they are good, make the dataset and its report", action: "export", label: "Make them " }
       : { text: "the labels are made: look through them", view: "labels", label: "Show them " };
+  const doubt = app.result?.next.doubt;
+  if (doubt) return { text: `the dataset and its report are made, but its labels are rough: ${doubt}. Film again, or use them as they are` };
   return { text: "done: the dataset and its report are made. Add clicks or scenes whenever you like, and make it again" };
 }
 

@@ -3,7 +3,7 @@
 import { addKeys } from "./keys.js";
 import { element } from "./dom.js";
 import { kept, keep } from "../state/kept.js";
-import { app, change } from "../state/store.js";
+import { app, change, onChange } from "../state/store.js";
 
 // [what is shown, its title, what is said of it]
 const STOPS = [
@@ -20,10 +20,11 @@ const MARGIN_PX = 6, CARD_PX = 330;
 
 export function setUp() {
   addKeys([[["F1"], "the tour of the page", start]]);
+  onChange(startOnce, () => [Boolean(app.next)]);
 }
 
-// The tour, unless this browser has seen it.
-export const startOnce = () => kept("tour") || start();
+// The tour once the page has loaded, unless this browser has seen it.
+const startOnce = () => app.next && (kept("tour") || start());
 
 export function start() {
   if (document.querySelector("dialog[open]")) return;

@@ -37,7 +37,8 @@ export function listen() {
     alive();
     const [kind, ...what] = JSON.parse(data);
     if (app.offline) change({ offline: false });
-    if (kind === "hello") await caughtUp(); else await hears[kind]?.(...what);
+    if (kind === "hello") await caughtUp();
+    await hears[kind]?.(...what);
   };
   stream.onerror = () => {
     change({ offline: true });
