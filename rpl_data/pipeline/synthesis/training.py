@@ -5,12 +5,11 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from rpl_data.export.split import SplitName
-from rpl_data.files import decoding, read_bytes, read_json
+from rpl_data.files import read_bytes
 from rpl_data.formats.datasets.coco import CocoObject, objects_from_coco, read_coco
 from rpl_data.json_arrays import Json
+from rpl_data.torch.splits import scenes_of
 from rpl_data.types import DataError
 from rpl_data.workspace.workspace import Workspace
 
@@ -65,8 +64,8 @@ def training_split(workspace: Workspace) -> Training:
     data = read_coco(file)
     if not data["annotations"]:
         raise DataError(f"{file} has no labels to make views of; label some frames, and export again")
-    scenes = _scenes(data)
-    shared = scenes & scenes_of(folder, "test")
+    scenes = {image["scene"] for image in data["images"]}
+    shared = scenes & scenes_of(folder, ["test"])
     if shared:
         raise DataError(
             f"scene {', '.join(sorted(shared))} is in train.json and in test.json of {folder}, so nothing "
@@ -75,16 +74,3 @@ def training_split(workspace: Workspace) -> Training:
         )
     digest = hashlib.sha256(read_bytes(file)).hexdigest()[:16]
     return Training(folder, tuple(objects_from_coco(data)), tuple(sorted(scenes)), data, digest)
-
-
-def scenes_of(folder: Path, split: SplitName) -> set[str]:
-    """Names of the scenes of a split; empty where the export has none."""
-    file = folder / f"{split}.json"
-    if not file.exists():
-        return set()
-    with decoding(file, "export again with `rpl export`"):
-        return _scenes(read_json(file))
-
-
-def _scenes(data: Any) -> set[str]:
-    return {image["scene"] for image in data["images"]}
