@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from pycocotools import mask as masks
 
+from rpl_data.export.checks import check_export
 from rpl_data.export.folder import Filling
 from rpl_data.files import read_json
 from rpl_data.formats.datasets.coco import intrinsics_from_coco, read_coco
@@ -62,6 +63,7 @@ def made(workspace: Workspace) -> dict:
 def test_the_export_is_one_of_ours_and_says_where_images_are_from(workspace: Workspace, made: dict) -> None:
     folder = workspace.export("synthetic")
     coco = workspace.export("coco")
+    assert check_export(folder) == []
     origins = [image["origin"] for image in made["images"]]
     recorded = read_coco(coco / "train.json")["images"]
     assert origins == ["recorded"] * len(recorded) + ["synthetic"] * COUNT

@@ -190,12 +190,16 @@ def _write(
         "objects": list(job.objects),
     }
     numbers = {item.model.name: number for number, item in enumerate(objects, start=1)}
-    annotation_id, recorded = 0, 0
+    taken = [(0, 0)]  # the highest ids of each split: rendered images follow all of them
+    for split in REST if job.mix else ():
+        if (training.folder / f"{split}.json").exists():
+            with writing_entries(building / f"{split}.json", top) as writer:
+                data = read_coco(training.folder / f"{split}.json")
+                taken.append(_take(writer.add, building, training.folder, data, files))
     with writing_entries(building / "train.json", top) as writer:
-        image_id = 0
         if job.mix:
-            image_id, annotation_id = _take(writer.add, building, training.folder, training.data, files)
-            recorded = len(training.data["images"])
+            taken.append(_take(writer.add, building, training.folder, training.data, files))
+        image_id, annotation_id = map(max, zip(*taken, strict=True))
         for line in _finished(unfinished):
             image_id += 1
             entries = []
@@ -207,12 +211,8 @@ def _write(
             for name in filter(None, (line["image"]["file_name"], line["image"]["depth_file_name"])):
                 files.share(unfinished / name, building / name)
             writer.add(line["image"] | {"id": image_id}, entries)
-    for split in REST if job.mix else ():
-        if (training.folder / f"{split}.json").exists():
-            with writing_entries(building / f"{split}.json", top) as writer:
-                data = read_coco(training.folder / f"{split}.json")
-                _take(writer.add, building, training.folder, data, files)
-    together = f" beside {counted(recorded, 'recorded image')}" if job.mix else ""
+    recorded = counted(len(training.data["images"]), "recorded image")
+    together = f" beside {recorded}" if job.mix else ""
     return [
         f"{counted(job.count, 'image')} rendered{together}, of scenes {', '.join(studio.scenes)} alone",
     ]
