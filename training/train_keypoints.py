@@ -61,7 +61,8 @@ def train_keypoints(
         validate_scenes: how many scenes of the training split to hold out and validate on, beside the random
             frames of val: best.ckpt then goes by these unseen scenes. The test split is never looked at.
         synthetic: share of the training crops that is rendered anew in every epoch, 0 to 1, of what
-            `rpl synthesize` made of the training scenes.
+            `rpl synthesize` made of the training scenes. They are augmented as recorded crops are, but for
+            augment.occluders and augment.backgrounds.
         rendered: the folder that it wrote; export/synthetic beside `coco` when left out.
         validate_every: epochs from one validation to the next, and after the last; 0 never validates.
         seed: of everything that is drawn at random.
@@ -70,8 +71,8 @@ def train_keypoints(
         until: stop after this epoch; the learning rate still follows learning.epochs.
     """
     from rpl_data.torch.datamodule import KeypointDataModule
+    from rpl_data.torch.partly_synthetic import partly_synthetic
     from rpl_data.torch.readable import collate_readable
-    from rpl_data.torch.synthetic import partly_synthetic
 
     from .keypoints.module import untrained
     from .keypoints.networks import start_of
@@ -79,6 +80,8 @@ def train_keypoints(
     from .runs.trainer import Lesson, fit, say, say_held_out, start
     from .runs.weights import start_from
 
+    if not 0 <= synthetic <= 1:
+        raise DataError(f"--synthetic is {synthetic}; give the share of rendered crops, 0 to 1")
     if rendered is not None and not synthetic:
         raise DataError("--rendered names what nothing uses; say by --synthetic which share is rendered")
     if synthetic and validate_scenes:
@@ -122,8 +125,8 @@ def train_keypoints(
             "canonical": canonical,
             "weights": weights,
             HELD_OUT: list(data.scenes.unseen),
-        }
-        | ({"synthetic": synthetic} if synthetic else {}),
+            "synthetic": synthetic,
+        },
         unseen=data.unseen,
     )
     return fit(lesson, run, resumed=resumed)

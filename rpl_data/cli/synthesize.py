@@ -31,22 +31,25 @@ def synthesize(
 
     Args:
         workspace: a folder made by `rpl build`.
-        count: images to render; 0 only prepares what a training with `--synthetic` renders from.
+        count: images to render; 0 only prepares what a training with `--synthetic` renders from, and removes
+            images that were rendered into the folder before.
         out: folder to write; it is replaced only if this command wrote it.
         objects: only these: '[cup, drill]'.
         width: width of the images in pixels; that of the recordings when left out.
-        backgrounds: folder of pictures to put behind the objects, in place of the recorded tables.
+        backgrounds: folder of pictures to put behind the objects, in place of the recorded tables; they are
+            stretched to the size of the images.
         mix: put the recorded training images beside the rendered ones, and val and test as they are.
         seed: of everything that is drawn at random; the same seed gives the same images.
         again: make meshes, colours and backgrounds anew, though nothing they depend on has changed.
     """
     from rpl_data.cli.screen import Screen
-    from rpl_data.pipeline.build import alone_in
+    from rpl_data.pipeline.build import alone_in, recipe_of
     from rpl_data.pipeline.progress import Progress
     from rpl_data.pipeline.synthesis.run import synthesize_workspace
     from rpl_data.workspace.workspace import Workspace
 
     place = Workspace(workspace)
+    recipe_of(place)  # says that it is no workspace, before a lock is left there
     with Screen() as screen, alone_in(place):
         folder, lines = synthesize_workspace(
             place,

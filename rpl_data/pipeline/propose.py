@@ -25,6 +25,7 @@ from rpl_data.types import (
     NetworkView,
     UnsureError,
 )
+from rpl_data.types.instances import places_in
 from rpl_data.wording import counted
 from rpl_data.workspace.workspace import Workspace
 
@@ -65,19 +66,43 @@ def propose(
         frames: how many images per scene are looked at, spread over it.
 
     Raises:
-        DataError: no such scene, or a network for an object that is not in the recipe or not solved yet.
+        DataError: no such scene, or a network for an object that is not in the recipe, not solved yet, or
+            solved with other keypoints.
     """
-    context = context_of(workspace)
-    for name in networks.models:
-        object_named(context, name)
+    check_asked(workspace, networks, scenes)
     for scene in scenes or workspace.scene_names():
         seen = look_at_scene(workspace, networks, scene, frames=frames, tell=tell)
         for name, view in seen.items():
             workspace.save_network_views(name, {**workspace.load_network_views(name), scene: view})
-            if scene in workspace.load_placed(name).scene_from_object:
+            placed = workspace.load_placed(name).scene_from_object
+            if scene in placed:
                 yield compared_line(workspace, name, scene, view)
+            elif places_in(scene, placed):
+                yield (
+                    f"{name} in scene {scene}: it is labelled there as several instances, or as one that is "
+                    "moved, so a single pose is neither compared nor placed"
+                )
             else:
                 yield from _placed(workspace, name, scene, networks, view, tell)
+
+
+def check_asked(workspace: Workspace, networks: Networks, scenes: Sequence[str]) -> None:
+    """DataError where scenes or networks are not those of the workspace, before any image is looked at."""
+    known = workspace.scene_names()
+    unknown = [scene for scene in scenes if scene not in known]
+    if unknown:
+        raise DataError(
+            f"there is no scene {', '.join(unknown)} in {workspace.root}; it has {', '.join(known)}"
+        )
+    context = context_of(workspace)
+    for name, trained in networks.models.items():
+        object_named(context, name)
+        now = workspace.load_placed(name).model.keypoints
+        if trained.keypoints != now:
+            raise DataError(
+                f"{networks.names[name]}: the network knows {name} by the keypoints "
+                f"{', '.join(trained.keypoints)}, and the workspace by {', '.join(now)}; train again"
+            )
 
 
 def look_at_scene(

@@ -74,6 +74,8 @@ def _apart(scene: str, view: NetworkView, solution: Solution) -> str | Cell:
         return "not labelled"
     if view.scene_from_object is None:
         return "no agreement"
+    if view.points_object.shape != solution.model.points_object.shape:
+        return "other keypoints"
     apart_m = keypoint_distance_m(
         view.scene_from_object,
         view.points_object,

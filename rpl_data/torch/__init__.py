@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from rpl_data.torch.instances import collate as collate
     from rpl_data.torch.keypoints import KeypointDataset as KeypointDataset
     from rpl_data.torch.keypoints import KeypointSample as KeypointSample
-    from rpl_data.torch.synthetic import PartlySynthetic as PartlySynthetic
+    from rpl_data.torch.partly_synthetic import PartlySynthetic as PartlySynthetic
     from rpl_data.torch.synthetic import SyntheticKeypoints as SyntheticKeypoints
     from rpl_data.torch.targets import settled as settled
     from rpl_data.torch.warps import RandomAffine as RandomAffine
@@ -66,7 +66,7 @@ _MODULE_OF = {
     "Keypoints": "rpl_data.torch.decoding",
     "PoseEstimate": "rpl_data.pose.estimate",
     "PoseFailure": "rpl_data.pose.estimate",
-    "PartlySynthetic": "rpl_data.torch.synthetic",
+    "PartlySynthetic": "rpl_data.torch.partly_synthetic",
     "RandomAffine": "rpl_data.torch.warps",
     "SeededRows": "rpl_data.torch.epochs",
     "SyntheticKeypoints": "rpl_data.torch.synthetic",

@@ -164,6 +164,11 @@ class KeypointDataset(Dataset[KeypointSample]):
             files = self._rows.files.tolist()
             self._cache = PixelCache(files, self._rectangles(), storage, limit_mb=cache_limit_mb)
 
+    @property
+    def folder(self) -> Path:
+        """The folder of the export."""
+        return self._coco_json.parent
+
     def __repr__(self) -> str:
         return (
             f"KeypointDataset({str(self._coco_json)!r}): {counted(len(self), 'instance')} of "

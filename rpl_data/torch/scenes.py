@@ -41,13 +41,19 @@ def hold_out_scenes(
         object: only scenes that show it count; any object's when left out.
 
     Raises:
-        DataError: there are too few scenes.
+        DataError: there are too few scenes, or images were rendered from all of them.
     """
     if count == 0:
         return SceneSplit(None, ())
     if count < 0:
         raise DataError(f"validate_scenes is {count}; give 0 or more")
-    shown = _objects_by_scene(read_coco(split_file(export, "train")), object)
+    data = read_coco(split_file(export, "train"))
+    if any(image.get("origin") == "synthetic" for image in data["images"]):
+        raise DataError(
+            f"validate_scenes is {count}, but {export} holds images that were rendered from all its scenes, "
+            "so none would be unseen; leave validate_scenes out, or train on the recorded images alone"
+        )
+    shown = _objects_by_scene(data, object)
     left = Counter(name for names in shown.values() for name in names)
     held: list[str] = []
     for scene in sorted(shown, reverse=True):

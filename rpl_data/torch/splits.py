@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from rpl_data.files import decoding, read_json
@@ -49,7 +50,7 @@ def split_file(export: str | Path, split: str | None) -> Path:
 def _why(folder: Path, split: str, there: list[str]) -> str:
     """The reason why a split was not exported, as far as the other files show it."""
     if split == "test":
-        scenes = _scenes(folder, there)
+        scenes = scenes_of(folder, there)
         if len(scenes) < FEWEST_SCENES:
             found = counted(len(scenes), "scene")
             return (
@@ -62,10 +63,11 @@ def _why(folder: Path, split: str, there: list[str]) -> str:
     return "" if split == "train" else ": the names are train, val and test"
 
 
-def _scenes(folder: Path, there: list[str]) -> set[str]:
-    """Names of the scenes that the images of these splits come from."""
+def scenes_of(folder: Path, splits: Sequence[str]) -> set[str]:
+    """Names of the scenes that the images of these splits come from; a split may be lacking."""
     scenes: set[str] = set()
-    for name in there:
-        with decoding(folder / f"{name}.json", "export the dataset again with `rpl export`"):
-            scenes |= {text(image["scene"]) for image in read_json(folder / f"{name}.json")["images"]}
+    for file in (folder / f"{name}.json" for name in splits):
+        if file.exists():
+            with decoding(file, "export the dataset again with `rpl export`"):
+                scenes |= {text(image["scene"]) for image in read_json(file)["images"]}
     return scenes

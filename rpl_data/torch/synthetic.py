@@ -27,7 +27,6 @@ from rpl_data.torch.cutouts import Piece, Pieces
 from rpl_data.torch.image_files import read_image
 from rpl_data.torch.keypoint_rows import DISTORTION_LENGTH
 from rpl_data.torch.keypoint_sample import KeypointSample, keypoint_sample
-from rpl_data.torch.keypoints import KeypointDataset
 from rpl_data.torch.on_device import batch_on_device
 from rpl_data.torch.pasting import background
 from rpl_data.torch.symmetric import canonical_label
@@ -241,72 +240,6 @@ class SyntheticKeypoints(Dataset[KeypointSample]):
     def __getstate__(self) -> dict[str, Any]:
         """Without the decoded plates, which each worker decodes for itself."""
         return {name: value for name, value in self.__dict__.items() if name != "_pictures"}
-
-
-class PartlySynthetic(Dataset[KeypointSample]):
-    """Recorded crops of which a share, drawn anew in every epoch, is rendered instead.
-
-    It is as long as the recorded ones, so that epochs have the steps they had.
-    """
-
-    def __init__(self, recorded: Any, synthetic: SyntheticKeypoints, share: float) -> None:
-        """Join them.
-
-        Args:
-            recorded: a `KeypointDataset`.
-            share: 0 to 1.
-
-        Raises:
-            DataError: the share is out of range, or the keypoints are not the same.
-        """
-        if not 0 <= share <= 1:
-            raise DataError(f"the share of rendered crops is {share}; expected 0 to 1")
-        if recorded.model.keypoints != synthetic.model.keypoints:
-            raise DataError(
-                f"{synthetic.model.name} was rendered with other keypoints than it is labelled with; run "
-                "`rpl synthesize` again"
-            )
-        self._recorded, self._synthetic, self._share = recorded, synthetic, share
-        self.model, self.augment = recorded.model, recorded.augment
-
-    def __len__(self) -> int:
-        """Number of recorded crops."""
-        return len(self._recorded)
-
-    def __getitem__(self, row: int) -> KeypointSample:
-        """A recorded crop, or a rendered one."""
-        if float(torch.rand(())) >= self._share:
-            sample: KeypointSample = self._recorded[row]
-            return sample
-        return self._synthetic[row % len(self._synthetic)]
-
-
-def partly_synthetic(
-    recorded: KeypointDataset, folder: str | Path, share: float, *, canonical: bool = False
-) -> PartlySynthetic:
-    """Replace a share of recorded crops by crops that are rendered with the same sizes and augmentation.
-
-    Args:
-        folder: what `rpl synthesize` wrote.
-        canonical: as the recorded crops were opened.
-
-    Raises:
-        DataError: as of `SyntheticKeypoints` and `PartlySynthetic`.
-    """
-    augment = recorded.augment
-    if augment is not None:
-        augment = replace(augment, occluders=0.0, backgrounds=None)
-    synthetic = SyntheticKeypoints(
-        folder,
-        object=recorded.model.name,
-        length=len(recorded),
-        input_px=recorded.input_px,
-        heatmap_px=recorded.heatmap_px,
-        sigma_px=recorded.sigma_px,
-        augment=augment,
-        canonical=canonical,
-    )
-    return PartlySynthetic(recorded, synthetic, share)
 
 
 def _square(keypoints_px: Float64[np.ndarray, "k 2"]) -> tuple[float, float, float]:

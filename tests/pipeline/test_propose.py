@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from rpl_data.geometry import Transform, from_rotvec, invert
 from rpl_data.pipeline.placements import without_scenes
 from rpl_data.pipeline.propose import Networks, propose
 from rpl_data.report import write_report
-from rpl_data.types import ColorImage, DataError, DepthImage, Intrinsics
+from rpl_data.types import ColorImage, DataError, DepthImage, Intrinsics, KeypointModel
 from rpl_data.workspace.workspace import Workspace
 
 
@@ -70,8 +71,15 @@ def test_a_scene_without_labels_is_placed_by_evidence(place: Workspace) -> None:
     assert np.linalg.norm(off[:3, 3]) < 0.003
 
 
-def test_a_network_of_an_unknown_object_is_refused(place: Workspace) -> None:
+def test_networks_and_scenes_of_others_are_refused(place: Workspace) -> None:
     model = place.load_placed("carton").model
+    known = Networks({"carton": model}, {"carton": "carton.ckpt"}, lambda *image: {})
+    with pytest.raises(DataError, match="no scene 99 in .*it has 00, 01"):
+        list(propose(place, known, scenes=["00", "99"]))
+    assert place.load_network_views("carton") == {}
+    fewer = KeypointModel("carton", model.keypoints[1:], model.points_object[1:])
+    with pytest.raises(DataError, match="carton.ckpt: the network knows carton by the keypoints"):
+        list(propose(place, replace(known, models={"carton": fewer})))
     strange = Networks({"egg": model}, {"egg": "egg.ckpt"}, lambda *image: {})
     with pytest.raises(DataError, match="no object 'egg'"):
         list(propose(place, strange))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -11,13 +12,20 @@ import numpy as np
 import pytest
 from pycocotools import mask as masks
 
+from rpl_data.export.checks import check_export
+from rpl_data.export.folder import Filling
 from rpl_data.files import read_json
 from rpl_data.formats.datasets.coco import intrinsics_from_coco, read_coco
 from rpl_data.meshes import load_mesh
+from rpl_data.pipeline.synthesis import run
+from rpl_data.pipeline.synthesis.make import _take
+from rpl_data.pipeline.synthesis.pictures import plate_depth
 from rpl_data.pipeline.synthesis.plates import _Image, plane_in_camera, without_objects
 from rpl_data.pipeline.synthesis.run import synthesize_workspace
+from rpl_data.pipeline.synthesis.training import training_split
 from rpl_data.raycast import RayScene, render_depth_m
 from rpl_data.synthesize.storage import load_studio
+from rpl_data.synthesize.studio import Plate
 from rpl_data.types import DataError, Intrinsics
 from rpl_data.workspace.workspace import Workspace
 
@@ -55,6 +63,7 @@ def made(workspace: Workspace) -> dict:
 def test_the_export_is_one_of_ours_and_says_where_images_are_from(workspace: Workspace, made: dict) -> None:
     folder = workspace.export("synthetic")
     coco = workspace.export("coco")
+    assert check_export(folder) == []
     origins = [image["origin"] for image in made["images"]]
     recorded = read_coco(coco / "train.json")["images"]
     assert origins == ["recorded"] * len(recorded) + ["synthetic"] * COUNT
@@ -154,19 +163,55 @@ def test_pictures_of_the_user_take_the_place_of_tables(workspace: Workspace, tmp
     color = cv2.imread(str(tmp_path / "out" / image["file_name"]))
     assert color.shape == (120, 160, 3) and image["depth_file_name"] is None
     assert np.abs(np.median(color, axis=(0, 1)) - [200, 40, 0]).max() < 3
-    (tmp_path / "empty").mkdir()
-    with pytest.raises(DataError, match="has no pictures"):
-        options |= {"backgrounds": tmp_path / "empty"}
-        synthesize_workspace(workspace, tmp_path / "out", **options, **QUIET)
 
 
-def test_what_is_wrong_is_said_in_one_line(workspace: Workspace, tmp_path: Path) -> None:
-    with pytest.raises(DataError, match="no object mug in the training images; they show carton"):
-        synthesize_workspace(workspace, None, **OPTIONS | {"objects": ["mug"]}, **QUIET)
-    with pytest.raises(DataError, match="did not write it"):
-        synthesize_workspace(workspace, workspace.export("coco"), **OPTIONS, **QUIET)
-    with pytest.raises(DataError, match="--count is -1"):
-        synthesize_workspace(workspace, None, **OPTIONS | {"count": -1}, **QUIET)
+def test_an_object_without_a_model_of_training_scenes_is_left_out(workspace: Workspace) -> None:
+    studio, training = load_studio(workspace.studio), training_split(workspace)
+    assert run._names(studio, training, None) == (("carton",), [])
+    without = replace(studio, subjects={})
+    with pytest.raises(DataError, match="object carton: stands still in none of the training scenes"):
+        run._names(without, training, ["carton"])
+
+
+def test_ids_of_rendered_labels_follow_those_of_ignored_regions(tmp_path: Path) -> None:
+    crowd = {"id": 9, "image_id": 1}
+    image = {"id": 1, "file_name": None, "depth_file_name": None}
+    taken: list = []
+    data = {"images": [image], "annotations": [{"id": 4, "image_id": 1}], "crowds": [crowd]}
+    assert _take(lambda *entry: taken.append(entry), tmp_path, tmp_path, data, Filling()) == (1, 9)
+    assert [one["id"] for one in taken[0][1]] == [4, 9]
+
+
+def test_depth_of_a_smaller_plate_is_that_in_the_middle_of_its_pixels(tmp_path: Path) -> None:
+    ramp = np.arange(32, dtype=np.uint16)[None].repeat(8, axis=0)
+    cv2.imwrite(str(tmp_path / "ramp.png"), ramp)
+    camera = Intrinsics(4.0, 4.0, 3.5, 0.5, 8, 2)
+    plate = Plate("00", 0, tmp_path, tmp_path / "ramp.png", 0.001, camera, np.eye(3)[0], None)
+    assert np.abs(plate_depth(plate)[0] - (4 * np.arange(8) + 1.5)).max() <= 0.5
+
+
+def test_what_is_wrong_is_said_before_any_work(
+    workspace: Workspace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(run, "studio_of", None)  # not reached
+    mine = tmp_path / "mine" / "studio" / "song.wav"
+    mine.parent.mkdir(parents=True)
+    mine.write_text("mine")
+    for out in (workspace.export("coco"), mine.parents[1], mine, workspace.root):
+        with pytest.raises(DataError, match="did not write it"):
+            synthesize_workspace(workspace, out, **OPTIONS, **QUIET)
+    assert mine.read_text() == "mine"
+    for options, said in (
+        ({"objects": ["mug"]}, "no object mug in the training images; they show carton"),
+        ({"objects": []}, "names none"),
+        ({"count": -1}, "--count is -1"),
+        ({"width_px": 63}, "--width 63"),
+        ({"count": 0, "width_px": 64}, "--count 0 renders none"),
+        ({"backgrounds": mine}, "is no folder"),
+        ({"backgrounds": mine.parent}, "has no pictures"),
+    ):
+        with pytest.raises(DataError, match=said):
+            synthesize_workspace(workspace, tmp_path / "out", **OPTIONS | options, **QUIET)
     shutil.copytree(
         workspace.root, tmp_path / "ws", ignore=shutil.ignore_patterns("export", "synthesis", "cache")
     )

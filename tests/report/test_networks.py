@@ -29,4 +29,6 @@ def test_labels_beyond_what_the_images_scatter_are_marked(apart_m: float, images
 
 def test_what_cannot_be_compared_is_said() -> None:
     assert "no agreement" in row(NetworkView(24, 2, (), (), None, POINTS, "cup.ckpt"))
+    fewer = NetworkView(24, 20, (1, 2, 3), (0.01,) * 3, np.eye(4), POINTS[:2], "cup.ckpt")
+    assert "other keypoints" in row(fewer)  # one was added to the recipe since
     assert networks_section({"cup": {}}, {"cup": LABELS}) == ""

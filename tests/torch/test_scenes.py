@@ -9,6 +9,7 @@ from labelled_scenes import BOX, CAN, labelled_scene
 
 from rpl_data.export import export_coco
 from rpl_data.export.split import SplitRule
+from rpl_data.files import read_json, write_json
 from rpl_data.torch import InstanceDataset, KeypointDataset
 from rpl_data.torch.datamodule import KeypointDataModule
 from rpl_data.torch.detection import DetectionDataset
@@ -55,3 +56,11 @@ def test_every_object_keeps_a_scene(coco: Path) -> None:
         hold_out_scenes(coco, 2, object="can")
     with pytest.raises(DataError, match="give 0 or more"):
         hold_out_scenes(coco, -1)
+
+
+def test_rendered_images_show_all_scenes_so_none_is_held_out(coco: Path, tmp_path: Path) -> None:
+    data = read_json(coco / "train.json")
+    data["images"][0]["origin"] = "synthetic"
+    write_json(tmp_path / "train.json", data)
+    with pytest.raises(DataError, match="none would be unseen"):
+        hold_out_scenes(tmp_path, 1)

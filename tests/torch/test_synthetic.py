@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import pickle
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from cube_studio import CAMERA, COLORS, CORNERS, cube_studio
 from torch.utils.data import DataLoader
 
 from rpl_data.torch import Augmentation, KeypointDataset, PartlySynthetic, SyntheticKeypoints
+from rpl_data.torch.partly_synthetic import partly_synthetic
 from rpl_data.types import DataError
 from rpl_data.workspace.workspace import Workspace
 
@@ -96,3 +98,23 @@ def test_what_cannot_be_rendered_is_said(folder: Path, tmp_path: Path) -> None:
         views(folder, augment=Augmentation(occluders=0.3))
     with pytest.raises(IndexError):
         views(folder)[5]
+
+
+def test_views_of_a_scene_that_is_tested_by_now_are_refused(folder: Path, tmp_path: Path) -> None:
+    rendered = views(folder)
+    (tmp_path / "test.json").write_text(json.dumps({"images": [{"scene": rendered.scenes[0]}]}))
+
+    class Recorded(KeypointDataset):
+        model, augment, folder = rendered.model, None, tmp_path
+        input_px, heatmap_px, sigma_px = 64, 16, 1.0
+
+        def __init__(self) -> None:
+            """Without an export."""
+
+        def __len__(self) -> int:
+            return 3
+
+    with pytest.raises(DataError, match=f"scene {rendered.scenes[0]}, which .* has in its test split"):
+        partly_synthetic(Recorded(), folder, 0.5)
+    (tmp_path / "test.json").unlink()
+    assert len(partly_synthetic(Recorded(), folder, 0.5)) == 3

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
+import pytest
 
 from rpl_data.geometry import project, transform
 from rpl_data.pose.estimate import PoseEstimate
-from rpl_data.types import InstanceLabel, Intrinsics, KeypointModel, Rle, SquareBox
+from rpl_data.types import DataError, InstanceLabel, Intrinsics, KeypointModel, Rle, SquareBox
 from training.pose.evaluation import TrueObject, _judged, _seen_of
+from training.pose.looking import check_detected
 from training.pose.pipeline import PosePipeline, SeenKeypoints
 
 IMAGE = np.zeros((4, 4, 3), dtype=np.uint8)
@@ -84,3 +87,10 @@ def test_a_pose_that_looks_the_same_is_right_where_symmetries_are_known() -> Non
     assert right.errors.orientation_rad < 1e-6 and right.errors.add_m < 1e-9
     assert len(right.keypoint_errors) == 3 and right.keypoint_errors.max() < 1e-9
     assert wrong.errors.orientation_rad > 3 and wrong.keypoint_errors.min() > 0.5
+
+
+def test_a_detector_of_other_objects_is_refused() -> None:
+    detector = cast(Any, SimpleNamespace(names=["background", "cup"]))
+    check_detected(PosePipeline({"cup": cast(Any, None)}, detector), "d.ckpt")
+    with pytest.raises(DataError, match="d.ckpt: the detector does not know egg, .* it knows cup"):
+        check_detected(PosePipeline(dict.fromkeys(("cup", "egg"), cast(Any, None)), detector), "d.ckpt")

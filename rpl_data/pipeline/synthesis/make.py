@@ -26,6 +26,7 @@ from rpl_data.meshes import save_mesh
 from rpl_data.pipeline.synthesis.pictures import Picture, picture
 from rpl_data.pipeline.synthesis.training import Training
 from rpl_data.synthesize.painted import steps_of
+from rpl_data.synthesize.storage import STUDIO_FILE
 from rpl_data.synthesize.studio import Studio
 from rpl_data.types import DataError, Frame, Mesh
 from rpl_data.wording import counted
@@ -58,6 +59,22 @@ class Job:
     mix: bool
 
 
+def check_target(out: Path, training: Training) -> None:
+    """Ask this before any work is done.
+
+    Raises:
+        DataError: a scene of the recordings bears the name of the rendered one, or the folder holds something
+            that `synthesize` did not write, which would be lost.
+    """
+    if SCENE in training.scenes:
+        raise DataError(f"a recording is called {SCENE}, as the rendered scene will be; rename it")
+    ours = (out / STUDIO / STUDIO_FILE).is_file() and (out / "train.json").is_file()
+    if out.exists() and not ours and not (out.is_dir() and not any(out.iterdir())):
+        raise DataError(
+            f"{out} exists and `rpl synthesize` did not write it, so it is not replaced; name another folder"
+        )
+
+
 def synthesize(
     out: Path,
     studio_folder: Path,
@@ -75,15 +92,8 @@ def synthesize(
         advance: is told how many images are done.
 
     Raises:
-        DataError: a scene of the recordings bears the name of the rendered one, the folder holds something
-            else, or the disk is full.
+        DataError: the disk is full.
     """
-    if SCENE in training.scenes:
-        raise DataError(f"a recording is called {SCENE}, as the rendered scene will be; rename it")
-    if out.exists() and not (out / STUDIO).is_dir() and not (out.is_dir() and not any(out.iterdir())):
-        raise DataError(
-            f"{out} exists and `rpl synthesize` did not write it, so it is not replaced; name another folder"
-        )
     unfinished = out.parent / f".{out.name}.unfinished"
     _begin(unfinished, {"job": asdict(job) | {"objects": list(job.objects)}, "made_of": made_of})
     skipped = _render(unfinished, studio, job, advance)
@@ -180,12 +190,16 @@ def _write(
         "objects": list(job.objects),
     }
     numbers = {item.model.name: number for number, item in enumerate(objects, start=1)}
-    annotation_id, recorded = 0, 0
+    taken = [(0, 0)]  # the highest ids of each split: rendered images follow all of them
+    for split in REST if job.mix else ():
+        if (training.folder / f"{split}.json").exists():
+            with writing_entries(building / f"{split}.json", top) as writer:
+                data = read_coco(training.folder / f"{split}.json")
+                taken.append(_take(writer.add, building, training.folder, data, files))
     with writing_entries(building / "train.json", top) as writer:
-        image_id = 0
         if job.mix:
-            image_id, annotation_id = _take(writer.add, building, training.folder, training.data, files)
-            recorded = len(training.data["images"])
+            taken.append(_take(writer.add, building, training.folder, training.data, files))
+        image_id, annotation_id = map(max, zip(*taken, strict=True))
         for line in _finished(unfinished):
             image_id += 1
             entries = []
@@ -197,12 +211,8 @@ def _write(
             for name in filter(None, (line["image"]["file_name"], line["image"]["depth_file_name"])):
                 files.share(unfinished / name, building / name)
             writer.add(line["image"] | {"id": image_id}, entries)
-    for split in REST if job.mix else ():
-        if (training.folder / f"{split}.json").exists():
-            with writing_entries(building / f"{split}.json", top) as writer:
-                data = read_coco(training.folder / f"{split}.json")
-                _take(writer.add, building, training.folder, data, files)
-    together = f" beside {counted(recorded, 'recorded image')}" if job.mix else ""
+    recorded = counted(len(training.data["images"]), "recorded image")
+    together = f" beside {recorded}" if job.mix else ""
     return [
         f"{counted(job.count, 'image')} rendered{together}, of scenes {', '.join(studio.scenes)} alone",
     ]
@@ -219,8 +229,8 @@ def _take(
         for name in filter(None, (image["file_name"], image["depth_file_name"])):
             files.share(folder / name, building / name)
         add(image | {"origin": "recorded"}, by_image.get(image["id"], []))
-    images = max((image["id"] for image in data["images"]), default=0)
-    return images, max((one["id"] for one in data["annotations"]), default=0)
+    labels = (one["id"] for entries in by_image.values() for one in entries)
+    return max((image["id"] for image in data["images"]), default=0), max(labels, default=0)
 
 
 def _objects(building: Path, studio: Studio, training: Training) -> list[CocoObject]:

@@ -32,10 +32,10 @@ def training_mesh(
     """The dense model of an object in the export's frame, and which of its triangles were seen.
 
     Args:
-        videos: recordings that it is made of.
+        videos: recordings that it is made of; there is something in them by `can_be_made`.
 
     Raises:
-        DataError: none of them shows the object standing still, or their surfaces are missing.
+        DataError: the workspace was solved anew after the export.
     """
     from rpl_data.segment.segment import segment_object
 
@@ -46,11 +46,6 @@ def training_mesh(
     if given is not None:
         return _in_export_frame(given, item), np.ones(len(given.triangles), bool)
     places = training_places(context, name, videos)
-    if not places:
-        raise DataError(
-            f"object {name} stands still in none of the training scenes ({', '.join(videos)}), so there is "
-            "no dense model of them; leave it out by --objects, or train on more scenes"
-        )
     only = replace(solution, scene_from_object={place: solution.scene_from_object[place] for place in places})
     dense = segment_object(
         {place: load_mesh(_surface(workspace, place)) for place in places},
@@ -60,6 +55,11 @@ def training_mesh(
         depth_views=[view for place in places for view in depth_views(workspace, place, only)],
     )
     return _in_export_frame(dense.mesh, item), dense.seen
+
+
+def can_be_made(context: Context, name: str, videos: tuple[str, ...]) -> bool:
+    """Whether an object stands still in one of these recordings, or its mesh was given."""
+    return given_mesh(context.workspace, name) is not None or bool(training_places(context, name, videos))
 
 
 def training_places(context: Context, name: str, videos: tuple[str, ...]) -> list[str]:

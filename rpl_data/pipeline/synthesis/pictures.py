@@ -109,6 +109,6 @@ def plate_depth(plate: Plate) -> DepthUnits:
     units = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
     if units is None:
         raise DataError(f"cannot read {file}: it is missing or damaged; give --again true")
-    return np.asarray(
-        cv2.resize(units, (plate.camera.width, plate.camera.height), interpolation=cv2.INTER_NEAREST)
-    )
+    size = (plate.camera.width, plate.camera.height)
+    # Not INTER_NEAREST, which takes the upper left of the pixels, half of one off their middle.
+    return np.asarray(cv2.resize(units, size, interpolation=cv2.INTER_NEAREST_EXACT))

@@ -76,7 +76,8 @@ def make_plates(
         ups: upward direction by scene, scene frame.
     """
     by_image: dict[int, list[Json]] = {}
-    for one in training.data["annotations"]:
+    # Regions that a person marked as ignored may show an object, too, which no label would name.
+    for one in (*training.data["annotations"], *training.data.get("crowds", ())):
         by_image.setdefault(one["image_id"], []).append(one)
     by_scene: dict[str, list[Json]] = {}
     for image in training.data["images"]:

@@ -18,7 +18,7 @@ from rpl_data.images import read_pixels
 from rpl_data.json_arrays import Json, matrix_from_json
 from rpl_data.pipeline.context import Context
 from rpl_data.pipeline.ledger import stamps
-from rpl_data.pipeline.synthesis.models import scene_table, training_mesh
+from rpl_data.pipeline.synthesis.models import can_be_made, scene_table, training_mesh
 from rpl_data.pipeline.synthesis.plates import Table, make_plates
 from rpl_data.pipeline.synthesis.training import Training
 from rpl_data.raycast import PixelTable
@@ -33,6 +33,7 @@ from rpl_data.synthesize.studio import Studio, Subject
 from rpl_data.synthesize.views import shown_directions
 from rpl_data.torch.turns import turn_by_scenes, up_in_object
 from rpl_data.types import DataError, Intrinsics
+from rpl_data.types.instances import scene_of
 
 VERSION = 3
 """Increase it when the same workspace gives another studio."""
@@ -85,7 +86,7 @@ def _made_of(context: Context, training: Training) -> Json:
     for item in training.objects:
         solution = workspace.load_placed(item.model.name)
         placed = {place: pose.round(9).tolist() for place, pose in solution.scene_from_object.items()}
-        poses[item.model.name] = [[p, placed[p]] for p in sorted(placed) if p.split("/")[0] in scenes]
+        poses[item.model.name] = [[p, placed[p]] for p in sorted(placed) if scene_of(p) in scenes]
     return {
         "version": VERSION,
         "scenes": list(training.scenes),
@@ -107,12 +108,12 @@ def _make(context: Context, training: Training, folder: Path, tell: Tell) -> Stu
     for scene, table in by_part.items():
         video = parts.video_of(scene)
         tables[video] = tables.get(video) or table
-    gathered = _Gathered()
+    gathered, shown = _Gathered(), training.names()
     ups = {scene: _up(training, scene, tables[scene]) for scene in training.scenes}
     subjects = {
         item.model.name: _subject(context, training, item, tables, ups, gathered, tell)
         for item in training.objects
-        if training.labels(item.model.name)
+        if item.model.name in shown and can_be_made(context, item.model.name, training.scenes)
     }
     tell("plates")
     plates = make_plates(folder, training, tables, ups)

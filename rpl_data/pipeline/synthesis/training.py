@@ -5,12 +5,11 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from rpl_data.export.split import SplitName
-from rpl_data.files import read_bytes, read_json
+from rpl_data.files import read_bytes
 from rpl_data.formats.datasets.coco import CocoObject, objects_from_coco, read_coco
 from rpl_data.json_arrays import Json
+from rpl_data.torch.splits import scenes_of
 from rpl_data.types import DataError
 from rpl_data.workspace.workspace import Workspace
 
@@ -33,6 +32,10 @@ class Training:
     data: Json
     digest: str
 
+    def names(self) -> tuple[str, ...]:
+        """Objects that the images show."""
+        return tuple(item.model.name for item in self.objects if self.labels(item.model.name))
+
     def labels(self, name: str) -> list[tuple[Json, Json]]:
         """Image and annotation of every instance of an object."""
         number = [item.model.name for item in self.objects].index(name) + 1
@@ -48,7 +51,8 @@ def training_split(workspace: Workspace) -> Training:
     """Read the training split of a workspace's export.
 
     Raises:
-        DataError: there is no export, or a scene is in its training split and in its test split.
+        DataError: there is no export, its training split shows no object, or a scene is in its training split
+            and in its test split.
     """
     folder = workspace.export("coco")
     file = folder / "train.json"
@@ -58,8 +62,10 @@ def training_split(workspace: Workspace) -> Training:
             f"`rpl export --workspace {workspace.root}` first"
         )
     data = read_coco(file)
-    scenes = _scenes(data)
-    shared = scenes & scenes_of(folder, "test")
+    if not data["annotations"]:
+        raise DataError(f"{file} has no labels to make views of; label some frames, and export again")
+    scenes = {image["scene"] for image in data["images"]}
+    shared = scenes & scenes_of(folder, ["test"])
     if shared:
         raise DataError(
             f"scene {', '.join(sorted(shared))} is in train.json and in test.json of {folder}, so nothing "
@@ -68,13 +74,3 @@ def training_split(workspace: Workspace) -> Training:
         )
     digest = hashlib.sha256(read_bytes(file)).hexdigest()[:16]
     return Training(folder, tuple(objects_from_coco(data)), tuple(sorted(scenes)), data, digest)
-
-
-def scenes_of(folder: Path, split: SplitName) -> set[str]:
-    """Names of the scenes of a split; empty where the export has none."""
-    file = folder / f"{split}.json"
-    return _scenes(read_json(file)) if file.exists() else set()
-
-
-def _scenes(data: Any) -> set[str]:
-    return {image["scene"] for image in data["images"]}
