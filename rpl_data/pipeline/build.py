@@ -36,6 +36,7 @@ from rpl_data.pipeline.stages import (
     track,
     twin,
 )
+from rpl_data.remote import check_address
 from rpl_data.types import DataError
 from rpl_data.workspace.workspace import Workspace
 
@@ -118,6 +119,8 @@ def _build(
     tell: Tell,
 ) -> Ledger:
     export.refuse_unknown_exports(recipe.export.formats)
+    if recipe.export.to is not None:
+        check_address(recipe.export.to)
     sweep(workspace.root)
     save_recipe(recipe, workspace)
     fetch_recordings(recipe, workspace, tell)

@@ -139,7 +139,7 @@ def _connected(distributed: Any, address: str) -> tuple[Any, Any]:
         raise DataError(f"--dask {address}: expected tcp://HOST:PORT of a scheduler, or local:N")
     try:
         return None, distributed.Client(address, timeout=CONNECT_S, set_as_default=False)
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, TypeError) as error:  # TypeError: tls:// without certificates
         raise DataError(
             f"no Dask scheduler answers at {address}: {error}; start one with `dask scheduler`, and give the "
             "address that it says"
