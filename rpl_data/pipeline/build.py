@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-from rpl_data.files import locked, read_text, sweep, write_text
+from rpl_data.files import locked, read_text, remove, sweep, write_text
 from rpl_data.pipeline.context import Context
 from rpl_data.pipeline.graph import TOGETHER, Graph
 from rpl_data.pipeline.ledger import Advance, Entry, Ledger, Step
@@ -162,6 +162,7 @@ def alone_in(workspace: Workspace) -> Iterator[None]:
     """Hold the workspace's lock; DataError when another build is running there."""
     busy = f"another build is running in {workspace.root}; wait until it ends, or stop it"
     with locked(workspace.build_lock, busy):
+        remove(workspace.cluster_build)  # what a killed build left at work on a cluster ends now
         yield
 
 
