@@ -14,7 +14,7 @@ from rpl_data.export.split import SplitRule
 from rpl_data.types import DataError
 from training.runs.averaging import WeightAverage
 from training.runs.callbacks import refuse_idle_patience, time_left
-from training.runs.folder import trained_epochs
+from training.runs.folder import read_checkpoint, trained_epochs
 from training.runs.options import Learning, Machine, Network, Run
 from training.runs.program import use_threads
 from training.train_keypoints import train_keypoints
@@ -69,6 +69,14 @@ def test_patience_needs_validations() -> None:
     refuse_idle_patience(Learning(patience=3), can_validate=True)
     with pytest.raises(DataError, match="no images to validate on"):
         refuse_idle_patience(Learning(patience=3), can_validate=False)
+
+
+def test_what_is_no_number_or_no_checkpoint_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="learning.rate must be above 0"):
+        Learning(rate=float("nan"))
+    (tmp_path / "notes.txt").write_text("hello")
+    with pytest.raises(DataError, match="as weights: it is damaged, or something else wrote it"):
+        read_checkpoint(tmp_path / "notes.txt")
 
 
 def test_no_threads_are_refused() -> None:
