@@ -119,7 +119,7 @@ def _build(
     tell: Tell,
 ) -> Ledger:
     export.refuse_unknown_exports(recipe.export.formats)
-    if recipe.export.to is not None:
+    if recipe.export.to is not None and until in (None, *TOGETHER[-1]):  # else nothing is sent there
         check_address(recipe.export.to)
     sweep(workspace.root)
     save_recipe(recipe, workspace)

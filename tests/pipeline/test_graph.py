@@ -199,6 +199,11 @@ def test_recordings_come_from_a_store_and_exports_go_there(built: Workspace) -> 
     assert told.names("ran") == ["import/memory://lab/recording", "import/"]
     build(recipe_of(place), place, until="import", tell=(told := Told()))  # as the workspace keeps it
     assert told.names("ran") == []
+    wrong = replace(recipe, export=replace(recipe.export, to="nowhere://lab/out"))
+    build(wrong, built, until="import")  # sends nothing
+    with pytest.raises(DataError, match="nowhere://lab/out cannot be reached"):
+        build(wrong, built, tell=(told := Told()))
+    assert not told.names("kept")  # said at the start
     sent = replace(recipe, export=replace(recipe.export, to="memory://lab/out"))
     build(sent, built, until="export", tell=(told := Told()))
     assert told.names("ran") == ["export/to"]
