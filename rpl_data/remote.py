@@ -39,6 +39,26 @@ def url_of(path: Path | str) -> str | None:
     return f"{found[1]}://{'/' if found[1] in ('file', 'local') else ''}{found[2]}"
 
 
+def without_secrets(text: str) -> str:
+    """A text as it may be printed: addresses in it without keys, passwords and signatures."""
+    text = re.sub(r"(://)[^/@\s]*@", r"\1...@", text)
+    return re.sub(r"(://[^?\s]*)\?\S*", r"\1?...", text)
+
+
+def check_address(url: str) -> None:
+    """Refuse what is no address of a store that can be reached from here; nothing is asked of the store.
+
+    Raises:
+        DataError: it is a path of this machine, or the package for such stores is not installed.
+    """
+    import fsspec
+
+    if url_of(url) is None:
+        raise DataError(f"{url!r} is no address of an object store; expected one such as s3://bucket/cups")
+    with _reaching(url):
+        fsspec.get_filesystem_class(url.partition(":")[0])
+
+
 def copy_name(url: str) -> Path:
     """Where a copy lies in the folder of copies: one folder per address, and in it the name at its end."""
     name = PurePosixPath(url).name
@@ -53,10 +73,15 @@ def _reaching(url: str) -> Iterator[None]:
     except DataError:
         raise
     except ImportError as error:
-        raise DataError(f"{url} cannot be reached: {error}; pip install 'rpl-data[s3]' or [gs]") from error
+        raise DataError(
+            f"{without_secrets(url)} cannot be reached: {error}; S3 needs pip install 'rpl-data[s3]', Google "
+            "Storage 'rpl-data[gs]'"
+        ) from error
     except Exception as error:
-        why = " ".join(str(error).split())[:300] or type(error).__name__
-        raise DataError(f"{url} cannot be reached: {why}; check the address and your credentials") from error
+        why = without_secrets(" ".join(str(error).split()))[:300] or type(error).__name__
+        raise DataError(
+            f"{without_secrets(url)} cannot be reached: {why}; check the address and your credentials"
+        ) from error
 
 
 def _opened(url: str) -> tuple[Any, str]:
@@ -120,8 +145,8 @@ def fetch(url: str, to: Path, advance: Advance) -> int:
         system, root = _opened(url)
         found = _listed(system, root)
         if not found:
-            raise DataError(f"there is nothing at {url}; check the address")
-        log, partial = _Log(to.parent / "copied.jsonl"), to.parent / "partial"
+            raise DataError(f"there is nothing at {without_secrets(url)}; check the address")
+        log, partial = _Log(to.parent / "copied.jsonl"), to.parent / ".partial"
         marks = {name: [size, mark] for name, (size, mark) in found.items()}
         for name in log.known.keys() - marks.keys():
             remove(to / name)
@@ -138,8 +163,12 @@ def fetch(url: str, to: Path, advance: Advance) -> int:
             system.get([f"{root}/{name}".rstrip("/") for name in batch], list(map(str, parts)))
             for name, part in zip(batch, parts, strict=True):
                 if part.stat().st_size != found[name][0]:
-                    raise DataError(f"{url}/{name} changed while it was read; run the command again")
+                    raise DataError(
+                        f"{without_secrets(url)}/{name} changed while it was read; run the command again"
+                    )
                 (to / name).parent.mkdir(parents=True, exist_ok=True)
+                if (to / name).is_dir():  # what is a file in the store now was a folder
+                    remove(to / name)
                 os.replace(part, to / name)
             log.add({name: marks[name] for name in batch})
         remove(partial)
@@ -173,7 +202,7 @@ def upload(folder: Path, url: str, record: Path, advance: Advance) -> int:
         system, root = _opened(url)
         log, manifest = _Log(record), f"{root}/{MANIFEST}"
         if system.exists(manifest):
-            log.add(json.loads(system.cat_file(manifest)))
+            log.add(_manifest(system.cat_file(manifest)))
         there = (
             {name: size for name, (size, _) in _listed(system, root).items()} if system.exists(root) else {}
         )
@@ -193,6 +222,15 @@ def upload(folder: Path, url: str, record: Path, advance: Advance) -> int:
         system.pipe_file(manifest, json.dumps(own, indent=1).encode())
     remove(record)
     return len(wanted)
+
+
+def _manifest(content: bytes) -> dict[str, Any]:
+    """The files that a manifest lists; none where its own writing was cut off, so that all are copied."""
+    try:
+        found = json.loads(content)
+    except ValueError:
+        return {}
+    return found if isinstance(found, dict) else {}
 
 
 def _digest(path: Path) -> list[Any]:

@@ -182,8 +182,13 @@ def export(
         from rpl_data.pipeline.stages.export import check_format
 
         check_format(format)
+    if to is not None:
+        from rpl_data.remote import check_address
+
+        check_address(to)
     ledger = run_stage(workspace, "export", again, results=format is None)
     if labels == "truth" or format is not None or to is not None:
+        from rpl_data.export.checksums import keeping_edited
         from rpl_data.pipeline.build import alone_in, context_of
         from rpl_data.pipeline.exported_labels import export_truth
         from rpl_data.pipeline.remotes import upload_exports
@@ -193,15 +198,20 @@ def export(
         place = Workspace(workspace)
         with alone_in(place):
             context = context_of(place)
+            folders = []
             if labels == "truth":
-                say_written(place.export("coco_truth"), export_truth(context))
-            formats = sorted(item for item in ledger.of_stage("export") if place.export(item).is_dir())
-            folders = [place.export(name) for name in formats]
+                truth = place.export("coco_truth")
+                with keeping_edited(truth) as kept:
+                    say_written(truth, export_truth(context))
+                print("".join(f"    {line}\n" for line in kept), end="")
+                folders.append(truth)
             if format is not None:
                 folder, summary = export_chosen(context, format, choice)
                 say_written(folder, summary)
-                folders = [folder]
+                folders.append(folder)
             if to is not None:
+                written = sorted(place.export(item) for item in ledger.of_stage("export"))
+                folders = folders or [folder for folder in written if folder.is_dir()]
                 print("\n".join(upload_exports(place, folders, to, lambda done, total: None).messages))
 
 

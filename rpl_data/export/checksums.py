@@ -88,10 +88,11 @@ def keeping_edited(folder: Path) -> Iterator[tuple[str, ...]]:
     Raises:
         DataError: they cannot be copied.
     """
+    what = "had been edited or added since it was exported"
     try:
         edited = edited_files(folder)
-    except DataError:  # nobody can tell what was edited
-        edited = []
+    except DataError:  # nobody can tell what was edited: all is kept
+        edited, what = _files(folder), f"may have been edited, as {NAME} is damaged"
     if not edited:
         yield ()
         return
@@ -103,9 +104,8 @@ def keeping_edited(folder: Path) -> Iterator[tuple[str, ...]]:
             _link_or_copy(folder / file, kept / file)
         named = ", ".join(edited[:NAMED]) + (", ..." if len(edited) > NAMED else "")
         yield (
-            f"{counted(len(edited), 'file')} of {folder} had been edited or added since it was exported "
-            f"({named}); they are kept in {kept}. `rpl labels import` takes corrections from edited COCO "
-            "files",
+            f"{counted(len(edited), 'file')} of {folder} {what} ({named}); they are kept in {kept}. "
+            "`rpl labels import` takes corrections from edited COCO files",
         )
     except BaseException:
         remove(kept)

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-from rpl_data.files import locked, read_text, sweep, write_text
+from rpl_data.files import locked, read_text, remove, sweep, write_text
 from rpl_data.pipeline.context import Context
 from rpl_data.pipeline.graph import TOGETHER, Graph
 from rpl_data.pipeline.ledger import Advance, Entry, Ledger, Step
@@ -36,6 +36,7 @@ from rpl_data.pipeline.stages import (
     track,
     twin,
 )
+from rpl_data.remote import check_address
 from rpl_data.types import DataError
 from rpl_data.workspace.workspace import Workspace
 
@@ -118,6 +119,8 @@ def _build(
     tell: Tell,
 ) -> Ledger:
     export.refuse_unknown_exports(recipe.export.formats)
+    if recipe.export.to is not None and until in (None, *TOGETHER[-1]):  # else nothing is sent there
+        check_address(recipe.export.to)
     sweep(workspace.root)
     save_recipe(recipe, workspace)
     fetch_recordings(recipe, workspace, tell)
@@ -159,6 +162,7 @@ def alone_in(workspace: Workspace) -> Iterator[None]:
     """Hold the workspace's lock; DataError when another build is running there."""
     busy = f"another build is running in {workspace.root}; wait until it ends, or stop it"
     with locked(workspace.build_lock, busy):
+        remove(workspace.cluster_build)  # what a killed build left at work on a cluster ends now
         yield
 
 

@@ -7,6 +7,7 @@ that started the build. So workers, scheduler and that process may be killed at 
 from __future__ import annotations
 
 import logging
+import math
 import re
 import threading
 import time
@@ -18,6 +19,7 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
 
+from rpl_data.files import read_text, remove, write_text
 from rpl_data.pipeline.ledger import Step
 from rpl_data.pipeline.worker import Done, EngineLost, Report, packed, run_packed
 from rpl_data.types import DataError
@@ -26,6 +28,9 @@ from rpl_data.workspace.workspace import Workspace
 
 CONNECT_S, WORKERS_S = 10, 60
 """How long a scheduler may take to answer, and its first worker to arrive."""
+LOOK_EVERY_S = 1.0
+"""How often a step looks whether its build is still the one that works in the workspace: another one, perhaps
+without the cluster, cannot tell it to stop."""
 
 
 class Cluster:
@@ -43,6 +48,7 @@ class Cluster:
 
     def __init__(self, address: str, workspace: Workspace) -> None:
         self._address, self._root = address, str(workspace.root.absolute())
+        self._mark: Path | None = None
         self._local, self._client = _connected(_distributed(), address)
         try:
             self._refuse_unfit()
@@ -55,6 +61,8 @@ class Cluster:
         self.executor: Executor = self._client.get_executor(pure=False)
         self._topic, self._queue = f"rpl-{uuid.uuid4().hex}", SimpleQueue[Report]()
         self._client.subscribe_topic(self._topic, self._heard)
+        self._mark = workspace.cluster_build
+        write_text(self._mark, self._topic)
 
     def submit(self, step: Step) -> Future[Done]:
         """Run a step on one of the workers; on another one where that is lost."""
@@ -85,6 +93,9 @@ class Cluster:
 
     def close(self, *, at_once: bool) -> None:
         """Leave the cluster; with `at_once`, steps stop at their next frame."""
+        if self._mark is not None:
+            with suppress(OSError):
+                remove(self._mark)
         if at_once and self._client.status == "running":
             with suppress(Exception):  # whatever is lost meanwhile: the next build asks again
                 self._client.run(stop_steps, self._root)
@@ -139,7 +150,7 @@ def _connected(distributed: Any, address: str) -> tuple[Any, Any]:
         raise DataError(f"--dask {address}: expected tcp://HOST:PORT of a scheduler, or local:N")
     try:
         return None, distributed.Client(address, timeout=CONNECT_S, set_as_default=False)
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, TypeError) as error:  # TypeError: tls:// without certificates
         raise DataError(
             f"no Dask scheduler answers at {address}: {error}; start one with `dask scheduler`, and give the "
             "address that it says"
@@ -157,9 +168,19 @@ def run_on_worker(content: bytes, name: str, root: str, topic: str) -> Done:
     from distributed import get_worker
 
     worker, mine = get_worker(), (root, threading.Event())
+    mark, looked_s = Workspace(Path(root)).cluster_build, -math.inf
+
+    def is_stopped() -> bool:
+        nonlocal looked_s
+        if time.monotonic() - looked_s >= LOOK_EVERY_S:
+            looked_s = time.monotonic()
+            if not mark.is_file() or read_text(mark) != topic:
+                mine[1].set()
+        return mine[1].is_set()
+
     _at_work.append(mine)
     try:
-        return run_packed(content, name, lambda said: worker.log_event(topic, said), mine[1].is_set)
+        return run_packed(content, name, lambda said: worker.log_event(topic, said), is_stopped)
     finally:
         _at_work.remove(mine)
 

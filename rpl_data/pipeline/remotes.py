@@ -9,7 +9,7 @@ from pathlib import Path
 from rpl_data.pipeline.ledger import Outcome
 from rpl_data.pipeline.progress import Progress, Tell
 from rpl_data.pipeline.recipe import Recipe
-from rpl_data.remote import Advance, copy_name, fetch, upload, url_of
+from rpl_data.remote import Advance, copy_name, fetch, upload, url_of, without_secrets
 from rpl_data.wording import counted
 from rpl_data.workspace.workspace import Workspace
 
@@ -37,12 +37,14 @@ def fetched(path: Path, workspace: Workspace, tell: Tell) -> Path:
     copy = copy_of(workspace, url)
     copied = fetch(url, copy, _advance(tell, url))
     said = (f"{counted(copied, 'file')} copied",) if copied else ()
-    tell(Progress("import", url, "ran" if copied else "kept", outcome=Outcome(messages=said)))
+    tell(
+        Progress("import", without_secrets(url), "ran" if copied else "kept", outcome=Outcome(messages=said))
+    )
     return copy
 
 
 def _advance(tell: Tell, url: str) -> Advance:
-    return lambda done, total: tell(Progress("import", url, "runs", done, total))
+    return lambda done, total: tell(Progress("import", without_secrets(url), "runs", done, total))
 
 
 def upload_exports(workspace: Workspace, folders: Sequence[Path], url: str, advance: Advance) -> Outcome:
@@ -56,5 +58,5 @@ def upload_exports(workspace: Workspace, folders: Sequence[Path], url: str, adva
         there = f"{url.rstrip('/')}/{folder.relative_to(workspace.root / 'export').as_posix()}"
         name = hashlib.sha256(there.encode()).hexdigest()[:12]
         copied = upload(folder, there, workspace.upload_log(name), advance)
-        lines.append(f"{there}: {counted(copied, 'file')} copied")
+        lines.append(f"{without_secrets(there)}: {counted(copied, 'file')} copied")
     return Outcome(messages=tuple(lines))

@@ -42,6 +42,8 @@ def run_packed(
     Raises:
         Stopped: `is_stopped()` became true.
     """
+    if is_stopped():
+        raise Stopped(name)
     run = pickle.loads(content)
     started = reported = time.perf_counter()
 

@@ -62,6 +62,11 @@ class Paths:
         return self.root / "build.lock"
 
     @property
+    def cluster_build(self) -> Path:
+        """Names the running build whose steps a cluster works on; they end when it is gone."""
+        return self.root / "build.cluster"
+
+    @property
     def recording(self) -> Path:
         """The folder that a twin writes its recording to."""
         return self.root / "recording"

@@ -178,6 +178,10 @@ def test_what_was_edited_is_kept_when_the_export_is_made_anew(exports: Path, tmp
             assert "2 files of" in said[0] and "(notes.txt, train.json)" in said[0] and kept in said[0]
         assert (tmp_path / kept / "train.json").read_text() == train
         assert sorted(path.name for path in (tmp_path / kept).iterdir()) == ["notes.txt", "train.json"]
+    (folder / NAME).write_text("0123  data.yaml\n")
+    with keeping_edited(folder) as said:  # nobody can tell which, so all are kept
+        assert "may have been edited, as SHA256SUMS is damaged" in said[0]
+        assert (tmp_path / "coco_edited3/train.json").read_text() == train
 
 
 def test_a_built_workspace_gives_no_alarm_and_a_damaged_one_is_named(

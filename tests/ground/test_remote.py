@@ -10,7 +10,16 @@ from typing import Any
 import fsspec
 import pytest
 
-from rpl_data.remote import BATCH, MANIFEST, copy_name, fetch, upload, url_of
+from rpl_data.remote import (
+    BATCH,
+    MANIFEST,
+    check_address,
+    copy_name,
+    fetch,
+    upload,
+    url_of,
+    without_secrets,
+)
 from rpl_data.types import DataError
 
 
@@ -106,3 +115,41 @@ def test_an_upload_is_whole_when_its_list_is_there(kind: str, tmp_path: Path) ->
         == {path.relative_to(own).as_posix() for path in own.rglob("*.jpg")}
     )
     assert system.cat_file(f"{root}/images/3.jpg") == b"x"
+
+
+def test_a_recording_may_be_called_partial_and_become_a_file(store: Any, tmp_path: Path) -> None:
+    store.pipe_file("/bucket/partial/a/b.txt", b"1")
+    here = tmp_path / "x/partial"
+    assert fetch("memory://bucket/partial", here, silent) == 1
+    assert fetch("memory://bucket/partial", here, silent) == 0
+    assert (here / "a/b.txt").read_bytes() == b"1"
+    store.rm("/bucket/partial", recursive=True)
+    store.pipe_file("/bucket/partial", b"22")
+    assert fetch("memory://bucket/partial", here, silent) == 1
+    assert here.read_bytes() == b"22"
+
+
+def test_an_upload_mends_a_list_that_was_cut_off(store: Any, tmp_path: Path) -> None:
+    (tmp_path / "coco").mkdir()
+    (tmp_path / "coco/train.json").write_text("{}")
+    for cut_short in (b'{"train.json": [2,', b"[1]"):
+        store.pipe_file(f"/bucket/cups/{MANIFEST}", cut_short)
+        upload(tmp_path / "coco", "memory://bucket/cups", tmp_path / "log", silent)
+        assert list(json.loads(store.cat_file(f"/bucket/cups/{MANIFEST}"))) == ["train.json"]
+
+
+def test_no_secret_of_an_address_is_printed() -> None:
+    assert without_secrets("no ftp://me:word@host/a b") == "no ftp://...@host/a b"
+    assert without_secrets("https://host/a?Signature=1&b=2 or so") == "https://host/a?... or so"
+    assert without_secrets("s3://bucket/rec@home") == "s3://bucket/rec@home"
+    with pytest.raises(DataError) as raised:
+        fetch("nowhere://KEY:SECRET@bucket/a", Path("never"), silent)
+    assert "SECRET" not in str(raised.value)
+
+
+def test_an_address_that_cannot_work_is_refused_without_the_store() -> None:
+    check_address("memory://bucket/cups")
+    with pytest.raises(DataError, match="'cups' is no address of an object store; expected one such as s3:"):
+        check_address("cups")
+    with pytest.raises(DataError, match="nowhere://a cannot be reached"):
+        check_address("nowhere://a")

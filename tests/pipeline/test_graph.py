@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -25,7 +26,7 @@ from rpl_data.pipeline.pool import Pool
 from rpl_data.pipeline.processes import Processes
 from rpl_data.pipeline.progress import Progress
 from rpl_data.pipeline.stages import ORDER
-from rpl_data.pipeline.worker import EngineLost
+from rpl_data.pipeline.worker import EngineLost, Stopped
 from rpl_data.remote import MANIFEST
 from rpl_data.types import DataError, Mesh
 from rpl_data.workspace.workspace import Workspace
@@ -99,11 +100,33 @@ def test_steps_run_after_those_before_them_and_a_failure_stops_only_what_needs_i
         assert told.names("failed") == ["track/01"]
         with pytest.raises(DataError, match="1 of the steps failed.*\n    track 01: no poses"):
             graph.refuse_failed()
+        assert (tmp_path / "build.cluster").is_file()
         with pytest.raises(DataError, match="^no poses"):  # without keep_going, that is the end
             Graph(ledger, pool, told).run(steps)
     Graph(again := Ledger(ledger.path), Pool(1), told := Told()).run([s for s in steps if s.item != "01"])
     assert told.names("kept") == ["track/00", "drift/00", "segment/cup", "label/00"]
     assert again.entries == ledger.entries
+
+
+def test_a_step_of_a_killed_build_ends_when_another_build_begins(scheduler: str, tmp_path: Path) -> None:
+    begun = tmp_path / "begun"
+
+    def endless(advance: Advance) -> Outcome:
+        begun.touch()
+        while True:
+            advance(0, 1)
+            time.sleep(0.02)
+
+    place = Workspace(tmp_path)
+    cluster = Cluster(scheduler, place)
+    step = cluster.submit(a_step("label", "00", run=endless))
+    while not begun.exists():
+        time.sleep(0.02)
+    with module.alone_in(place):  # whatever it does, and without the cluster
+        assert isinstance(step.exception(timeout=10), Stopped)
+    late = cluster.submit(a_step("label", "01", run=endless))
+    assert isinstance(late.exception(timeout=10), Stopped)
+    cluster.close(at_once=False)
 
 
 def test_dask_makes_the_same_bytes(scheduler: str, built: Workspace) -> None:
@@ -176,6 +199,11 @@ def test_recordings_come_from_a_store_and_exports_go_there(built: Workspace) -> 
     assert told.names("ran") == ["import/memory://lab/recording", "import/"]
     build(recipe_of(place), place, until="import", tell=(told := Told()))  # as the workspace keeps it
     assert told.names("ran") == []
+    wrong = replace(recipe, export=replace(recipe.export, to="nowhere://lab/out"))
+    build(wrong, built, until="import")  # sends nothing
+    with pytest.raises(DataError, match="nowhere://lab/out cannot be reached"):
+        build(wrong, built, tell=(told := Told()))
+    assert not told.names("kept")  # said at the start
     sent = replace(recipe, export=replace(recipe.export, to="memory://lab/out"))
     build(sent, built, until="export", tell=(told := Told()))
     assert told.names("ran") == ["export/to"]

@@ -13,9 +13,10 @@ from rpl_data.export import export_coco
 from rpl_data.export.split import SplitRule
 from rpl_data.types import DataError
 from training.runs.averaging import WeightAverage
-from training.runs.callbacks import time_left
-from training.runs.folder import trained_epochs
+from training.runs.callbacks import refuse_idle_patience, time_left
+from training.runs.folder import read_checkpoint, trained_epochs
 from training.runs.options import Learning, Machine, Network, Run
+from training.runs.program import use_threads
 from training.train_keypoints import train_keypoints
 
 ONE = Machine(accelerator="cpu", threads=1, deterministic=True)
@@ -65,6 +66,22 @@ def test_best_goes_by_unseen_scenes_and_a_training_in_vain_ends(
 def test_patience_needs_validations() -> None:
     with pytest.raises(DataError, match="counts validations"):
         Run(Path("run"), Learning(patience=3), ONE, validate_every=0)
+    refuse_idle_patience(Learning(patience=3), can_validate=True)
+    with pytest.raises(DataError, match="no images to validate on"):
+        refuse_idle_patience(Learning(patience=3), can_validate=False)
+
+
+def test_what_is_no_number_or_no_checkpoint_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="learning.rate must be above 0"):
+        Learning(rate=float("nan"))
+    (tmp_path / "notes.txt").write_text("hello")
+    with pytest.raises(DataError, match="as weights: it is damaged, or something else wrote it"):
+        read_checkpoint(tmp_path / "notes.txt")
+
+
+def test_no_threads_are_refused() -> None:
+    with pytest.raises(DataError, match="--threads is 0; give 1 or more"):
+        use_threads(0)
 
 
 @pytest.mark.parametrize(

@@ -186,18 +186,20 @@ def test_all_experiments_go_on_where_they_were(tmp_path: Path) -> None:
         ran.append(name)
         if name == "curves" and ran.count("curves") == 1:
             return 1
+        if name == "segmentation" and ran.count("segmentation") == 1:
+            raise MemoryError  # a fault of one experiment ends no other
         write_results(tmp_path / name, name, title=name, data={}, sections=[f"<p>body of {name}</p>"])
         return 0
 
     options: dict[str, Any] = {"weights": "scratch", "workers": 1}
     given = PRESETS["cpu"], tmp_path / "ws", ["drill", "cup"], tmp_path
     commands = command_lines(*given, seeds=1, **options)
-    assert run_all(commands, tmp_path, run) == ["curves"]
+    assert run_all(commands, tmp_path, run) == ["curves", "segmentation"]
     page = (tmp_path / "all.html").read_text()
     assert "failed" in page and "body of table2" in page and "body of curves" not in page
     assert run_all(commands, tmp_path, run) == []
     assert run_all(command_lines(*given, seeds=2, **options), tmp_path, run) == []
-    assert ran == [*commands, "curves", "table2"]
+    assert ran == [*commands, "curves", "segmentation", "table2"]
     assert "body of curves" in (tmp_path / "all.html").read_text()
     parser = parser_of(COMMANDS, program="reproduce", description="", presets=[COMMANDS["table2"]])
     for command in commands.values():  # it ends the test where it does not understand one

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import traceback
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -49,8 +50,8 @@ def reproduce_all(
     """All of the paper's experiments on one recording: a page with their tables and figures.
 
     Builds the recording, then runs table1, curves, ablation, segmentation and table2. Interrupt it whenever
-    you like: the same command goes on where it was. all.html is written anew after each experiment; what went
-    wrong with one is said there, and the next one runs all the same.
+    you like: the same command goes on where it was. all.html is written anew after each experiment. Where
+    one fails it says so, the terminal says why, and the next one runs all the same.
 
     Args:
         preset: `cpu` takes datasets/training_twin.yaml and small networks, an evening on two cores; `paper`
@@ -130,7 +131,7 @@ def run_all(commands: Mapping[str, list[str]], out: Path, run: Run) -> list[str]
         if done.get(name, {}).get("command") == command:
             continue
         started = time.perf_counter()
-        status = run(command)
+        status = _status(run, command)
         if status == INTERRUPTED:
             raise KeyboardInterrupt
         if status:
@@ -142,6 +143,15 @@ def run_all(commands: Mapping[str, list[str]], out: Path, run: Run) -> list[str]
         write_page(out, commands, done, failed)
     write_page(out, commands, done, failed)
     return failed
+
+
+def _status(run: Run, command: list[str]) -> int:
+    """The exit status of an experiment; 1 after a fault of the program, with all about it on stderr."""
+    try:
+        return run(command)
+    except Exception:  # full memory, say: the other experiments are worth having all the same
+        traceback.print_exc()
+        return 1
 
 
 def write_page(

@@ -14,6 +14,7 @@ from pytorch_lightning import Callback, LightningModule, Trainer
 from torch import Tensor
 
 from rpl_data.torch.epochs import seed_of
+from rpl_data.types import DataError
 from rpl_data.wording import counted
 
 from .folder import BEST, LAST
@@ -126,6 +127,15 @@ class Checkpoints(Callback):
             score = state.get("best_model_score") if name.startswith("ModelCheckpoint") else None
             if isinstance(score, Tensor):
                 self._best = float(score)
+
+
+def refuse_idle_patience(learning: Learning, *, can_validate: bool) -> None:
+    """Raise a DataError where a training would wait for better validations without images for them."""
+    if learning.patience and not can_validate:
+        raise DataError(
+            "learning.patience counts validations, and the export has no images to validate on; hold some "
+            "out by --validate_scenes, write `split: {val_fraction: 0.1}` in the recipe, or leave it out"
+        )
 
 
 class LastEpochValidated(Callback):

@@ -98,7 +98,8 @@ def reading_checkpoint(path: Path, expected: str) -> Iterator[None]:
     except DataError:
         raise
     except FOREIGN as error:
-        lacks_a_part = isinstance(error, KeyError)  # what torch says of others is pages about pickle
+        # What torch says of others is pages about pickle; a text makes it look for a number.
+        lacks_a_part = isinstance(error, KeyError) and isinstance(error.args[0], str)
         why = f"it lacks {error}" if lacks_a_part else "it is damaged, or something else wrote it"
         raise DataError(
             f"cannot read {path} as {expected}: {why}; give another one, or train again"

@@ -157,7 +157,7 @@ class Learning:
         """Refuse what cannot be run."""
         if min(self.epochs, self.batch) < 1:
             raise DataError("learning.epochs and learning.batch must be at least 1")
-        if self.rate <= 0 or not 0 <= self.cooldown <= 1:
+        if not self.rate > 0 or not 0 <= self.cooldown <= 1:  # NaN is neither above 0 nor below
             raise DataError("learning.rate must be above 0, and learning.cooldown from 0 to 1")
         if min(self.warmup_steps, self.weight_decay, self.clip, self.patience) < 0:
             raise DataError("learning: warmup_steps, weight_decay, clip and patience must be 0 or more")

@@ -82,8 +82,15 @@ def said(work: Callable[[], object], *, name: str, resumes: bool = False) -> int
 
 
 def use_threads(threads: int | None) -> None:
-    """Let torch use so many processor threads; None leaves the number to torch."""
+    """Let torch use so many processor threads; None leaves the number to torch.
+
+    Raises:
+        DataError: it is less than 1.
+    """
     import torch
+
+    if threads is not None and threads < 1:
+        raise DataError(f"--threads is {threads}; give 1 or more")
 
     if threads is not None:
         torch.set_num_threads(threads)

@@ -25,7 +25,7 @@ from rpl_data.types import DataError
 from rpl_data.wording import counted
 
 from .averaging import WeightAverage
-from .callbacks import Checkpoints, EpochLines, LastEpochValidated, Steps
+from .callbacks import Checkpoints, EpochLines, LastEpochValidated, Steps, refuse_idle_patience
 from .checkpoint_files import WholeCheckpoints, sweep_checkpoints
 from .folder import (
     FOREIGN,
@@ -118,8 +118,9 @@ def fit(lesson: Lesson, run: Run, *, resumed: Path | None) -> Path:
         resumed: the checkpoint to go on with, as `start` found it.
 
     Raises:
-        DataError: the checkpoint cannot be continued with these options, or a loss is not finite.
+        DataError: these options do not go with the checkpoint or the data, or a loss is not finite.
     """
+    refuse_idle_patience(run.learning, can_validate=not (lesson.val is None and lesson.unseen is None))
     settings = {"seed": run.seed, "learning": asdict(run.learning), **lesson.settings}
     last = run.out / LAST
     done = 0 if resumed is None else trained_epochs(resumed)

@@ -42,7 +42,8 @@ def import_steps(context: Context) -> list[Step]:
             given = recording if context.wants_given else replace(recording, trajectory=None)
             workspace.save_recording(given)
             workspace.save_given(given)
-        lines = [f"scene {name}: it is no longer in the recordings; its labels are removed" for name in lost]
+        why = "its recording cannot be read" if faults else "it is no longer in the recordings"
+        lines = [f"scene {name}: {why}; its labels are removed" for name in lost]
         lines += [
             f"scene {recording.scene.name}: {line}"
             for recording in recordings
