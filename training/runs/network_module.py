@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections import Counter
 
 from pytorch_lightning import LightningModule
@@ -12,7 +13,7 @@ RANDOM_FRAMES, UNSEEN_SCENES = "val", "val_scenes"
 """What a network is validated on; begins the names of the figures: val_pck, val_scenes_pck."""
 
 
-class NetworkModule(LightningModule):
+class NetworkModule(LightningModule, ABC):
     """A network in training.
 
     Attributes:
@@ -25,9 +26,9 @@ class NetworkModule(LightningModule):
         self.validated_on: tuple[str, ...] = (RANDOM_FRAMES,)
         self.unreadable: Counter[str] = Counter()
 
+    @abstractmethod
     def compiled_part(self) -> nn.Module:
         """What torch.compile compiles: what takes the time and sees images of few sizes."""
-        raise NotImplementedError
 
     def log_validated(self, name: str, value: Tensor | float, *, loader: int, batch_size: int) -> None:
         """Log a figure of a validation batch, under the name of what the batch is from."""
