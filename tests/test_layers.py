@@ -15,8 +15,8 @@ LAYERS = [
     {"version", "wording"},
     {"types"},
     {"command_line", "directions", "files", "geometry"},
-    {"json_arrays", "orientation", "registered", "remote", "untrusted"},
-    {"compiled_raster", "images", "meshes", "raycast", "overlay", "drift", "symmetries"},
+    {"json_arrays", "orientation", "registered", "untrusted"},
+    {"images", "meshes", "raycast", "overlay", "drift", "symmetries"},
     {"keypoint_surface"},
     {"formats", "clicks", "pose", "reconstruct", "workspace", "synthesize"},
     {"capture", "solve", "refine", "segment", "label", "symmetry", "export", "torch"},
@@ -48,7 +48,7 @@ CONFINED = {
     "orjson": {"formats"},
     "rosbags": {"formats"},
     "distributed": {"pipeline"},
-    "fsspec": {"remote"},
+    "fsspec": {"pipeline"},
     "pycocotools": {"annotate", "evaluate", "export", "formats", "label", "overlay", "torch", "twin"},
 }
 """The rooms that need a package; no other imports it."""

@@ -7,7 +7,7 @@ from typing import Literal
 
 from rpl_data.cli.building import run_build, workspace_for
 from rpl_data.formats.recordings.ros.wanted import Topics
-from rpl_data.remote import url_of
+from rpl_data.pipeline.object_store import url_of
 from rpl_data.types import DataError
 
 

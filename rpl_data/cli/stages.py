@@ -183,7 +183,7 @@ def export(
 
         check_format(format)
     if to is not None:
-        from rpl_data.remote import check_address
+        from rpl_data.pipeline.object_store import check_address
 
         check_address(to)
     ledger = run_stage(workspace, "export", again, results=format is None)

@@ -98,7 +98,7 @@ def cast(mesh: Mesh, rays: RayScene) -> Draw:
     def draw(
         camera: PixelTable, window: Window, camera_from_object: Transform
     ) -> tuple[DepthPatch, MaskPatch]:
-        from rpl_data.compiled_raster import drawn_depth_m
+        from rpl_data.label.compiled_raster import drawn_depth_m
 
         depth_m = None
         if not camera.intrinsics.distortion:

@@ -15,6 +15,7 @@ from rpl_data.files import locked, read_text, remove, sweep, write_text
 from rpl_data.pipeline.context import Context
 from rpl_data.pipeline.graph import TOGETHER, Graph
 from rpl_data.pipeline.ledger import Advance, Entry, Ledger, Step
+from rpl_data.pipeline.object_store import check_address
 from rpl_data.pipeline.pool import Pool
 from rpl_data.pipeline.progress import Progress, Tell
 from rpl_data.pipeline.recipe import Recipe
@@ -36,7 +37,6 @@ from rpl_data.pipeline.stages import (
     track,
     twin,
 )
-from rpl_data.remote import check_address
 from rpl_data.types import DataError
 from rpl_data.workspace.workspace import Workspace
 

@@ -16,10 +16,10 @@ from rpl_data.clicks.log import Annotation
 from rpl_data.json_arrays import Json
 from rpl_data.pipeline.choice import ExportChoice
 from rpl_data.pipeline.ledger import Advance, Outcome, Step
+from rpl_data.pipeline.object_store import url_of
 from rpl_data.pipeline.pool import Pool
 from rpl_data.pipeline.recipe import ObjectRecipe, Recipe, SceneSource
 from rpl_data.pipeline.remotes import copy_of
-from rpl_data.remote import url_of
 from rpl_data.types import DataError, Frame, KeypointModel, Scene, Solution, Trajectory
 from rpl_data.types.instances import places_in, scene_of
 from rpl_data.workspace.workspace import Workspace

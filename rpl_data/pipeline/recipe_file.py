@@ -14,10 +14,10 @@ from typing import Any, TypeVar
 import yaml
 
 from rpl_data.files import FAULTS, read_text
+from rpl_data.pipeline.object_store import url_of
 from rpl_data.pipeline.presets import fill_in
 from rpl_data.pipeline.recipe import Recipe
 from rpl_data.pipeline.recipe_faults import misfit
-from rpl_data.remote import url_of
 from rpl_data.types import DataError
 from rpl_data.untrusted.names import MOST_KEYPOINTS, checked_keypoints, checked_name
 

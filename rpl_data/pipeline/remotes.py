@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from rpl_data.pipeline.ledger import Outcome
+from rpl_data.pipeline.object_store import Advance, copy_name, fetch, upload, url_of, without_secrets
 from rpl_data.pipeline.progress import Progress, Tell
 from rpl_data.pipeline.recipe import Recipe
-from rpl_data.remote import Advance, copy_name, fetch, upload, url_of, without_secrets
 from rpl_data.wording import counted
 from rpl_data.workspace.workspace import Workspace
 

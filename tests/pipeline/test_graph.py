@@ -22,12 +22,12 @@ from rpl_data.pipeline.cluster import Cluster
 from rpl_data.pipeline.context import Context
 from rpl_data.pipeline.graph import TOGETHER, Graph
 from rpl_data.pipeline.ledger import Advance, Ledger, Outcome, Step
+from rpl_data.pipeline.object_store import MANIFEST
 from rpl_data.pipeline.pool import Pool
 from rpl_data.pipeline.processes import Processes
 from rpl_data.pipeline.progress import Progress
 from rpl_data.pipeline.stages import ORDER
 from rpl_data.pipeline.worker import EngineLost, Stopped
-from rpl_data.remote import MANIFEST
 from rpl_data.types import DataError, Mesh
 from rpl_data.workspace.workspace import Workspace
 

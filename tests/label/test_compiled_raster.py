@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from rpl_data.compiled_raster import drawn_depth_m
 from rpl_data.geometry import from_rotvec
+from rpl_data.label.compiled_raster import drawn_depth_m
 from rpl_data.raycast import RayScene, render_depth_m
 from rpl_data.types import Intrinsics, Mesh
 

@@ -10,7 +10,7 @@ from typing import Any
 import fsspec
 import pytest
 
-from rpl_data.remote import (
+from rpl_data.pipeline.object_store import (
     BATCH,
     MANIFEST,
     check_address,
