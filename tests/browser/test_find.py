@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
-from driving import SHOWN, ServerHere, toured
+from driving import SHOWN, ServerHere, place, toured
 from playwright.sync_api import Browser, Page, Route, expect
 
 from rpl_data.pipeline.build import build
@@ -18,6 +18,11 @@ name: tiny
 scenes: [{path: RECORDING, metres_per_unit: 0.001}]
 objects: [{name: carton, keypoints: [KEYPOINTS], clicks: clicks.csv}]
 """
+
+REDRAWN = """async () => {
+    const { change } = await import("/static/state/store.js");
+    change({ elsewhere: { steps: ["solve"], time: "noon" } });
+}"""
 
 
 @pytest.fixture
@@ -64,12 +69,22 @@ def test_where_it_is_unsure_one_click_is_asked_for(page: Page) -> None:
         "number": 1, "stage": "find", "state": "unsure", "what": "", "done": 0, "total": 0, "lines": [],
         "error": "two poses are nearly as good", "seconds": 1, "scene": "01", "frame": 3, "keypoint": 2,
     }  # fmt: skip
-    page.evaluate("async (job) => (await import('/static/state/store.js')).change({ job })", job)
+
+    def ended(route: Route) -> None:
+        route.fulfill(json={**route.fetch().json(), "job": job})
+
+    page.route("**/api/jobs", ended)  # whenever the page asks, it hears of this job
+    place(page, 100.0, 90.0)  # what is up to date may be another thing now, so it asks
     expect(page.locator("#jobs")).to_contain_text("Not sure: two poses are nearly as good")
-    page.locator("#job-ask").click()
+    page.locator("#job-ask").hover()
+    page.mouse.down()
+    page.evaluate(REDRAWN)  # news while the button is pressed do not take it away
+    page.mouse.up()
     expect(page.locator("#frame-text")).to_contain_text("scene 01 · frame 3")
     selected = "async () => (await import('/static/state/store.js')).app.keypoint"
     assert page.evaluate(selected) == 2
+    expect(page.locator("#elsewhere")).to_contain_text("until noon: solve")  # and are shown afterwards
+    page.unroute_all(behavior="ignoreErrors")
 
 
 def test_a_page_whose_workspace_was_replaced_says_reload(page: Page) -> None:

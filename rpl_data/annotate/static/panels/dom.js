@@ -1,5 +1,7 @@
 // Elements and dialogs.
 
+const PRESSED = "button:active, a:active, .link:active";
+
 export function element(tag, properties = {}, ...children) {
   const { style, ...rest } = properties;
   const made = Object.assign(document.createElement(tag), rest);
@@ -8,8 +10,16 @@ export function element(tag, properties = {}, ...children) {
   return made;
 }
 
-// New children for a list; the button with the keyboard focus keeps it: by its data-key, else by its position.
+// New children for a list; the button with the keyboard focus keeps it: by its data-key, else by its position. While
+// something in the list is pressed they wait: an element that is gone when the mouse lets go never hears the click.
+const newest = new WeakMap();
 export function refill(list, ...children) {
+  newest.set(list, children);
+  if (!list.querySelector(PRESSED)) return replace(list, children);
+  requestAnimationFrame(() => { if (newest.get(list) === children) refill(list, ...children); });
+}
+
+function replace(list, children) {
   const buttons = () => [...list.querySelectorAll("button")];
   const at = buttons().indexOf(document.activeElement), key = document.activeElement.dataset.key;
   list.replaceChildren(...children);

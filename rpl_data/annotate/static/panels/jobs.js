@@ -144,7 +144,7 @@ let drawn = "";
 function draw() {
   if (drawn === signature()) return;
   drawn = signature();
-  document.getElementById("find").replaceChildren(...finding());
+  refill(document.getElementById("find"), ...finding());
   const all = element("button", { textContent: "Make all", id: "job-all", disabled: atWork() || Boolean(app.fresh?.report),
     title: "everything that is out of date, as `rpl build` does (X)" });
   all.addEventListener("click", () => start("report"));
