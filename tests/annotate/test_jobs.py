@@ -44,7 +44,7 @@ def jobs_that(run: Callable[[str, Tell], list[str]]) -> Jobs:
 
 
 def ended(jobs: Jobs) -> Any:
-    for _ in range(500):
+    for _ in range(3000):
         job = jobs.now()
         if job is not None and not job.at_work:
             return job
@@ -53,7 +53,7 @@ def ended(jobs: Jobs) -> Any:
 
 
 def wait(client: TestClient) -> Any:
-    for _ in range(600):
+    for _ in range(1800):
         state = client.get("/api/jobs").json()
         if state["job"]["state"] not in ("running", "stopping"):
             return state
@@ -67,12 +67,12 @@ def test_a_job_says_where_it_is_and_what_came_out() -> None:
     def run(stage: str, tell: Tell) -> list[str]:
         tell("label 00", 3, 10)
         at.set()
-        assert go.wait(5)
+        assert go.wait(30)
         return [f"{stage} is there"]
 
     jobs = jobs_that(run)
     jobs.start("label")
-    assert at.wait(5)
+    assert at.wait(30)
     now = jobs.now()
     assert now is not None and (now.what, now.done, now.total, now.state) == ("label 00", 3, 10, "running")
     with pytest.raises(DataError, match="the job label is running"):

@@ -41,7 +41,7 @@ class Server:
             str(self.port),
         ]
         self.process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
-        for _ in range(300):
+        for _ in range(600):
             try:
                 urllib.request.urlopen(self.url, timeout=5).close()
                 return

@@ -81,11 +81,11 @@ def test_what_other_programs_do_is_said(page: Page, server: ServerHere) -> None:
     workspace = Workspace(server.workspace)
     place(page, 100.0, 90.0)
     workspace.append_events("carton", [click_event(Click("carton", 5, "01", 2, 50.0, 60.0))])
-    expect(page.locator("#undo")).to_have_attribute("title", "undo the click on keypoint 5", timeout=8000)
+    expect(page.locator("#undo")).to_have_attribute("title", "undo the click on keypoint 5")
     ledger = json.loads(workspace.stages_file.read_text())
     ledger["drift/00"] = {**ledger["clicks/carton"], "seconds": 1.0}
     workspace.stages_file.write_text(json.dumps(ledger))
     said = page.locator("#elsewhere")
-    expect(said).to_contain_text("Another program built here until", timeout=8000)
+    expect(said).to_contain_text("Another program built here until")
     expect(said).to_contain_text("drift 00")
     expect(page.locator("#saved")).to_have_text("all saved")

@@ -98,7 +98,7 @@ def test_a_page_comes_back_where_it_was_after_kill(page: Page, server: Server) -
     page.mouse.click(*on_page(page, 130.0, 100.0))
     expect(page.locator("#saved")).to_have_text("connection lost · 1 not saved")
     server.start()
-    expect(page.locator("#saved")).to_have_text("all saved", timeout=15000)
+    expect(page.locator("#saved")).to_have_text("all saved")
     assert len(clicks(server)) == 2
     frame = page.locator("#frame-text").inner_text()
     page.reload()

@@ -19,10 +19,10 @@ PYRAMID = Mesh(
 )
 
 
-HOVERED = """() => {
-    window.hovered = false;
-    document.getElementById("plot").once("plotly_hover", () => { window.hovered = true; });
-}"""
+HEAR_HOVERS = """() => document.getElementById("plot").on("plotly_hover", ({ points: [{ x, y, z }] }) => {
+    window.hovered = [x, y, z];
+})"""
+IS_HOVERED = "(point) => window.hovered?.every((value, i) => Math.abs(value - point[i]) < 0.01)"
 
 
 def choose(page: Page, entry: str, path: Path) -> None:
@@ -39,14 +39,14 @@ def test_keypoints_are_picked_on_a_mesh(page: Page, server: Server, tmp_path: Pa
     page.keyboard.press("Enter")  # its unit is the metre
     page.wait_for_selector("#plot[data-drawn]")
     expect(page.locator("#model-panel")).to_contain_text("0 picked")
+    page.evaluate(HEAR_HOVERS)
     chosen = [4, 1, 2]  # corners that the first view sees
     for count, corner in enumerate(chosen, start=1):
         x, y = in_plot(page, tuple(1e3 * PYRAMID.vertices[corner]))
         middle = in_plot(page, (50.0, 50.0, -40.0))
         aim = np.array([x, y]) + 3 * (np.array(middle) - [x, y]) / np.hypot(middle[0] - x, middle[1] - y)
-        page.evaluate(HOVERED)
         page.mouse.move(*aim, steps=4)
-        page.wait_for_function("window.hovered")  # what a click picks
+        page.wait_for_function(IS_HOVERED, arg=list(1e3 * PYRAMID.vertices[corner]))  # what a click picks
         page.mouse.click(*aim)
         expect(page.locator("#model-panel")).to_contain_text(f"{count} picked", timeout=60_000)
     saved(page)

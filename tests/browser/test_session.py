@@ -42,7 +42,7 @@ def truth_of(workspace: Workspace) -> Truth:
 
 def settled(page: Page) -> dict[str, Any]:
     """The state of the page when it knows the result of the last action."""
-    for _ in range(600):
+    for _ in range(1200):
         state: dict[str, Any] = page.evaluate(STATE)
         if state["next"] and not state["waiting"] and not state["stale"]:
             return state

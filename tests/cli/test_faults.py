@@ -83,9 +83,9 @@ def test_ctrl_c_of_the_server_with_a_page_open_is_quiet(tiny_workspace: Workspac
     server = subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert server.stdout is not None and server.stderr is not None
     url = server.stdout.readline().split()[1]
-    with urllib.request.urlopen(f"{url}api/news", timeout=20) as stream:
+    with urllib.request.urlopen(f"{url}api/news", timeout=60) as stream:
         assert b"hello" in stream.readline()
         server.send_signal(signal.SIGINT)
-        _, said = server.communicate(timeout=20)
+        _, said = server.communicate(timeout=60)
     assert said.splitlines() == ["rpl: interrupted; run the same command again and it goes on from here"]
     assert server.returncode == 130

@@ -123,9 +123,9 @@ def test_a_step_of_a_killed_build_ends_when_another_build_begins(scheduler: str,
     while not begun.exists():
         time.sleep(0.02)
     with module.alone_in(place):  # whatever it does, and without the cluster
-        assert isinstance(step.exception(timeout=10), Stopped)
+        assert isinstance(step.exception(timeout=60), Stopped)
     late = cluster.submit(a_step("label", "01", run=endless))
-    assert isinstance(late.exception(timeout=10), Stopped)
+    assert isinstance(late.exception(timeout=60), Stopped)
     cluster.close(at_once=False)
 
 
