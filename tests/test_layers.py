@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Iterator
+from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
@@ -67,10 +68,17 @@ def module_of(path: Path) -> str:
     return ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
 
 
-TREES = {
-    module_of(path): ast.parse(path.read_text())
-    for path in sorted([*ROOT.glob("rpl_data/**/*.py"), *ROOT.glob("training/**/*.py")])
-}
+@cache
+def trees() -> dict[str, ast.Module]:
+    """Every module, parsed; by its name."""
+    paths = sorted([*ROOT.glob("rpl_data/**/*.py"), *ROOT.glob("training/**/*.py")])
+    return {module_of(path): ast.parse(path.read_text()) for path in paths}
+
+
+@cache
+def names_in(module: str) -> tuple[str, ...]:
+    """What a module imports, wherever it stands in it."""
+    return tuple(imported(module, ast.walk(trees()[module])))
 
 
 def imported(module: str, nodes: Iterator[ast.AST] | list[ast.stmt]) -> Iterator[str]:
@@ -98,8 +106,8 @@ def source(module: str, node: ast.ImportFrom) -> str:
 
 def arrows() -> Iterator[tuple[str, str]]:
     """(module, name it imports) for every import within the project, wherever it stands."""
-    for module, tree in TREES.items():
-        for name in imported(module, ast.walk(tree)):
+    for module in trees():
+        for name in names_in(module):
             if name.split(".")[0] in {"rpl_data", "training"}:
                 yield module, name
 
@@ -110,7 +118,7 @@ def room_of(module: str) -> str:
 
 
 def test_every_room_has_a_layer() -> None:
-    rooms = {room_of(module) for module in TREES if module.startswith("rpl_data.")}
+    rooms = {room_of(module) for module in trees() if module.startswith("rpl_data.")}
     assert rooms == LAYER_OF.keys(), "give every room a layer in this file, and no other"
 
 
@@ -127,10 +135,10 @@ def test_imports_go_downwards() -> None:
 
 
 def test_no_module_imports_itself_by_a_detour() -> None:
-    graph: dict[str, set[str]] = {module: set() for module in TREES}
+    graph: dict[str, set[str]] = {module: set() for module in trees()}
     for module, name in arrows():
-        target = name if name in TREES else name.rpartition(".")[0]
-        if target in TREES and target != module:
+        target = name if name in trees() else name.rpartition(".")[0]
+        if target in trees() and target != module:
             graph[module].add(target)
     try:
         tuple(TopologicalSorter(graph).static_order())
@@ -153,9 +161,9 @@ def test_learning_does_not_know_the_labelling_tool() -> None:
 def test_torch_stays_where_learning_is() -> None:
     elsewhere = [
         f"{module} imports {name}"
-        for module, tree in TREES.items()
+        for module in trees()
         if not module.startswith(("rpl_data.torch", "training"))
-        for name in imported(module, ast.walk(tree))
+        for name in names_in(module)
         if name.split(".")[0] in {"torch", "torchvision"}
     ]
     assert not elsewhere
@@ -164,7 +172,7 @@ def test_torch_stays_where_learning_is() -> None:
 def test_slow_packages_are_imported_where_used() -> None:
     at_the_top = [
         f"{module} imports {name} at its top"
-        for module, tree in TREES.items()
+        for module, tree in trees().items()
         if not module.startswith(("rpl_data.torch", "training", "rpl_data.annotate."))
         for name in imported(module, tree.body)
         if name.split(".")[0] in SLOW
@@ -176,9 +184,9 @@ def test_slow_packages_are_imported_where_used() -> None:
 def test_packages_stay_in_the_rooms_that_need_them(package: str) -> None:
     rooms = {
         room_of(module)
-        for module, tree in TREES.items()
+        for module in trees()
         if module.startswith("rpl_data")
-        for name in imported(module, ast.walk(tree))
+        for name in names_in(module)
         if name.split(".")[0] == package
     }
     assert rooms == CONFINED[package]
