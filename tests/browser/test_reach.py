@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import http.server
 import threading
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -39,6 +38,9 @@ CONTRASTS = """() => {
     }
     return found;
 }"""
+
+TRANSFERRED = "performance.getEntries().reduce((sum, { transferSize }) => sum + (transferSize ?? 0), 0)"
+"""Bytes that came over the link, headers included, until now."""
 
 
 @pytest.mark.parametrize("theme", ["light", "dark"])
@@ -77,7 +79,7 @@ def test_nothing_is_cut_off_in_a_small_window(page: Page) -> None:
 
 
 def test_marking_on_a_slow_link(page: Page, server: Server) -> None:
-    """100 ms and 250 kB/s: the mark is there at once, the result after little more than the round trips."""
+    """100 ms and 250 kB/s: the page is small, and nothing is lost that is done before an answer comes."""
     session = page.context.new_cdp_session(page)
     session.send("Network.enable")
     session.send(
@@ -85,10 +87,9 @@ def test_marking_on_a_slow_link(page: Page, server: Server) -> None:
         {"offline": False, "latency": 100, "downloadThroughput": 250_000, "uploadThroughput": 250_000},
     )
     session.send("Network.setCacheDisabled", {"cacheDisabled": True})
-    started = time.monotonic()
     page.reload()
     page.wait_for_selector(SHOWN)
-    assert time.monotonic() - started < 8
+    assert 50_000 < page.evaluate(TRANSFERRED) < 500_000, "two seconds of this link at most"
     page.mouse.click(*on_page(page, 100.0, 90.0))
     page.mouse.click(*on_page(page, 130.0, 100.0))
     page.keyboard.press("Control+z")  # before the server has answered any of it
@@ -98,7 +99,7 @@ def test_marking_on_a_slow_link(page: Page, server: Server) -> None:
     page.keyboard.press("Home")
     for _ in range(4):
         page.keyboard.press(".")
-    expect(page.locator("#picture")).to_have_attribute("data-frame", "00/4", timeout=5000)
+    expect(page.locator("#picture")).to_have_attribute("data-frame", "00/4")
 
 
 def test_the_keyboard_reaches_everything(page: Page, server: Server) -> None:

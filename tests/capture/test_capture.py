@@ -37,7 +37,6 @@ WANTED = Wanted((WIDTH, HEIGHT), 30)
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(live, "WARM_UP_S", 0.1)
-    monkeypatch.setattr(live, "PATIENCE_S", 0.5)
 
 
 @contextmanager
@@ -132,7 +131,8 @@ def test_the_doctor_reads_it(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert "depth unit, intrinsics and poses (no poses); no fault in the rest" in " ".join(out.split()), out
 
 
-def test_a_camera_that_is_unplugged(tmp_path: Path) -> None:
+def test_a_camera_that_is_unplugged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(live, "PATIENCE_S", 1.0)
     camera = SoftwareCamera()
     with filming(camera, until=60):
         captured = captured_of(camera, tmp_path, seconds=60.0)
@@ -144,7 +144,8 @@ def test_a_camera_that_is_unplugged(tmp_path: Path) -> None:
     assert round((recording.scene.frames[-1].timestamp_s - 1) * 30) == 59
 
 
-def test_a_camera_that_sends_nothing(tmp_path: Path) -> None:
+def test_a_camera_that_sends_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(live, "PATIENCE_S", 0.3)
     with pytest.raises(DataError, match="sends no colour with depth .* plug it in again"):
         captured_of(SoftwareCamera(), tmp_path / "out")
     assert not (tmp_path / "out").exists()
