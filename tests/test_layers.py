@@ -15,7 +15,7 @@ ROOT = Path(__file__).parents[1]
 LAYERS = [
     {"version", "wording"},
     {"types"},
-    {"command_line", "directions", "files", "geometry"},
+    {"command_line", "compiled", "directions", "files", "geometry"},
     {"json_arrays", "orientation", "registered", "untrusted"},
     {"images", "meshes", "raycast", "overlay", "drift", "symmetries"},
     {"keypoint_surface"},

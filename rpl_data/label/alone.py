@@ -94,15 +94,16 @@ class Body:
 
 def cast(mesh: Mesh, rays: RayScene) -> Draw:
     """Draw a mesh: its triangles one by one or, where the lens bends their edges, by ray casting."""
+    from rpl_data.label.compiled_raster import DrawnMesh, drawn_depth_m
+
+    drawn = DrawnMesh.of(mesh)
 
     def draw(
         camera: PixelTable, window: Window, camera_from_object: Transform
     ) -> tuple[DepthPatch, MaskPatch]:
-        from rpl_data.label.compiled_raster import drawn_depth_m
-
         depth_m = None
         if not camera.intrinsics.distortion:
-            depth_m = drawn_depth_m(mesh, camera.intrinsics, camera_from_object, window, nothing_m=FAR_M)
+            depth_m = drawn_depth_m(drawn, camera.intrinsics, camera_from_object, window, nothing_m=FAR_M)
         if depth_m is None:
             depth_m = depth_along_m(rays, camera.directions[window], camera_from_object)
             depth_m[depth_m == 0] = FAR_M

@@ -7,13 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from inspect import unwrap
 from typing import Any
 
 import numpy as np
 from jaxtyping import Int64
-from numba import njit
 
+from rpl_data.compiled import compiled
 from rpl_data.untrusted.rle import FIRST, LONGEST_GROUPS, MORE, NEGATIVE, VALUE
 
 
@@ -45,11 +44,12 @@ def measured_masks(counts: Sequence[str], heights: Int64[np.ndarray, " n"]) -> M
     text = np.frombuffer("".join(counts).encode("ascii"), np.uint8)
     stops = np.cumsum([len(each) for each in counts], dtype=np.int64)
     found = np.zeros((len(counts), 6), dtype=np.int64)
-    if not _compiled(text, stops, heights, found):
+    if not _measure(text, stops, heights, found):
         raise ValueError("the runs of a mask are damaged")
     return MaskMeasures(found[:, 0], found[:, 1], found[:, 2:])
 
 
+@compiled
 def _measure(text: Any, stops: Any, heights: Any, found: Any) -> bool:
     """Fill in pixels, area and box of each mask; False where a mask is damaged."""
     at = 0
@@ -90,6 +90,3 @@ def _measure(text: Any, stops: Any, heights: Any, found: Any) -> bool:
         found[mask, 0], found[mask, 1] = pixels, area
         found[mask, 2], found[mask, 3], found[mask, 4], found[mask, 5] = x0, y0, x1 - x0 + 1, y1 - y0 + 1
     return True
-
-
-_compiled = njit(cache=True)(unwrap(_measure))  # unwrapped, since the tests check the types of arguments

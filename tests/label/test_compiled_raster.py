@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from rpl_data.geometry import from_rotvec
-from rpl_data.label.compiled_raster import drawn_depth_m
+from rpl_data.label.compiled_raster import DrawnMesh, drawn_depth_m, faces_outwards
 from rpl_data.raycast import RayScene, render_depth_m
-from rpl_data.types import Intrinsics, Mesh
+from rpl_data.types import DataError, Intrinsics, Mesh
 
 CAMERA = Intrinsics(300.0, 310.0, 79.3, 59.6, 160, 120)
 WHOLE = (slice(0, 120), slice(0, 160))
@@ -37,7 +38,7 @@ def test_a_drawn_mesh_is_what_rays_hit() -> None:
         rows, columns = slice(10, 115), slice(5, 150)
         size = {"width": 145, "height": 105}
         cast_m = render_depth_m(RayScene([mesh]), CAMERA, pose, left_px=5, top_px=10, **size)
-        drawn_m = drawn_depth_m(mesh, CAMERA, pose, (rows, columns), nothing_m=1e3)
+        drawn_m = drawn_depth_m(DrawnMesh.of(mesh), CAMERA, pose, (rows, columns), nothing_m=1e3)
         assert drawn_m is not None
         hit = cast_m > 0
         differing = hit != (drawn_m < 1e3)
@@ -49,4 +50,39 @@ def test_a_drawn_mesh_is_what_rays_hit() -> None:
 def test_a_mesh_that_reaches_behind_the_camera_is_not_drawn() -> None:
     mesh = crumpled(np.random.default_rng(4))
     pose = from_rotvec(np.zeros(3), np.array([0.0, 0.0, 0.05]))
-    assert drawn_depth_m(mesh, CAMERA, pose, WHOLE, nothing_m=1e3) is None
+    assert drawn_depth_m(DrawnMesh.of(mesh), CAMERA, pose, WHOLE, nothing_m=1e3) is None
+
+
+TETRAHEDRON = Mesh(
+    np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]) * 0.1 - 0.03,
+    np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]),
+)
+
+
+def beside(first: Mesh, second: Mesh) -> Mesh:
+    """Two parts of one mesh, 0.2 m apart."""
+    triangles = np.concatenate([first.triangles, second.triangles + len(first.vertices)])
+    return Mesh(np.concatenate([first.vertices, second.vertices + [0.2, 0, 0]]), triangles)
+
+
+def test_triangles_seen_from_behind_are_left_out_only_where_others_hide_them() -> None:
+    inside_out = Mesh(TETRAHEDRON.vertices, TETRAHEDRON.triangles[:, ::-1])
+    torn = Mesh(TETRAHEDRON.vertices, TETRAHEDRON.triangles[1:])
+    assert faces_outwards(TETRAHEDRON) and faces_outwards(beside(TETRAHEDRON, TETRAHEDRON))
+    assert not faces_outwards(inside_out) and not faces_outwards(torn)
+    assert not faces_outwards(beside(TETRAHEDRON, inside_out)) and not faces_outwards(
+        beside(TETRAHEDRON, torn)
+    )
+    for mesh in (TETRAHEDRON, inside_out, torn):
+        pose = from_rotvec(np.array([0.4, 0.9, -0.2]), np.array([0.0, 0.0, 0.4]))
+        drawn_m = drawn_depth_m(DrawnMesh.of(mesh), CAMERA, pose, WHOLE, nothing_m=1e3)
+        cast_m = render_depth_m(RayScene([mesh]), CAMERA, pose, left_px=0, top_px=0, width=160, height=120)
+        np.testing.assert_allclose(drawn_m, np.where(cast_m > 0, cast_m, 1e3), atol=1e-6)
+
+
+def test_a_triangle_without_area_draws_nothing_and_one_without_a_corner_is_refused() -> None:
+    line = Mesh(np.array([[-0.1, 0, 0.5], [0, 0, 0.5], [0.1, 0, 0.5]]), np.array([[0, 1, 2], [1, 1, 2]]))
+    drawn_m = drawn_depth_m(DrawnMesh.of(line), CAMERA, np.eye(4), WHOLE, nothing_m=1e3)
+    assert drawn_m is not None and (drawn_m == 1e3).all()
+    with pytest.raises(DataError, match="3 vertices"):
+        DrawnMesh.of(Mesh(line.vertices, np.array([[0, 1, 3]])))

@@ -1,0 +1,23 @@
+"""Functions compiled by numba; importing this module imports it, which takes a third of a second."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from inspect import unwrap
+from typing import Any
+
+from numba import njit
+
+
+def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compile a function at its first call, without bounds checks; a division by zero gives infinity.
+
+    The compiled code is kept for the next process, beside the source or in the user's cache folder. Where
+    neither can be written, as in a read-only installation, every process compiles anew: seconds, not a fault.
+    """
+    plain = unwrap(function)  # the tests check the types of arguments
+    try:
+        kept: Callable[..., Any] = njit(plain, cache=True, error_model="numpy")
+    except RuntimeError:  # numba finds no folder to write to
+        kept = njit(plain, error_model="numpy")
+    return kept
