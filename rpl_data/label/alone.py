@@ -10,11 +10,11 @@ from jaxtyping import Float64, Int64
 
 from rpl_data.geometry import Pixels, Points, Transform, inside_image, invert, transform
 from rpl_data.keypoint_surface import KeypointSurface
-from rpl_data.label.masks import MaskPatch, Window, cleaned
+from rpl_data.label.masks import MaskPatch, cleaned
 from rpl_data.label.occlusion import FAR_M, DepthPatch
 from rpl_data.label.splat import splat
 from rpl_data.raycast import PixelTable, RayScene, depth_along_m
-from rpl_data.types import KeypointModel, Mesh, PointCloud, Trajectory
+from rpl_data.types import KeypointModel, Mesh, PointCloud, Trajectory, Window
 
 MARGIN_PX = 3
 """Margin around the projected region, for filters that look at neighbouring pixels."""

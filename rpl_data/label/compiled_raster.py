@@ -46,8 +46,8 @@ class DrawnMesh:
         triangles = mesh.triangles
         if len(triangles) and not 0 <= triangles.min() <= triangles.max() < len(mesh.vertices):
             raise DataError(
-                f"a triangle of a mesh has a corner outside its {len(mesh.vertices)} vertices; save it again, or "
-                "run the segment stage again"
+                f"a triangle of a mesh has a corner outside its {len(mesh.vertices)} vertices; save the mesh "
+                "again, or run the segment stage again"
             )
         return DrawnMesh(
             np.ascontiguousarray(mesh.vertices, np.float64),

@@ -11,24 +11,17 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
-from jaxtyping import Int64
 
-from rpl_data.geometry import Pixels, Transform, inside_image, square_box, transform
+from rpl_data.geometry import Transform, transform
 from rpl_data.label.alone import Body, ObjectAlone, SceneObject, object_alone
 from rpl_data.label.certainty import quality, sigma_px
 from rpl_data.label.frame_correction import Correction, FrameCorrector
-from rpl_data.label.masks import box_of, encode, overlap, reaches_border
+from rpl_data.label.instance import instance_label, keypoint_visibility, nearest_other_m
 from rpl_data.label.motion import Motion
-from rpl_data.label.occlusion import (
-    FAR_M,
-    DepthPatch,
-    Tolerances,
-    hidden_pixels,
-    keypoints_seen,
-)
+from rpl_data.label.occlusion import DepthPatch, Tolerances, hidden_pixels
+from rpl_data.label.outline import REACH_PX
 from rpl_data.raycast import PixelTable
 from rpl_data.types import (
-    Box,
     DataError,
     DepthImage,
     Frame,
@@ -36,9 +29,10 @@ from rpl_data.types import (
     GreyImage,
     InstanceLabel,
     ReadDepth,
+    ReadDepthWithin,
     Scene,
-    SquareBox,
     Trajectory,
+    Window,
 )
 
 
@@ -70,6 +64,7 @@ def label_frames(
     frames: Iterable[Frame],
     read_depth: ReadDepth,
     *,
+    read_depth_within: ReadDepthWithin | None = None,
     read_grey: Callable[[Frame], GreyImage] | None = None,
     camera_from_object: Mapping[tuple[int, str, str], Transform] | None = None,
     corrector: FrameCorrector | None = None,
@@ -81,8 +76,9 @@ def label_frames(
         scene: gives the camera and the name that the labels carry.
         objects: all labelled objects of the scene; each may hide the others.
         frames: which frames to label.
-        read_depth: reads the depth image of a frame; not called for frames without one. Missing depth hides
-            nothing.
+        read_depth: reads the depth image of a frame; not called for frames without one, or in which no
+            object is. Missing depth hides nothing.
+        read_depth_within: reads only the part of it that labels look at, in place of `read_depth`.
         read_grey: reads the brightness of a frame, at full size; its edges then show, beside those of depth,
             how far off the label is.
         camera_from_object: refined poses by (frame index, object, instance); they replace those of Eq. 3.
@@ -103,7 +99,7 @@ def label_frames(
         trajectory,
         objects,
         frames,
-        read_depth,
+        read_depth_within or (lambda frame, window: read_depth(frame)),
         read_grey,
         camera_from_object or {},
         corrector,
@@ -116,7 +112,7 @@ def _label_frames(
     trajectory: Trajectory,
     objects: Sequence[SceneObject],
     frames: Iterable[Frame],
-    read_depth: ReadDepth,
+    read_depth_within: ReadDepthWithin,
     read_grey: Callable[[Frame], GreyImage] | None,
     refined: Mapping[tuple[int, str, str], Transform],
     corrector: FrameCorrector | None,
@@ -126,7 +122,6 @@ def _label_frames(
     motion = Motion.of(scene, trajectory)
     bodies = [Body.of(item) for item in objects]
     for frame in frames:
-        depth_m = None if frame.depth is None else read_depth(frame)
         objects_alone = []
         for body in bodies:
             eq3 = body.item.camera_from_object(trajectory, frame.index)
@@ -134,6 +129,10 @@ def _label_frames(
             if alone is not None:
                 objects_alone.append(alone)
         grey = read_grey(frame) if read_grey is not None and objects_alone else None
+        depth_m = None
+        if frame.depth is not None and objects_alone:
+            looked_at = _looked_at(scene, objects_alone)
+            depth_m = read_depth_within(frame, looked_at)
         found: Sequence[Correction | None] = [None] * len(objects_alone)
         by_path = objects_alone
         if corrector is not None and grey is not None and depth_m is not None:
@@ -141,6 +140,8 @@ def _label_frames(
             objects_alone, found = corrector.corrected(
                 frame.index, by_path, others_m, depth_m, grey, tolerances
             )
+            if not _within(_looked_at(scene, objects_alone), looked_at):
+                depth_m = read_depth_within(frame, _looked_at(scene, objects_alone))
         instances = tuple(
             _instance(
                 camera,
@@ -158,7 +159,19 @@ def _label_frames(
         yield FrameLabel(scene.name, frame.index, frame.timestamp_s, instances)
 
 
-# Occlusion ----------------------------------------------------------------------------------------
+def _looked_at(scene: Scene, objects_alone: Sequence[ObjectAlone]) -> Window:
+    """Rows and columns of a depth image in which any of the objects, or an edge near its outline, can be."""
+    rows, columns = zip(*(alone.window for alone in objects_alone), strict=True)
+    return _span(rows, scene.intrinsics.height), _span(columns, scene.intrinsics.width)
+
+
+def _span(parts: Sequence[slice], size: int) -> slice:
+    low, high = min(part.start for part in parts), max(part.stop for part in parts)
+    return slice(max(low - REACH_PX, 0), min(high + REACH_PX, size))
+
+
+def _within(inner: Window, outer: Window) -> bool:
+    return all(a.start >= b.start and a.stop <= b.stop for a, b in zip(inner, outer, strict=True))
 
 
 def _instance(
@@ -173,10 +186,22 @@ def _instance(
     correction: Correction | None,
     moved: bool,
 ) -> InstanceLabel:
+    item, pose = alone.body.item, alone.camera_from_object
     measured = np.zeros_like(alone.depth_m) if depth_m is None else depth_m[alone.window]
     others = _nearest_other(alone, objects_alone)
     visible = alone.mask & ~hidden_pixels(alone.depth_m, others, measured, tolerances)
-    visibility = _visibility(camera, alone, others, measured, tolerances)
+    visibility = keypoint_visibility(
+        camera.intrinsics,
+        alone.body.around,
+        alone.body.rays,
+        pose,
+        alone.keypoints_px,
+        transform(pose, item.model.points_object)[:, 2],
+        alone.window,
+        others,
+        measured,
+        tolerances,
+    )
     sigmas_px = sigma_px(
         camera,
         alone,
@@ -187,58 +212,24 @@ def _instance(
         speed_px_s=speed_px_s,
         by_print_px=None if correction is None else correction.moved_px,
     )
-    box_full = box_of(alone.mask, alone.window)
-    size = {"width": camera.intrinsics.width, "height": camera.intrinsics.height}
-    return InstanceLabel(
-        object=alone.body.item.model.name,
-        camera_from_object=alone.camera_from_object,
+    return instance_label(
+        camera.intrinsics,
+        name=item.model.name,
+        camera_from_object=pose,
         keypoints_px=alone.keypoints_px,
         visibility=visibility,
-        sigma_px=np.where(visibility > 0, sigmas_px, np.nan),
-        square_box=_square_box(alone.keypoints_px, box_full),
-        box=box_of(visible, alone.window) if visible.any() else None,
-        box_full=box_full,
-        mask=encode(visible, alone.window, **size),
-        mask_full=encode(alone.mask, alone.window, **size),
-        visib_fract=float(visible.sum() / alone.mask.sum()),
-        truncated=reaches_border(box_full, **size),
+        sigma_px=sigmas_px,
+        window=alone.window,
+        mask=alone.mask,
+        visible=visible,
         quality=quality(sigmas_px),
         corrected_px=correction.moved_px if moved and correction is not None else None,
-        instance=alone.body.item.instance,
+        instance=item.instance,
     )
-
-
-def _visibility(
-    camera: PixelTable, alone: ObjectAlone, others: DepthPatch, measured: DepthPatch, tolerances: Tolerances
-) -> Int64[np.ndarray, " k"]:
-    """COCO's v per keypoint: 0 never clicked, behind the camera or outside the image; 1 hidden; 2 seen."""
-    visibility = np.zeros(len(alone.keypoints_px), dtype=np.int64)
-    inside = inside_image(camera.intrinsics, alone.keypoints_px)
-    z_m = transform(alone.camera_from_object, alone.body.item.model.points_object)[inside, 2]
-    body = alone.body
-    seen = body.around.faces(body.rays, alone.camera_from_object)[inside]
-    seen &= keypoints_seen(alone.keypoints_px[inside], z_m, alone.window, others, measured, tolerances)
-    visibility[inside] = np.where(seen, 2, 1)
-    return visibility
 
 
 def _nearest_other(alone: ObjectAlone, objects_alone: Sequence[ObjectAlone]) -> DepthPatch:
     """Depth of the nearest other object in the window; FAR_M = none."""
-    nearest = np.full_like(alone.depth_m, FAR_M)
-    for other in objects_alone:
-        common = overlap(alone.window, other.window)
-        if other is not alone and common is not None:
-            here, there = common
-            nearest[here] = np.minimum(nearest[here], other.depth_m[there])
-    return nearest
-
-
-# Numbers of the label -----------------------------------------------------------------------------
-
-
-def _square_box(keypoints_px: Pixels, box_full: Box) -> SquareBox:
-    """The paper's square box around the keypoints; around the mask where no keypoint projects."""
-    known = keypoints_px[np.isfinite(keypoints_px).all(axis=1)]
-    if not len(known):
-        known = np.array(box_full).reshape(2, 2) - 0.5
-    return square_box(known)
+    return nearest_other_m(
+        alone.window, [(other.window, other.depth_m) for other in objects_alone if other is not alone]
+    )

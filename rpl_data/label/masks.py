@@ -1,4 +1,4 @@
-"""Masks stored for a window of an image: their boxes, run-length code and clean-up.
+"""Masks stored for a window of an image: where two overlap, what reaches the border, clean-up.
 
 Outside its window (a slice of rows and one of columns) a mask is empty, so no full image is allocated.
 """
@@ -11,20 +11,9 @@ import cv2
 import numpy as np
 from jaxtyping import Bool
 
-from rpl_data.types import Box, Rle
+from rpl_data.types import Box, Window
 
-Window = tuple[slice, slice]
-"""Rows and columns of an image."""
 MaskPatch = Bool[np.ndarray, "h w"]
-
-
-def box_of(mask: MaskPatch, window: Window) -> Box:
-    """The smallest box, with COCO's edges, around a mask with at least one pixel."""
-    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
-    top, left = window[0].start, window[1].start
-    x0, y0 = left + columns[0], top + rows[0]
-    x1, y1 = left + columns[-1] + 1, top + rows[-1] + 1
-    return float(x0), float(y0), float(x1), float(y1)
 
 
 def reaches_border(box: Box, *, width: int, height: int) -> bool:
@@ -51,29 +40,3 @@ def cleaned(mask: MaskPatch, operation: Literal["open", "close"], *, size_px: in
     code = cv2.MORPH_OPEN if operation == "open" else cv2.MORPH_CLOSE
     changed = cv2.morphologyEx(mask.view(np.uint8), code, np.ones((size_px, size_px), np.uint8))
     return changed.view(np.bool_)
-
-
-def encode(mask: MaskPatch, window: Window, *, width: int, height: int) -> Rle:
-    """Encode the mask as COCO's run-length code of an image of that size; pycocotools decodes it.
-
-    Runs are counted in the window only: encoding two whole images would take a fifth of the labelling time.
-    """
-    from pycocotools import mask as coco
-
-    # A row of zeros below ends every run in its own column.
-    columns = np.zeros((mask.shape[1], mask.shape[0] + 1), dtype=np.bool_)
-    columns[:, :-1] = mask.T
-    flat = columns.ravel()
-    changes = np.flatnonzero(flat[1:] != flat[:-1]) + 1
-    if flat[0]:
-        changes = np.concatenate([[0], changes])
-    column, row = np.divmod(changes, columns.shape[1])
-    edges = (window[1].start + column) * height + window[0].start + row  # they ascend
-    twice = np.flatnonzero(edges[1:] == edges[:-1])
-    # An end that is also a start: the run goes on at the top of the next column.
-    edges = np.delete(edges, np.concatenate([twice, twice + 1]))
-    counts = np.diff(edges, prepend=0, append=width * height)
-    if len(edges) and edges[-1] == width * height:
-        counts = counts[:-1]
-    code = coco.frPyObjects({"size": [height, width], "counts": counts.tolist()}, height, width)
-    return Rle(size=[height, width], counts=code["counts"].decode("ascii"))

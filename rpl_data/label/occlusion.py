@@ -15,7 +15,8 @@ from jaxtyping import Bool, Float, Float32, Float64, Int64
 
 from rpl_data.geometry import Pixels, depth_sigma_m
 from rpl_data.keypoint_surface import ENTERED_M
-from rpl_data.label.masks import MaskPatch, Window, cleaned
+from rpl_data.label.masks import MaskPatch, cleaned
+from rpl_data.types import Window
 
 DepthPatch = Float32[np.ndarray, "h w"]
 Depths = Float[np.ndarray, "*shape"]

@@ -17,11 +17,11 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
 from rpl_data.geometry import Points
-from rpl_data.label.masks import MaskPatch, Window
+from rpl_data.label.masks import MaskPatch
 from rpl_data.label.occlusion import DepthPatch, Tolerances
 from rpl_data.pose.projection import projection_by_point
 from rpl_data.raycast import PixelTable
-from rpl_data.types import DepthImage, GreyImage
+from rpl_data.types import DepthImage, GreyImage, Window
 
 MOST_POINTS = 120
 """Points of the outline that are looked at."""

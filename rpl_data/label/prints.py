@@ -16,10 +16,10 @@ from jaxtyping import Float32, Float64
 
 from rpl_data.geometry import Pixels, Points, Transform, invert, transform
 from rpl_data.label.alone import ObjectAlone
-from rpl_data.label.masks import MaskPatch, Window
+from rpl_data.label.masks import MaskPatch
 from rpl_data.label.occlusion import DepthPatch
 from rpl_data.raycast import PixelTable
-from rpl_data.types import GreyImage
+from rpl_data.types import GreyImage, Window
 
 BLURS_PX = (4.0, 2.0, 1.0)
 """Standard deviations of the Gaussians that the image is blurred with, coarse to fine."""

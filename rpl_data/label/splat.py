@@ -13,9 +13,10 @@ import numpy as np
 from scipy.ndimage import binary_fill_holes, distance_transform_edt
 
 from rpl_data.geometry import Points, Transform, transform
-from rpl_data.label.masks import MaskPatch, Window, cleaned
+from rpl_data.label.masks import MaskPatch, cleaned
 from rpl_data.label.occlusion import FAR_M, DepthPatch
 from rpl_data.raycast import PixelTable
+from rpl_data.types import Window
 
 DOT = cv2.circle(np.zeros((5, 5), np.uint8), (2, 2), 2, 1, -1)
 """A point covers a disk with a radius of 2 px."""

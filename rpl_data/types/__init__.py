@@ -9,7 +9,7 @@ A missing value is absent, ``None``, or NaN in an array of numbers; never -1 or 
 
 from rpl_data.types.clicks import Click, Observation
 from rpl_data.types.errors import DataError, UnsureError
-from rpl_data.types.images import Box, ColorImage, DepthImage, DepthUnits, GreyImage, Rle, SquareBox
+from rpl_data.types.images import Box, ColorImage, DepthImage, DepthUnits, GreyImage, Rle, SquareBox, Window
 from rpl_data.types.labels import Correction, FrameLabel, InstanceLabel, QualityRow
 from rpl_data.types.network import NetworkView
 from rpl_data.types.recording import (
@@ -19,6 +19,7 @@ from rpl_data.types.recording import (
     Frame,
     Intrinsics,
     ReadDepth,
+    ReadDepthWithin,
     Recording,
     Scene,
     Span,
@@ -70,6 +71,7 @@ __all__ = [
     "PointCloud",
     "QualityRow",
     "ReadDepth",
+    "ReadDepthWithin",
     "Recording",
     "Rle",
     "Scene",
@@ -84,5 +86,6 @@ __all__ = [
     "Turns",
     "Trajectory",
     "UnsureError",
+    "Window",
     "expected_mm",
 ]

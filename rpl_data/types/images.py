@@ -39,3 +39,6 @@ Box = tuple[float, float, float, float]
 (u, v, u + 1, v + 1)."""
 
 DepthUnits = UInt16[np.ndarray, "height width"]
+
+Window = tuple[slice, slice]
+"""Rows and columns of an image."""

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from rpl_data.types.errors import DataError
-from rpl_data.types.images import DepthImage
+from rpl_data.types.images import DepthImage, Window
 from rpl_data.wording import counted
 
 
@@ -203,3 +203,6 @@ Span = tuple[int, int]
 
 ReadDepth = Callable[[Frame], DepthImage]
 """Reads the depth image of a frame in metres, 0 = none, from a workspace's cache or from the recording."""
+
+ReadDepthWithin = Callable[[Frame, Window], DepthImage]
+"""Reads a window of the depth image of a frame in metres; pixels of the answer outside it may be 0."""

@@ -18,12 +18,13 @@ from rpl_data.json_arrays import each, whole
 from rpl_data.types import (
     DataError,
     ReadDepth,
+    ReadDepthWithin,
     Recording,
     Scene,
     Span,
     Trajectory,
 )
-from rpl_data.workspace.depth_cache import cached_reader
+from rpl_data.workspace.depth_cache import cached_reader, cached_window_reader
 from rpl_data.workspace.parts import Parts, recordings_of_parts, refuse_taken_names
 from rpl_data.workspace.paths import Paths
 from rpl_data.workspace.recording_records import recording_from_json, recording_to_json
@@ -157,7 +158,14 @@ class SceneFiles(Paths):
         Args:
             keep: add images that are missing from the cache to it, for the next reader.
         """
-        return cached_reader(self.cache(self.parts().video_of(scene.name)) / "depth", scene, keep=keep)
+        return cached_reader(self._depth_cache(scene), scene, keep=keep)
+
+    def depth_window_reader(self, scene: Scene) -> ReadDepthWithin:
+        """Return a function that reads a window of a frame's depth in metres, from the cache where it is."""
+        return cached_window_reader(self._depth_cache(scene), scene)
+
+    def _depth_cache(self, scene: Scene) -> Path:
+        return self.cache(self.parts().video_of(scene.name)) / "depth"
 
 
 def _spans(path: Path) -> tuple[Span, ...]:

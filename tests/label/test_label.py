@@ -15,8 +15,8 @@ from pycocotools import mask as coco
 from rpl_data.geometry import from_rotvec, transform
 from rpl_data.keypoint_surface import KeypointSurface
 from rpl_data.label.alone import SceneObject
+from rpl_data.label.compiled_masks import encoded
 from rpl_data.label.label import label_frames, sample_frames
-from rpl_data.label.masks import box_of, encode
 from rpl_data.raycast import RayScene
 from rpl_data.types import (
     DataError,
@@ -328,10 +328,10 @@ def test_window_code_equals_pycocotools(window: tuple[slice, slice]) -> None:
         full = np.zeros((20, 30), np.uint8, order="F")
         full[window] = patch
         expected = coco.encode(full)
-        assert encode(patch, window, width=30, height=20)["counts"] == expected["counts"].decode()
-        if patch.any():
-            x, y, w, h = coco.toBbox(expected)
-            assert box_of(patch, window) == (x, y, x + w, y + h)
+        found = encoded(patch, window, width=30, height=20)
+        assert found.rle["counts"] == expected["counts"].decode() and found.pixels == coco.area(expected)
+        x, y, w, h = coco.toBbox(expected)
+        assert found.box == ((x, y, x + w, y + h) if patch.any() else None)
 
 
 def test_a_rigid_motion_of_the_scene_changes_nothing() -> None:

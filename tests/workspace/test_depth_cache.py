@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import cv2
 import numpy as np
 import pytest
+import zstandard
 
-from rpl_data.workspace.depth_cache import pack, unpack
+from rpl_data.types import Frame, Intrinsics, Scene
+from rpl_data.workspace.depth_cache import cached_reader, cached_window_reader, pack, unpack
 
 IMAGES = {
     "noise": np.random.default_rng(0).integers(0, 65536, (48, 64)).astype(np.uint16),
@@ -22,11 +27,38 @@ def test_round_trip(image: np.ndarray) -> None:
     np.testing.assert_array_equal(found, image)
 
 
+@pytest.mark.parametrize("image", IMAGES.values(), ids=IMAGES)
+def test_a_window_is_read_alone_and_files_of_earlier_versions_whole(image: np.ndarray) -> None:
+    height, width = image.shape
+    window = (slice(height // 3, height // 3 + 1), slice(1, width - 1))
+    found = unpack(pack(image), height=height, width=width, window=window)
+    assert found is not None
+    np.testing.assert_array_equal(found[window], image[window])
+    steps = np.diff(image, prepend=np.uint16(0), axis=1)  # modulo 2^16
+    earlier = zstandard.ZstdCompressor(write_checksum=True).compress(steps.tobytes())
+    np.testing.assert_array_equal(unpack(earlier, height=height, width=width), image)
+    assert unpack(earlier[:-2], height=height, width=width) is None
+    assert unpack(earlier, height=height + 1, width=width) is None
+
+
+def test_only_the_window_of_a_cached_image_is_made_metres(tmp_path: Path) -> None:
+    units, window = IMAGES["noise"], (slice(20, 30), slice(40, 64))
+    cv2.imwrite(str(tmp_path / "0.png"), units)
+    frame = Frame(0, 0.0, tmp_path / "none.png", tmp_path / "0.png")
+    scene = Scene("s", Intrinsics(50.0, 50.0, 31.5, 23.5, 64, 48), 0.001, (frame,))
+    whole = cached_reader(tmp_path / "cache", scene, keep=True)(frame)
+    (tmp_path / "0.png").unlink()  # from here on the cache has it alone
+    found = cached_window_reader(tmp_path / "cache", scene)(frame, window)
+    np.testing.assert_array_equal(found[window], whole[window])
+    assert found.shape == whole.shape and not found[30:].any() and not found[:, :40].any()
+
+
 def test_broken_bytes_and_other_sizes_are_nothing() -> None:
     packed = pack(IMAGES["noise"])
     assert unpack(packed[:-7], height=48, width=64) is None
     assert unpack(packed[:40] + b"!" + packed[41:], height=48, width=64) is None
     assert unpack(packed, height=24, width=64) is None
+    assert unpack(packed, height=47, width=64) is None  # as many bands
     assert unpack(b"", height=48, width=64) is None
 
 

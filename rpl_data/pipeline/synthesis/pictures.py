@@ -13,7 +13,7 @@ import numpy as np
 
 from rpl_data.geometry import resized
 from rpl_data.images import read_pixels
-from rpl_data.pipeline.synthesis.labels import instance_label
+from rpl_data.pipeline.synthesis.labels import rendered_label
 from rpl_data.raycast import PixelTable
 from rpl_data.synthesize.arrange import arrange, draw_objects
 from rpl_data.synthesize.compose import depth_over, laid_over, shadowed
@@ -79,7 +79,7 @@ def picture(
         behind_m = plate_depth(plate).astype(np.float32) * np.float32(plate.metres_per_unit)
         depth_m = depth_over(behind_m, [alone for *_, alone in objects], studio.noise, rng)
         depth = (depth_m / plate.metres_per_unit).round().clip(0, np.iinfo(np.uint16).max).astype(np.uint16)
-    instances = tuple(instance_label(table, each, objects, studio.subjects[each[0]]) for each in objects)
+    instances = tuple(rendered_label(table, each, objects, studio.subjects[each[0]]) for each in objects)
     return Picture(plate, color, depth, instances, skipped)
 
 
