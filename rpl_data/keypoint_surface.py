@@ -64,11 +64,14 @@ class KeypointSurface:
 
     def faces(self, rays: RayScene, camera_from_object: Transform) -> Bool[np.ndarray, " k"]:
         """Find the keypoints that the object itself does not hide: the surface around them is seen."""
-        towards = self.points - invert(camera_from_object)[:3, 3]
-        far_m = np.linalg.norm(towards, axis=1)
-        eye = np.broadcast_to(invert(camera_from_object)[:3, 3], towards.shape)
-        hit_m = rays.cast_t(np.hstack([eye, towards / far_m[:, None]]).astype(np.float32))
-        turned_here = (self.normals * towards).sum(axis=1) <= 0
-        seen = turned_here & (hit_m >= far_m - ENTERED_M)
-        count = np.bincount(self.keypoint, seen, minlength=len(self.least))
+        eye = invert(camera_from_object)[:3, 3]
+        towards = self.points - eye
+        # The others need no ray: they turn away.
+        turned_here = np.flatnonzero(np.einsum("nd,nd->n", self.normals, towards) <= 0)
+        towards = towards[turned_here]
+        far_m = np.sqrt(np.einsum("nd,nd->n", towards, towards))
+        ray = np.empty((len(towards), 6), np.float32)
+        ray[:, :3], ray[:, 3:] = eye, towards / far_m[:, None]
+        seen = turned_here[rays.cast_t(ray) >= far_m - ENTERED_M]
+        count = np.bincount(self.keypoint[seen], minlength=len(self.least))
         return np.asarray(count >= self.least * DIRECTIONS)

@@ -67,8 +67,10 @@ def sigma_px(
     item = alone.body.item
     points, pose = item.model.points_object, alone.camera_from_object
     variance = projected_variance(camera.intrinsics, pose, points, item.covariance)
-    strays = np.broadcast_to(item.strayed_m**2 * np.eye(3), item.covariance.shape)
-    strayed = projected_variance(camera.intrinsics, pose, points, strays)
+    strayed = np.zeros(len(points))
+    if item.strayed_m:
+        strays = np.broadcast_to(item.strayed_m**2 * np.eye(3), item.covariance.shape)
+        strayed = projected_variance(camera.intrinsics, pose, points, strays)
     by_edges_px = _moved_px(camera, alone, visible, depth_m, grey, tolerances)
     shown = [] if by_edges_px is None else [max(by_edges_px**2 - EDGE_NOISE_PX**2, 0.0)]
     if by_print_px is not None:

@@ -121,6 +121,7 @@ def _label_frames(
     camera = PixelTable.of(scene.intrinsics)
     motion = Motion.of(scene, trajectory)
     bodies = [Body.of(item) for item in objects]
+    speeds_px_s = {item.key: motion.speeds_px_s(camera, item) for item in objects}
     for frame in frames:
         objects_alone = []
         for body in bodies:
@@ -150,7 +151,7 @@ def _label_frames(
                 depth_m,
                 grey,
                 tolerances,
-                speed_px_s=motion.speed_px_s(camera, frame.index, alone.body.item),
+                speed_px_s=speeds_px_s[alone.body.item.key][frame.index],
                 correction=correction,
                 moved=alone is not before,
             )

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Float64, Int64
+from jaxtyping import Bool, Float, Float32, Float64
 
 from rpl_data.geometry import Pixels, depth_sigma_m
 from rpl_data.keypoint_surface import ENTERED_M
@@ -56,10 +56,12 @@ def hidden_pixels(
     Measured depth is compared with the nearest depth of the object in the neighbourhood, so that the object
     does not hide itself where its edges are a pixel off. Specks of wrong depth are dropped, gaps are filled.
     """
+    from rpl_data.label.compiled_occlusion import mark_blocked
+
     size = 2 * tolerances.neighbourhood_px + 1
     nearest = cv2.erode(model_m, np.ones((size, size), np.uint8))
-    blocked = (measured_m > 0) & (measured_m < nearest - tolerances.depth_at_m(nearest))
-    if blocked.any():
+    blocked: MaskPatch = np.empty(model_m.shape, np.bool_)
+    if mark_blocked(nearest, measured_m, tolerances.depth_m, tolerances.depth_sigmas, blocked):
         blocked = cleaned(cleaned(blocked, "open", size_px=3), "close", size_px=5)
     hidden: MaskPatch = blocked | (others_m < model_m)
     return hidden
@@ -82,34 +84,23 @@ def keypoints_seen(
         uv_px: projections of the keypoints, in pixels of the image, inside the window.
         z_m: depths of the keypoints.
     """
-    patch = _neighbours(uv_px, window, tolerances.neighbourhood_px, others_m.shape)
-    others, measured = others_m[patch], measured_m[patch]
-    measured[~(measured > 0).any(axis=1)] = FAR_M
-    z = z_m[:, None]
-    seen: Bool[np.ndarray, " n"] = (others >= z - ENTERED_M).any(axis=1)
-    seen &= (measured >= z - tolerances.depth_at_m(z)).any(axis=1)
+    from rpl_data.label.compiled_occlusion import mark_seen
+
+    corner = [window[0].start, window[1].start]
+    centres = np.rint(uv_px[:, ::-1]).astype(np.int64) - corner
+    seen: Bool[np.ndarray, " n"] = np.empty(len(uv_px), np.bool_)
+    behind_m = z_m - tolerances.depth_at_m(z_m)
+    mark_seen(centres, z_m - ENTERED_M, behind_m, tolerances.neighbourhood_px, others_m, measured_m, seen)
     return seen
-
-
-def _neighbours(
-    uv_px: Pixels, window: Window, radius_px: int, shape: tuple[int, ...]
-) -> tuple[Int64[np.ndarray, "n m"], Int64[np.ndarray, "n m"]]:
-    """Rows and columns, in the window, of the square neighbourhood of each position."""
-    offsets = np.arange(-radius_px, radius_px + 1)
-    rows, columns = (side.ravel() for side in np.meshgrid(offsets, offsets, indexing="ij"))
-    centre = np.rint(uv_px).astype(np.int64)
-    row = centre[:, 1:] - window[0].start + rows
-    column = centre[:, :1] - window[1].start + columns
-    return row.clip(0, shape[0] - 1), column.clip(0, shape[1] - 1)
 
 
 def depth_agreement(
     model_m: DepthPatch, visible: MaskPatch, measured_m: DepthPatch, tolerances: Tolerances
 ) -> float:
     """Share of the visible and measured pixels whose depth agrees with the model; 1 when there are none."""
-    compared = visible & (measured_m > 0) & (model_m < FAR_M)
-    if not compared.any():
-        return 1.0
-    expected = model_m[compared]
-    agrees = np.abs(measured_m[compared] - expected) <= tolerances.depth_at_m(expected)
-    return float(agrees.mean())
+    from rpl_data.label.compiled_occlusion import count_agreeing
+
+    compared, agreeing = count_agreeing(
+        model_m, visible, measured_m, FAR_M, tolerances.depth_m, tolerances.depth_sigmas
+    )
+    return float(agreeing / compared) if compared else 1.0

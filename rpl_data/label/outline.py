@@ -14,12 +14,11 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float64, Int64
+from jaxtyping import Bool, Float64
 
 from rpl_data.geometry import Points
 from rpl_data.label.masks import MaskPatch
 from rpl_data.label.occlusion import DepthPatch, Tolerances
-from rpl_data.pose.projection import projection_by_point
 from rpl_data.raycast import PixelTable
 from rpl_data.types import DepthImage, GreyImage, Window
 
@@ -88,6 +87,8 @@ def moved_by_edges_px(
     Returns:
         The root mean square over the keypoints.
     """
+    from rpl_data.label.compiled_edges import add_equations
+
     if len(outline.uv_px) < FEWEST_EDGES:  # hidden, or nearly so
         return None
     found = []
@@ -95,17 +96,18 @@ def moved_by_edges_px(
         edges = depth_edges(outline, depth_m, tolerances)
         found.append(_Measured(edges, DEPTH_SIGMA_PX, DEPTH_BIAS_PX))
     if grey is not None:
-        found.append(_Measured(color_edges(outline, grey), COLOR_SIGMA_PX, None))
+        found.append(_Measured(color_edges(outline, grey), COLOR_SIGMA_PX, 0.0))
     found = [measured for measured in found if np.count_nonzero(measured.edges.found) >= FEWEST_EDGES]
     if not found:
         return None
     centre = keypoints_camera.mean(axis=0)
     points = _directions(camera, outline.uv_px) * outline.depth_m[:, None]
-    along = (outline.normal[:, :, None] * image_motion(camera, points, centre)).sum(axis=1)
+    along = np.einsum("nk,nkd->nd", outline.normal, image_motion(camera, points, centre))
     information, pull = PRIOR.copy(), np.zeros(6)
-    for measured in found:
-        of_edges = _normal_equations(along, measured)
-        information, pull = information + of_edges[0], pull + of_edges[1]
+    for edges, sigma_px, bias_px in found:
+        add_equations(
+            along, edges.found, edges.offset_px, sigma_px, bias_px, KERNEL_SCALE_SIGMAS, information, pull
+        )
     moved = image_motion(camera, keypoints_camera, centre) @ np.linalg.solve(information, pull)
     return float(np.sqrt((moved**2).sum(axis=1).mean()))
 
@@ -137,31 +139,21 @@ def outline_of(mask: MaskPatch, usable: MaskPatch, depth_m: DepthPatch, window: 
 
 def depth_edges(outline: Outline, depth_m: DepthImage, tolerances: Tolerances) -> Edges:
     """Where along each normal depth passes from the object to what lies behind it."""
-    samples, inside = _profiles(outline, depth_m.shape)
-    measured = depth_m[samples[..., 1], samples[..., 0]]
-    tolerance_m = tolerances.depth_at_m(outline.depth_m)[:, None]
-    beyond_m = measured - outline.depth_m[:, None]
-    behind = (measured > 0) & (beyond_m > tolerance_m)
-    here = (measured > 0) & (np.abs(beyond_m) <= tolerance_m)
-    # A cut before sample n has on its wrong side what lies behind within, and what is here without.
-    zero = np.zeros((len(measured), 1), dtype=np.int64)
-    wrong = np.hstack([zero, np.cumsum(behind, axis=1)]) + np.hstack(
-        [np.cumsum(here[:, ::-1], axis=1)[:, ::-1], zero]
-    )
-    cut = wrong.argmin(axis=1)
-    clear: Bool[np.ndarray, " n"] = (wrong.min(axis=1) <= MOST_WRONG_PX) & (
-        behind.sum(axis=1) >= FEWEST_SIDE_PX
-    )
-    found: Bool[np.ndarray, " n"] = inside & clear & (here.sum(axis=1) >= FEWEST_SIDE_PX)
-    # The outline's points are the last pixels of the object, half a pixel within its edge.
-    return Edges(found, np.where(found, cut - 1.0 - REACH_PX, 0.0))
+    from rpl_data.label.compiled_edges import mark_cuts
+
+    count = len(outline.uv_px)
+    found, offset_px = np.zeros(count, np.bool_), np.zeros(count)
+    tolerance_m = tolerances.depth_at_m(outline.depth_m)
+    limits = (REACH_PX, FEWEST_SIDE_PX, MOST_WRONG_PX)
+    mark_cuts(outline.uv_px, outline.normal, outline.depth_m, tolerance_m, depth_m, *limits, found, offset_px)
+    return Edges(found, offset_px)
 
 
 def color_edges(outline: Outline, grey: GreyImage) -> Edges:
     """Where along each normal the strongest edge of brightness near the outline is, to part of a pixel."""
     offsets = np.arange(-REACH_PX, REACH_PX + 1)
     uv = outline.uv_px[:, None] + outline.normal[:, None] * offsets[:, None]
-    _, inside = _profiles(outline, grey.shape)
+    inside = _all_inside(uv, grey.shape)
     u, v = uv[..., 0].astype(np.float32), uv[..., 1].astype(np.float32)
     brightness = np.asarray(cv2.remap(grey, u, v, cv2.INTER_LINEAR)).astype(np.float64)
     step = np.abs(np.gradient(brightness, axis=1))
@@ -174,14 +166,11 @@ def color_edges(outline: Outline, grey: GreyImage) -> Edges:
     return Edges(found, np.where(found, offsets[best] + part.clip(-0.5, 0.5) - 0.5, 0.0))
 
 
-def _profiles(
-    outline: Outline, shape: tuple[int, ...]
-) -> tuple[Int64[np.ndarray, "n m 2"], Bool[np.ndarray, " n"]]:
-    """Pixels along each normal, inner ones first, and whether all of them are in the image."""
-    offsets = np.arange(-REACH_PX, REACH_PX + 1)
-    uv = np.rint(outline.uv_px[:, None] + outline.normal[:, None] * offsets[:, None]).astype(np.int64)
+def _all_inside(uv_px: Float64[np.ndarray, "n m 2"], shape: tuple[int, ...]) -> Bool[np.ndarray, " n"]:
+    """Whether all pixels along each normal are in the image."""
+    uv = np.rint(uv_px)
     limit = np.array([shape[1], shape[0]]) - 1
-    return uv.clip(0, limit), np.asarray(((uv >= 0) & (uv <= limit)).all(axis=(1, 2)))
+    return np.asarray(((uv >= 0) & (uv <= limit)).all(axis=(1, 2)))
 
 
 def _directions(camera: PixelTable, uv_px: Float64[np.ndarray, "n 2"]) -> Points:
@@ -194,16 +183,10 @@ def image_motion(
     camera: PixelTable, points_camera: Points, centre: Float64[np.ndarray, "3"]
 ) -> Float64[np.ndarray, "n 2 6"]:
     """Derivative of projections by a turn about the centre and a shift."""
-    by_point = projection_by_point(camera.intrinsics, points_camera)
+    from rpl_data.label.compiled_edges import fill_motion
+
     motion: Float64[np.ndarray, "n 2 6"] = np.empty((len(points_camera), 2, 6))
-    x, y, z = (points_camera - centre).T[..., None]
-    along_x, along_y, along_z = np.moveaxis(by_point, 2, 0)
-    motion[..., 0] = (
-        y * along_z - z * along_y
-    )  # the cross product, which NumPy's own takes three times as long for
-    motion[..., 1] = z * along_x - x * along_z
-    motion[..., 2] = x * along_y - y * along_x
-    motion[..., 3:] = by_point
+    fill_motion(points_camera, centre, camera.intrinsics.fx, camera.intrinsics.fy, motion)
     return motion
 
 
@@ -212,27 +195,9 @@ class _Measured(NamedTuple):
 
     Attributes:
         sigma_px: standard deviation of each offset.
-        bias_px: that of what all offsets have in common; None where they have nothing in common.
+        bias_px: that of what all offsets have in common; 0 where they have nothing in common.
     """
 
     edges: Edges
     sigma_px: float
-    bias_px: float | None
-
-
-def _normal_equations(
-    along: Float64[np.ndarray, "n 6"], measured: _Measured
-) -> tuple[Float64[np.ndarray, "6 6"], Float64[np.ndarray, "6"]]:
-    """Information and pull of the edges on the pose; what they have in common is eliminated."""
-    found = measured.edges.found
-    rows, offset = along[found] / measured.sigma_px, measured.edges.offset_px[found] / measured.sigma_px
-    middle = 0.0 if measured.bias_px is None else float(np.median(offset))
-    weight = 1 / (1 + ((offset - middle) / KERNEL_SCALE_SIGMAS) ** 2) ** 2
-    weighted = rows * weight[:, None]
-    information, pull = weighted.T @ rows, weighted.T @ offset
-    if measured.bias_px is not None:
-        common = weighted.sum(axis=0)
-        share = 1 / (weight.sum() + (measured.sigma_px / measured.bias_px) ** 2)
-        information = information - share * np.outer(common, common)
-        pull = pull - share * common * float(weight @ offset)
-    return information, pull
+    bias_px: float

@@ -18,11 +18,10 @@ def projection_by_point(intrinsics: Intrinsics, points_camera: Points) -> Float6
     Infinite or NaN for points in the camera's plane and for points that are NaN.
     """
     x, y, z = points_camera.T
-    zero = np.zeros_like(x)
+    derivative: Float64[np.ndarray, "n 2 3"] = np.zeros((len(points_camera), 2, 3))
     with np.errstate(divide="ignore", invalid="ignore"):
-        du = np.array([intrinsics.fx / z, zero, -intrinsics.fx * x / z**2])
-        dv = np.array([zero, intrinsics.fy / z, -intrinsics.fy * y / z**2])
-    derivative: Float64[np.ndarray, "n 2 3"] = np.array([du, dv]).transpose(2, 0, 1)
+        derivative[:, 0, 0], derivative[:, 0, 2] = intrinsics.fx / z, -intrinsics.fx * x / z**2
+        derivative[:, 1, 1], derivative[:, 1, 2] = intrinsics.fy / z, -intrinsics.fy * y / z**2
     return derivative
 
 

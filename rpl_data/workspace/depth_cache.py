@@ -53,6 +53,8 @@ def unpack(packed: bytes, *, height: int, width: int, window: Window | None = No
     """
     import zstandard
 
+    from rpl_data.workspace.compiled_depth import fill_rows
+
     if packed[:4] == zstandard.FRAME_HEADER:
         return _unpacked_steps(packed, height=height, width=width)
     count = -(-height // BAND_ROWS)
@@ -65,27 +67,17 @@ def unpack(packed: bytes, *, height: int, width: int, window: Window | None = No
         return None
     rows, columns = window or (slice(0, height), slice(0, width))
     units: DepthUnits = np.zeros((height, width), np.uint16)
+    unpacker = zstandard.ZstdDecompressor()
     for band in range(rows.start // BAND_ROWS, -(-rows.stop // BAND_ROWS)):
         part = units[band * BAND_ROWS : (band + 1) * BAND_ROWS]
-        if not _unpack_band(packed[ends[band] : ends[band + 1]], part, columns.stop):
+        try:
+            planes = np.frombuffer(unpacker.decompress(packed[ends[band] : ends[band + 1]]), np.uint8)
+        except zstandard.ZstdError:
             return None
+        if planes.size != 2 * part.size:
+            return None
+        fill_rows(part, planes.reshape(2, *part.shape), columns=columns.stop)
     return units
-
-
-def _unpack_band(packed: bytes, part: DepthUnits, columns: int) -> bool:
-    """Fill in the first columns of some rows; False when the bytes are damaged."""
-    import zstandard
-
-    from rpl_data.workspace.compiled_depth import fill_rows
-
-    try:
-        planes = np.frombuffer(zstandard.ZstdDecompressor().decompress(packed), np.uint8)
-    except zstandard.ZstdError:
-        return False
-    if planes.size != 2 * part.size:
-        return False
-    fill_rows(part, planes.reshape(2, *part.shape), columns=columns)
-    return True
 
 
 def _unpacked_steps(packed: bytes, *, height: int, width: int) -> DepthUnits | None:
