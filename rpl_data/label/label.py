@@ -29,7 +29,7 @@ from rpl_data.types import (
     GreyImage,
     InstanceLabel,
     ReadDepth,
-    ReadDepthWithin,
+    ReadDepthInto,
     Scene,
     Trajectory,
     Window,
@@ -64,7 +64,7 @@ def label_frames(
     frames: Iterable[Frame],
     read_depth: ReadDepth,
     *,
-    read_depth_within: ReadDepthWithin | None = None,
+    read_depth_into: ReadDepthInto | None = None,
     read_grey: Callable[[Frame], GreyImage] | None = None,
     camera_from_object: Mapping[tuple[int, str, str], Transform] | None = None,
     corrector: FrameCorrector | None = None,
@@ -78,7 +78,7 @@ def label_frames(
         frames: which frames to label.
         read_depth: reads the depth image of a frame; not called for frames without one, or in which no
             object is. Missing depth hides nothing.
-        read_depth_within: reads only the part of it that labels look at, in place of `read_depth`.
+        read_depth_into: reads only the part of it that labels look at, in place of `read_depth`.
         read_grey: reads the brightness of a frame, at full size; its edges then show, beside those of depth,
             how far off the label is.
         camera_from_object: refined poses by (frame index, object, instance); they replace those of Eq. 3.
@@ -99,7 +99,7 @@ def label_frames(
         trajectory,
         objects,
         frames,
-        read_depth_within or (lambda frame, window: read_depth(frame)),
+        _reader(scene, read_depth, read_depth_into),
         read_grey,
         camera_from_object or {},
         corrector,
@@ -112,7 +112,7 @@ def _label_frames(
     trajectory: Trajectory,
     objects: Sequence[SceneObject],
     frames: Iterable[Frame],
-    read_depth_within: ReadDepthWithin,
+    read_depth: Callable[[Frame, Window], DepthImage],
     read_grey: Callable[[Frame], GreyImage] | None,
     refined: Mapping[tuple[int, str, str], Transform],
     corrector: FrameCorrector | None,
@@ -133,7 +133,7 @@ def _label_frames(
         depth_m = None
         if frame.depth is not None and objects_alone:
             looked_at = _looked_at(scene, objects_alone)
-            depth_m = read_depth_within(frame, looked_at)
+            depth_m = read_depth(frame, looked_at)
         found: Sequence[Correction | None] = [None] * len(objects_alone)
         by_path = objects_alone
         if corrector is not None and grey is not None and depth_m is not None:
@@ -142,7 +142,7 @@ def _label_frames(
                 frame.index, by_path, others_m, depth_m, grey, tolerances
             )
             if not _within(_looked_at(scene, objects_alone), looked_at):
-                depth_m = read_depth_within(frame, _looked_at(scene, objects_alone))
+                depth_m = read_depth(frame, _looked_at(scene, objects_alone))
         instances = tuple(
             _instance(
                 camera,
@@ -158,6 +158,22 @@ def _label_frames(
             for alone, before, correction in zip(objects_alone, by_path, found, strict=True)
         )
         yield FrameLabel(scene.name, frame.index, frame.timestamp_s, instances)
+
+
+def _reader(
+    scene: Scene, read_depth: ReadDepth, read_depth_into: ReadDepthInto | None
+) -> Callable[[Frame, Window], DepthImage]:
+    """Reads depth images of which only a window will be looked at; each is valid until the next one."""
+    if read_depth_into is None:
+        return lambda frame, window: read_depth(frame)
+    # One for all frames: to clear new memory takes as long as to read the window into it.
+    image = np.zeros((scene.intrinsics.height, scene.intrinsics.width), np.float32)
+
+    def read(frame: Frame, window: Window) -> DepthImage:
+        read_depth_into(frame, window, image)
+        return image
+
+    return read
 
 
 def _looked_at(scene: Scene, objects_alone: Sequence[ObjectAlone]) -> Window:

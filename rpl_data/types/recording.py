@@ -204,5 +204,5 @@ Span = tuple[int, int]
 ReadDepth = Callable[[Frame], DepthImage]
 """Reads the depth image of a frame in metres, 0 = none, from a workspace's cache or from the recording."""
 
-ReadDepthWithin = Callable[[Frame, Window], DepthImage]
-"""Reads a window of the depth image of a frame in metres; pixels of the answer outside it may be 0."""
+ReadDepthInto = Callable[[Frame, Window, DepthImage], None]
+"""Reads a window of the depth image of a frame, in metres, into the same window of an image."""

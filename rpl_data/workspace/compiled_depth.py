@@ -23,11 +23,6 @@ def planes_of(units: DepthUnits) -> UInt8[np.ndarray, "2 height width"]:
     return planes
 
 
-def fill_rows(units: DepthUnits, planes: UInt8[np.ndarray, "2 height width"], *, columns: int) -> None:
-    """Fill in the first columns of rows from their planes."""
-    _join(planes, columns, units)
-
-
 @compiled
 def _split(units: Any, planes: Any) -> None:
     for row in range(units.shape[0]):
@@ -41,10 +36,12 @@ def _split(units: Any, planes: Any) -> None:
 
 
 @compiled
-def _join(planes: Any, columns: int, units: Any) -> None:
-    for row in range(units.shape[0]):
+def fill_rows(planes: Any, first: int, stop: int, unit: float, rows: Any) -> None:
+    """Fill in some columns of rows from their planes: the depth in the image's units, times `unit`."""
+    for row in range(rows.shape[0]):
         value = 0
-        for column in range(columns):
+        for column in range(stop):
             sign_last = np.int32(planes[0, row, column]) | (np.int32(planes[1, row, column]) << 8)
             value += (sign_last >> 1) ^ -(sign_last & 1)
-            units[row, column] = value & 65535
+            if column >= first:
+                rows[row, column] = (value & 65535) * unit

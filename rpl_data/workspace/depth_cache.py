@@ -19,7 +19,7 @@ from rpl_data.types import (
     DepthUnits,
     Frame,
     ReadDepth,
-    ReadDepthWithin,
+    ReadDepthInto,
     Scene,
     Window,
 )
@@ -45,39 +45,57 @@ def pack(units: DepthUnits) -> bytes:
     return b"".join([header.tobytes(), *bands])
 
 
-def unpack(packed: bytes, *, height: int, width: int, window: Window | None = None) -> DepthUnits | None:
-    """Unpack the image; None when the bytes are damaged or belong to an image of another size.
+def unpack(packed: bytes, *, height: int, width: int) -> DepthUnits | None:
+    """Unpack the image; None when the bytes are damaged or belong to an image of another size."""
+    units: DepthUnits = np.empty((height, width), np.uint16)
+    whole = (slice(0, height), slice(0, width))
+    return units if unpack_into(packed, units, whole, unit=1.0) else None
 
-    Args:
-        window: the rows and columns that are wanted; the other pixels may then be 0.
+
+def unpack_into(packed: bytes, image: DepthUnits | DepthImage, window: Window, *, unit: float) -> bool:
+    """Unpack a window of an image, times `unit`, into the same window of another one of its size.
+
+    Returns:
+        False when the bytes are damaged or belong to an image of another size; what the window holds then is
+        not to be used.
     """
     import zstandard
 
     from rpl_data.workspace.compiled_depth import fill_rows
 
+    height, width = image.shape
     if packed[:4] == zstandard.FRAME_HEADER:
-        return _unpacked_steps(packed, height=height, width=width)
+        units = _unpacked_steps(packed, height=height, width=width)
+        if units is not None:
+            image[window] = units[window] * image.dtype.type(unit)
+        return units is not None
+    ends = _band_ends(packed, height=height, width=width)
+    if ends is None:
+        return False
+    (rows, columns), unpacker = window, zstandard.ZstdDecompressor()
+    for band in range(rows.start // BAND_ROWS, -(-rows.stop // BAND_ROWS)):
+        part = slice(band * BAND_ROWS, min((band + 1) * BAND_ROWS, height))
+        try:
+            planes = np.frombuffer(unpacker.decompress(packed[ends[band] : ends[band + 1]]), np.uint8)
+        except zstandard.ZstdError:
+            return False
+        if planes.size != 2 * (part.stop - part.start) * width:
+            return False
+        wanted = slice(max(part.start, rows.start), min(part.stop, rows.stop))
+        shaped = planes.reshape(2, -1, width)[:, wanted.start - part.start : wanted.stop - part.start]
+        fill_rows(shaped, columns.start, columns.stop, unit, image[wanted])
+    return True
+
+
+def _band_ends(packed: bytes, *, height: int, width: int) -> list[int] | None:
+    """Where each band begins, and the last one ends; None where that is not what the bytes hold."""
     count = -(-height // BAND_ROWS)
     start = 4 * (3 + count)
     if len(packed) < start:
         return None
     header = np.frombuffer(packed, "<u4", 3 + count)
     ends = [start, *(int(end) + start for end in header[3:])]
-    if header[:3].tolist() != [MAGIC, height, width] or ends[-1] != len(packed):
-        return None
-    rows, columns = window or (slice(0, height), slice(0, width))
-    units: DepthUnits = np.zeros((height, width), np.uint16)
-    unpacker = zstandard.ZstdDecompressor()
-    for band in range(rows.start // BAND_ROWS, -(-rows.stop // BAND_ROWS)):
-        part = units[band * BAND_ROWS : (band + 1) * BAND_ROWS]
-        try:
-            planes = np.frombuffer(unpacker.decompress(packed[ends[band] : ends[band + 1]]), np.uint8)
-        except zstandard.ZstdError:
-            return None
-        if planes.size != 2 * part.size:
-            return None
-        fill_rows(part, planes.reshape(2, *part.shape), columns=columns.stop)
-    return units
+    return ends if header[:3].tolist() == [MAGIC, height, width] and ends[-1] == len(packed) else None
 
 
 def _unpacked_steps(packed: bytes, *, height: int, width: int) -> DepthUnits | None:
@@ -105,7 +123,7 @@ def cached_reader(folder: Path, scene: Scene, *, keep: bool) -> ReadDepth:
 
     def read(frame: Frame) -> DepthImage:
         path = _file(folder, frame)
-        units = _kept_units(path, scene, None)
+        units = _kept_units(path, scene)
         if units is None:
             units = read_depth_units(scene, frame)
             if keep:
@@ -115,18 +133,17 @@ def cached_reader(folder: Path, scene: Scene, *, keep: bool) -> ReadDepth:
     return read
 
 
-def cached_window_reader(folder: Path, scene: Scene) -> ReadDepthWithin:
+def cached_window_reader(folder: Path, scene: Scene) -> ReadDepthInto:
     """Reads windows of depth images in metres, from the folder or the recording; see `cached_reader`."""
+    whole = cached_reader(folder, scene, keep=False)
 
-    def read(frame: Frame, window: Window) -> DepthImage:
-        if scene.depth_camera is not None:  # its pixels are others than the window's
-            return cached_reader(folder, scene, keep=False)(frame)
-        units = _kept_units(_file(folder, frame), scene, window)
-        if units is None:
-            units = read_depth_units(scene, frame)
-        depth_m: DepthImage = np.zeros(units.shape, np.float32)
-        np.multiply(units[window], np.float32(scene.metres_per_unit), out=depth_m[window], dtype=np.float32)
-        return depth_m
+    def read(frame: Frame, window: Window, image: DepthImage) -> None:
+        path = _file(folder, frame)
+        if scene.depth_camera is None and path.exists():
+            unit = float(np.float32(scene.metres_per_unit))
+            if unpack_into(path.read_bytes(), image, window, unit=unit):
+                return
+        image[window] = whole(frame)[window]
 
     return read
 
@@ -135,9 +152,9 @@ def _file(folder: Path, frame: Frame) -> Path:
     return folder / f"{frame.index:06d}.zst"
 
 
-def _kept_units(path: Path, scene: Scene, window: Window | None) -> DepthUnits | None:
+def _kept_units(path: Path, scene: Scene) -> DepthUnits | None:
     """Read a depth image from the cache; None when it is missing or damaged, since it can be rebuilt."""
     if not path.exists():
         return None
     height, width = scene.depth_size
-    return unpack(path.read_bytes(), height=height, width=width, window=window)
+    return unpack(path.read_bytes(), height=height, width=width)

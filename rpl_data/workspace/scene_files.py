@@ -18,7 +18,7 @@ from rpl_data.json_arrays import each, whole
 from rpl_data.types import (
     DataError,
     ReadDepth,
-    ReadDepthWithin,
+    ReadDepthInto,
     Recording,
     Scene,
     Span,
@@ -160,7 +160,7 @@ class SceneFiles(Paths):
         """
         return cached_reader(self._depth_cache(scene), scene, keep=keep)
 
-    def depth_window_reader(self, scene: Scene) -> ReadDepthWithin:
+    def depth_window_reader(self, scene: Scene) -> ReadDepthInto:
         """Return a function that reads a window of a frame's depth in metres, from the cache where it is."""
         return cached_window_reader(self._depth_cache(scene), scene)
 

@@ -10,7 +10,7 @@ import pytest
 import zstandard
 
 from rpl_data.types import Frame, Intrinsics, Scene
-from rpl_data.workspace.depth_cache import cached_reader, cached_window_reader, pack, unpack
+from rpl_data.workspace.depth_cache import cached_reader, cached_window_reader, pack, unpack, unpack_into
 
 IMAGES = {
     "noise": np.random.default_rng(0).integers(0, 65536, (48, 64)).astype(np.uint16),
@@ -31,12 +31,15 @@ def test_round_trip(image: np.ndarray) -> None:
 def test_a_window_is_read_alone_and_files_of_earlier_versions_whole(image: np.ndarray) -> None:
     height, width = image.shape
     window = (slice(height // 3, height // 3 + 1), slice(1, width - 1))
-    found = unpack(pack(image), height=height, width=width, window=window)
-    assert found is not None
+    found = np.full_like(image, 7)
+    assert unpack_into(pack(image), found, window, unit=1.0)
     np.testing.assert_array_equal(found[window], image[window])
     steps = np.diff(image, prepend=np.uint16(0), axis=1)  # modulo 2^16
     earlier = zstandard.ZstdCompressor(write_checksum=True).compress(steps.tobytes())
     np.testing.assert_array_equal(unpack(earlier, height=height, width=width), image)
+    assert unpack_into(earlier, found, window, unit=1.0) and (found[window] == image[window]).all()
+    found[window] = 7
+    assert (found == 7).all()
     assert unpack(earlier[:-2], height=height, width=width) is None
     assert unpack(earlier, height=height + 1, width=width) is None
 
@@ -48,9 +51,11 @@ def test_only_the_window_of_a_cached_image_is_made_metres(tmp_path: Path) -> Non
     scene = Scene("s", Intrinsics(50.0, 50.0, 31.5, 23.5, 64, 48), 0.001, (frame,))
     whole = cached_reader(tmp_path / "cache", scene, keep=True)(frame)
     (tmp_path / "0.png").unlink()  # from here on the cache has it alone
-    found = cached_window_reader(tmp_path / "cache", scene)(frame, window)
+    found = np.zeros_like(whole)
+    cached_window_reader(tmp_path / "cache", scene)(frame, window, found)
     np.testing.assert_array_equal(found[window], whole[window])
-    assert found.shape == whole.shape and not found[30:].any() and not found[:, :40].any()
+    found[window] = 0
+    assert not found.any()
 
 
 def test_broken_bytes_and_other_sizes_are_nothing() -> None:

@@ -180,7 +180,7 @@ def label_range(
         bodies,
         [frames[index] for index in indices],
         read,
-        read_depth_within=workspace.depth_window_reader(scene),
+        read_depth_into=workspace.depth_window_reader(scene),
         read_grey=look,
         corrector=corrector,
     )
