@@ -10,6 +10,38 @@ from rpl_data.compiled import compiled
 
 
 @compiled
+def spread_over(points: Any, usable: Any, most: int, across: Any, down: Any, depth_m: Any) -> Any:
+    """Points spread evenly over those that are usable, with unit normals against the slope, and depths.
+
+    Args:
+        across, down: the slope of a picture of the object, per column and row.
+
+    Returns:
+        A row per point: its column and row, its normal, and the depth there.
+    """
+    kept = np.empty((len(points), 2), np.int64)
+    count = 0
+    for point in range(len(points)):
+        column, row = points[point, 0], points[point, 1]
+        if usable[row, column]:
+            kept[count, 0], kept[count, 1] = column, row
+            count += 1
+    step = max(1, -(-count // most))
+    spread = np.empty((count, 5))
+    size = 0
+    for point in range(0, count, step):
+        column, row = kept[point, 0], kept[point, 1]
+        to_u, to_v = -np.float64(across[row, column]), -np.float64(down[row, column])
+        length = np.sqrt(to_u**2 + to_v**2)
+        if length > 0:
+            spread[size, 0], spread[size, 1] = column, row
+            spread[size, 2], spread[size, 3] = to_u / length, to_v / length
+            spread[size, 4] = depth_m[row, column]
+            size += 1
+    return spread[:size]
+
+
+@compiled
 def mark_cuts(
     uv_px: Any,
     normal: Any,
@@ -67,6 +99,30 @@ def fill_motion(points: Any, centre: Any, fx: float, fy: float, motion: Any) -> 
             row[1] = from_z * along_x - from_x * along_z
             row[2] = from_x * along_y - from_y * along_x
             row[3], row[4], row[5] = along_x, along_y, along_z
+
+
+@compiled
+def motion_along(
+    uv_px: Any, normal: Any, depth_m: Any, directions: Any, centre: Any, fx: float, fy: float
+) -> Any:
+    """How far points of an outline move along their normals, by motions as in `fill_motion`.
+
+    Args:
+        directions: of the rays through all pixels of the image.
+    """
+    count = len(uv_px)
+    points, motion, along = np.empty((count, 3)), np.empty((count, 2, 6)), np.empty((count, 6))
+    for point in range(count):
+        direction = directions[int(uv_px[point, 1]), int(uv_px[point, 0])]
+        for axis in range(3):
+            points[point, axis] = direction[axis] * depth_m[point]
+    fill_motion(points, centre, fx, fy, motion)
+    for point in range(count):
+        for axis in range(6):
+            along[point, axis] = (
+                normal[point, 0] * motion[point, 0, axis] + normal[point, 1] * motion[point, 1, axis]
+            )
+    return along
 
 
 @compiled

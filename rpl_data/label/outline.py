@@ -87,7 +87,7 @@ def moved_by_edges_px(
     Returns:
         The root mean square over the keypoints.
     """
-    from rpl_data.label.compiled_edges import add_equations
+    from rpl_data.label.compiled_edges import add_equations, motion_along
 
     if len(outline.uv_px) < FEWEST_EDGES:  # hidden, or nearly so
         return None
@@ -101,8 +101,15 @@ def moved_by_edges_px(
     if not found:
         return None
     centre = keypoints_camera.mean(axis=0)
-    points = _directions(camera, outline.uv_px) * outline.depth_m[:, None]
-    along = np.einsum("nk,nkd->nd", outline.normal, image_motion(camera, points, centre))
+    along = motion_along(
+        outline.uv_px,
+        outline.normal,
+        outline.depth_m,
+        camera.directions,
+        centre,
+        camera.intrinsics.fx,
+        camera.intrinsics.fy,
+    )
     information, pull = PRIOR.copy(), np.zeros(6)
     for edges, sigma_px, bias_px in found:
         add_equations(
@@ -119,22 +126,15 @@ def outline_of(mask: MaskPatch, usable: MaskPatch, depth_m: DepthPatch, window: 
         usable: pixels of the window whose outline is the object's own, not that of what hides it.
         depth_m: depth of the object in the window.
     """
+    from rpl_data.label.compiled_edges import spread_over
+
     contours, _ = cv2.findContours(mask.view(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
     points = np.concatenate([contour[:, 0] for contour in contours])
-    points = points[usable[points[:, 1], points[:, 0]]]
-    points = points[:: max(1, -(-len(points) // MOST_POINTS))]
-    column, row = points.T
     smooth = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), 2)
-    inwards = [cv2.Scharr(smooth, cv2.CV_32F, *axis)[row, column] for axis in ((1, 0), (0, 1))]
-    normal = -np.column_stack(inwards).astype(np.float64)
-    length = np.linalg.norm(normal, axis=1)
-    kept = length > 0
+    inwards = [cv2.Scharr(smooth, cv2.CV_32F, *axis) for axis in ((1, 0), (0, 1))]
+    spread = spread_over(points, usable, MOST_POINTS, *inwards, depth_m)
     corner = [window[1].start, window[0].start]
-    return Outline(
-        (points[kept] + corner).astype(np.float64),
-        normal[kept] / length[kept, None],
-        depth_m[row, column][kept].astype(np.float64),
-    )
+    return Outline(spread[:, :2] + corner, spread[:, 2:4], spread[:, 4])
 
 
 def depth_edges(outline: Outline, depth_m: DepthImage, tolerances: Tolerances) -> Edges:
@@ -171,12 +171,6 @@ def _all_inside(uv_px: Float64[np.ndarray, "n m 2"], shape: tuple[int, ...]) -> 
     uv = np.rint(uv_px)
     limit = np.array([shape[1], shape[0]]) - 1
     return np.asarray(((uv >= 0) & (uv <= limit)).all(axis=(1, 2)))
-
-
-def _directions(camera: PixelTable, uv_px: Float64[np.ndarray, "n 2"]) -> Points:
-    column, row = uv_px.astype(np.int64).T
-    directions: Points = camera.directions[row, column].astype(np.float64)
-    return directions
 
 
 def image_motion(

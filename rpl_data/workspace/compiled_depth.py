@@ -36,12 +36,24 @@ def _split(units: Any, planes: Any) -> None:
 
 
 @compiled
-def fill_rows(planes: Any, first: int, stop: int, unit: float, rows: Any) -> None:
-    """Fill in some columns of rows from their planes: the depth in the image's units, times `unit`."""
-    for row in range(rows.shape[0]):
+def fill_window(
+    bands: Any, band_rows: int, top: int, rows: Any, columns: Any, unit: float, image: Any
+) -> None:
+    """Fill in a window of an image: the depth in units of the packed image, times `unit`.
+
+    Args:
+        bands: the planes of bands of rows, one after the other; `top` is the first of their rows.
+        rows, columns: first and end of the window.
+    """
+    width = image.shape[1]
+    for row in range(rows[0], rows[1]):
+        band_top = top + (row - top) // band_rows * band_rows
+        # A band has two bytes per pixel. That at the bottom of an image may have fewer rows than the others.
+        low = (2 * (band_top - top) + row - band_top) * width
+        high = low + min(band_rows, top + len(bands) // (2 * width) - band_top) * width
         value = 0
-        for column in range(stop):
-            sign_last = np.int32(planes[0, row, column]) | (np.int32(planes[1, row, column]) << 8)
+        for column in range(columns[1]):
+            sign_last = np.int32(bands[low + column]) | (np.int32(bands[high + column]) << 8)
             value += (sign_last >> 1) ^ -(sign_last & 1)
-            if column >= first:
-                rows[row, column] = (value & 65535) * unit
+            if column >= columns[0]:
+                image[row, column] = (value & 65535) * unit

@@ -8,6 +8,7 @@ steps, are read too.
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -61,7 +62,7 @@ def unpack_into(packed: bytes, image: DepthUnits | DepthImage, window: Window, *
     """
     import zstandard
 
-    from rpl_data.workspace.compiled_depth import fill_rows
+    from rpl_data.workspace.compiled_depth import fill_window
 
     height, width = image.shape
     if packed[:4] == zstandard.FRAME_HEADER:
@@ -73,17 +74,16 @@ def unpack_into(packed: bytes, image: DepthUnits | DepthImage, window: Window, *
     if ends is None:
         return False
     (rows, columns), unpacker = window, zstandard.ZstdDecompressor()
-    for band in range(rows.start // BAND_ROWS, -(-rows.stop // BAND_ROWS)):
-        part = slice(band * BAND_ROWS, min((band + 1) * BAND_ROWS, height))
-        try:
-            planes = np.frombuffer(unpacker.decompress(packed[ends[band] : ends[band + 1]]), np.uint8)
-        except zstandard.ZstdError:
-            return False
-        if planes.size != 2 * (part.stop - part.start) * width:
-            return False
-        wanted = slice(max(part.start, rows.start), min(part.stop, rows.stop))
-        shaped = planes.reshape(2, -1, width)[:, wanted.start - part.start : wanted.stop - part.start]
-        fill_rows(shaped, columns.start, columns.stop, unit, image[wanted])
+    first, end = rows.start // BAND_ROWS, -(-rows.stop // BAND_ROWS)
+    try:
+        bands = b"".join([unpacker.decompress(packed[a:b]) for a, b in pairwise(ends[first : end + 1])])
+    except zstandard.ZstdError:
+        return False
+    top = first * BAND_ROWS
+    if len(bands) != 2 * width * (min(end * BAND_ROWS, height) - top):
+        return False
+    limits = (rows.start, rows.stop), (columns.start, columns.stop)
+    fill_window(np.frombuffer(bands, np.uint8), BAND_ROWS, top, *limits, unit, image)
     return True
 
 
@@ -93,8 +93,8 @@ def _band_ends(packed: bytes, *, height: int, width: int) -> list[int] | None:
     start = 4 * (3 + count)
     if len(packed) < start:
         return None
-    header = np.frombuffer(packed, "<u4", 3 + count)
-    ends = [start, *(int(end) + start for end in header[3:])]
+    header = np.frombuffer(packed, "<u4", 3 + count).astype(np.int64)
+    ends: list[int] = [start, *(header[3:] + start).tolist()]
     return ends if header[:3].tolist() == [MAGIC, height, width] and ends[-1] == len(packed) else None
 
 
