@@ -11,8 +11,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float32, Float64, UInt32
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from rpl_data.compiled import compiled
 from rpl_data.geometry import NEAREST_M, Transform
@@ -49,25 +47,53 @@ class DrawnMesh:
                 f"a triangle of a mesh has a corner outside its {len(mesh.vertices)} vertices; save the mesh "
                 "again, or run the segment stage again"
             )
-        return DrawnMesh(
-            np.ascontiguousarray(mesh.vertices, np.float64),
-            np.ascontiguousarray(triangles, np.uint32),
-            faces_outwards(mesh),
-        )
+        vertices = np.ascontiguousarray(mesh.vertices, np.float64)
+        triangles = np.ascontiguousarray(triangles, np.uint32)
+        return DrawnMesh(vertices, triangles, faces_outwards(vertices, triangles))
 
 
-def faces_outwards(mesh: Mesh) -> bool:
-    """Whether every part of the mesh is closed and has its triangles counter-clockwise seen from outside."""
-    count, corners = len(mesh.vertices), mesh.triangles
-    start, end = corners.ravel(), np.roll(corners, -1, axis=1).ravel()
-    # Each side of a triangle is passed the other way by a neighbour. Where parts touch, several pass a side.
-    if not np.array_equal(np.sort(start * count + end), np.sort(end * count + start)):
+@compiled
+def faces_outwards(vertices: Any, triangles: Any) -> bool:
+    """Whether every part of a mesh is closed and has its triangles counter-clockwise seen from outside.
+
+    In a closed mesh each side of a triangle is passed as often one way as the other. So the sides, mixed to
+    64 bits (splitmix64) and signed by their way, add up to 0; others do by a chance of 1 in 2^64.
+    """
+    part = np.arange(len(vertices))
+    balance = np.uint64(0)
+    for row in range(len(triangles)):
+        for corner in range(3):
+            start, end = triangles[row, corner], triangles[row, (corner + 1) % 3]
+            if start == end:
+                continue
+            mixed = (np.uint64(min(start, end)) << np.uint64(32)) + np.uint64(max(start, end))
+            mixed = (mixed ^ (mixed >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+            mixed = (mixed ^ (mixed >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+            mixed = mixed ^ (mixed >> np.uint64(31))
+            balance = balance + mixed if start < end else balance - mixed
+            one, other = _first_of(part, start), _first_of(part, end)
+            part[max(one, other)] = min(one, other)
+    if balance != np.uint64(0) or not len(triangles):
         return False
-    joined = coo_array((np.ones(len(start), np.int8), (start, end)), shape=(count, count))
-    _, part = connected_components(joined, directed=False)
-    a, b, c = np.moveaxis(mesh.vertices[corners], 1, 0)
-    enclosed = np.bincount(part[corners[:, 0]], np.einsum("nd,nd->n", np.cross(a, b), c))
-    return bool((enclosed[np.unique(part[corners[:, 0]])] > 0).all())
+    enclosed = np.zeros(len(vertices))
+    for row in range(len(triangles)):
+        a, b, c = vertices[triangles[row, 0]], vertices[triangles[row, 1]], vertices[triangles[row, 2]]
+        volume = a[0] * (b[1] * c[2] - b[2] * c[1]) + a[1] * (b[2] * c[0] - b[0] * c[2])
+        volume += a[2] * (b[0] * c[1] - b[1] * c[0])
+        enclosed[_first_of(part, triangles[row, 0])] += volume
+    outwards = True
+    for row in range(len(triangles)):
+        outwards &= enclosed[_first_of(part, triangles[row, 0])] > 0
+    return outwards
+
+
+@compiled
+def _first_of(part: Any, vertex: int) -> int:
+    """The lowest vertex that is joined with this one; makes the way to it shorter."""
+    while part[vertex] != vertex:
+        part[vertex] = part[part[vertex]]
+        vertex = part[vertex]
+    return vertex
 
 
 def drawn_depth_m(

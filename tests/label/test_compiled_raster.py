@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rpl_data.geometry import from_rotvec
-from rpl_data.label.compiled_raster import DrawnMesh, drawn_depth_m, faces_outwards
+from rpl_data.label.compiled_raster import DrawnMesh, drawn_depth_m
 from rpl_data.raycast import RayScene, render_depth_m
 from rpl_data.types import DataError, Intrinsics, Mesh
 
@@ -68,11 +68,10 @@ def beside(first: Mesh, second: Mesh) -> Mesh:
 def test_triangles_seen_from_behind_are_left_out_only_where_others_hide_them() -> None:
     inside_out = Mesh(TETRAHEDRON.vertices, TETRAHEDRON.triangles[:, ::-1])
     torn = Mesh(TETRAHEDRON.vertices, TETRAHEDRON.triangles[1:])
-    assert faces_outwards(TETRAHEDRON) and faces_outwards(beside(TETRAHEDRON, TETRAHEDRON))
-    assert not faces_outwards(inside_out) and not faces_outwards(torn)
-    assert not faces_outwards(beside(TETRAHEDRON, inside_out)) and not faces_outwards(
-        beside(TETRAHEDRON, torn)
-    )
+    assert DrawnMesh.of(TETRAHEDRON).closed and DrawnMesh.of(beside(TETRAHEDRON, TETRAHEDRON)).closed
+    assert not DrawnMesh.of(inside_out).closed and not DrawnMesh.of(torn).closed
+    assert not DrawnMesh.of(beside(TETRAHEDRON, inside_out)).closed
+    assert not DrawnMesh.of(beside(TETRAHEDRON, torn)).closed
     for mesh in (TETRAHEDRON, inside_out, torn):
         pose = from_rotvec(np.array([0.4, 0.9, -0.2]), np.array([0.0, 0.0, 0.4]))
         drawn_m = drawn_depth_m(DrawnMesh.of(mesh), CAMERA, pose, WHOLE, nothing_m=1e3)
