@@ -140,23 +140,39 @@ def add_equations(
 
     What their offsets have in common, of that standard deviation, is eliminated; nothing where it is 0.
     """
-    offset = offset_px[found] / sigma_px
-    rows = along[found] / sigma_px
-    middle = np.median(offset) if bias_px > 0 else 0.0
+    middle = _median_of(offset_px, found) / sigma_px if bias_px > 0 else 0.0
     common, all_weight, all_offset = np.zeros(6), 0.0, 0.0
-    for edge in range(len(offset)):
-        weight = 1 / (1 + ((offset[edge] - middle) / scale_sigmas) ** 2) ** 2
+    for edge in range(len(found)):
+        if not found[edge]:
+            continue
+        offset = offset_px[edge] / sigma_px
+        weight = 1 / (1 + ((offset - middle) / scale_sigmas) ** 2) ** 2
         all_weight += weight
-        all_offset += weight * offset[edge]
+        all_offset += weight * offset
         for i in range(6):
-            weighted = weight * rows[edge, i]
+            weighted = weight * along[edge, i] / sigma_px
             common[i] += weighted
-            pull[i] += weighted * offset[edge]
+            pull[i] += weighted * offset
             for j in range(6):
-                information[i, j] += weighted * rows[edge, j]
+                information[i, j] += weighted * along[edge, j] / sigma_px
     if bias_px > 0:
         share = 1 / (all_weight + (sigma_px / bias_px) ** 2)
         for i in range(6):
             pull[i] -= share * common[i] * all_offset
             for j in range(6):
                 information[i, j] -= share * common[i] * common[j]
+
+
+@compiled
+def _median_of(values: Any, chosen: Any) -> float:
+    """Median of the chosen values, at least one of them; few, so they are sorted by insertion."""
+    ordered, count = np.empty(len(values)), 0
+    for row in range(len(values)):
+        if chosen[row]:
+            at = count
+            while at > 0 and ordered[at - 1] > values[row]:
+                ordered[at] = ordered[at - 1]
+                at -= 1
+            ordered[at] = values[row]
+            count += 1
+    return (ordered[(count - 1) // 2] + ordered[count // 2]) / 2

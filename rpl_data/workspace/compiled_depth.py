@@ -51,7 +51,7 @@ def fill_window(
         # A band has two bytes per pixel. That at the bottom of an image may have fewer rows than the others.
         low = (2 * (band_top - top) + row - band_top) * width
         high = low + min(band_rows, top + len(bands) // (2 * width) - band_top) * width
-        value = 0
+        value: Any = 0
         for column in range(columns[1]):
             sign_last = np.int32(bands[low + column]) | (np.int32(bands[high + column]) << 8)
             value += (sign_last >> 1) ^ -(sign_last & 1)
