@@ -164,7 +164,7 @@ def add_equations(
 
 
 @compiled
-def _median_of(values: Any, chosen: Any) -> float:
+def _median_of(values: Any, chosen: Any) -> Any:
     """Median of the chosen values, at least one of them; few, so they are sorted by insertion."""
     ordered, count = np.empty(len(values)), 0
     for row in range(len(values)):
