@@ -198,8 +198,8 @@ class PixelTable:
             return None
         low, high = np.full(2, -np.inf), np.full(2, np.inf)
         if ahead.all():
-            xy = points_camera[:, :2] / points_camera[:, 2:]
-            low, high = xy.min(axis=0), xy.max(axis=0)
+            x, y = points_camera[:, 0] / points_camera[:, 2], points_camera[:, 1] / points_camera[:, 2]
+            low, high = np.array([x.min(), y.min()]), np.array([x.max(), y.max()])
         columns = np.flatnonzero((self.x_range[1] >= low[0]) & (self.x_range[0] <= high[0]))
         rows = np.flatnonzero((self.y_range[1] >= low[1]) & (self.y_range[0] <= high[1]))
         if not len(columns) or not len(rows):
