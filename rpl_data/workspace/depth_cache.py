@@ -123,6 +123,11 @@ def cached_reader(folder: Path, scene: Scene, *, keep: bool) -> ReadDepth:
 
     def read(frame: Frame) -> DepthImage:
         path = _file(folder, frame)
+        if scene.depth_camera is None and path.exists():
+            depth_m: DepthImage = np.empty(scene.depth_size, np.float32)
+            whole = (slice(0, depth_m.shape[0]), slice(0, depth_m.shape[1]))
+            if unpack_into(path.read_bytes(), depth_m, whole, unit=_unit_m(scene)):
+                return depth_m
         units = _kept_units(path, scene)
         if units is None:
             units = read_depth_units(scene, frame)
@@ -139,13 +144,16 @@ def cached_window_reader(folder: Path, scene: Scene) -> ReadDepthInto:
 
     def read(frame: Frame, window: Window, image: DepthImage) -> None:
         path = _file(folder, frame)
-        if scene.depth_camera is None and path.exists():
-            unit = float(np.float32(scene.metres_per_unit))
-            if unpack_into(path.read_bytes(), image, window, unit=unit):
-                return
-        image[window] = whole(frame)[window]
+        kept = scene.depth_camera is None and path.exists()
+        if not kept or not unpack_into(path.read_bytes(), image, window, unit=_unit_m(scene)):
+            image[window] = whole(frame)[window]
 
     return read
+
+
+def _unit_m(scene: Scene) -> float:
+    """The unit as `in_metres` takes it."""
+    return float(np.float32(scene.metres_per_unit))
 
 
 def _file(folder: Path, frame: Frame) -> Path:
