@@ -14,8 +14,9 @@ test: $(STAMP)
 
 # All benchmarks, one after the other, then `make attack`; the figures are printed once more at the end and kept with
 # machine, versions and commit in runs/bench/, a file per run. SHARE is the share of their repetitions that those
-# take that have many: with a quarter half an hour on two idle cores, with SHARE=1 some two hours. BENCH names some.
-SHARE ?= 0.25
+# take that have many: with a fifth estimated at 35 to 40 minutes on two idle cores, all in all far over an hour. BENCH
+# names some.
+SHARE ?= 0.2
 BENCH ?=
 bench: demo
 	RPL_BENCH_SHARE=$(SHARE) .venv/bin/python tests/bench/whole.py \

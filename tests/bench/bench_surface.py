@@ -95,4 +95,4 @@ def main(count: int) -> None:
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else shared(9_000, least=4_500))
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else shared(9_000, least=3_000))

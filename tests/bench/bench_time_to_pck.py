@@ -146,7 +146,7 @@ def main() -> None:
     parser.add_argument("data", nargs="?", type=Path, default=ROOT / "workspaces/demo/export/coco")
     parser.add_argument("--object")
     parser.add_argument(
-        "--minutes", type=float, default=float(shared(5, least=3)), help="CPU minutes of the paper's network"
+        "--minutes", type=float, default=float(shared(5, least=2)), help="CPU minutes of the paper's network"
     )
     parser.add_argument("--only", nargs="+", choices=list(presets()), default=list(presets())[: shared(4)])
     parser.add_argument("--goal", type=float, help="a PCK to reach; the paper's network is left out")
