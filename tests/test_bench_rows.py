@@ -37,3 +37,21 @@ def test_two_runs_are_compared_by_ratios_and_beyond_their_spread(
     rows.main("compare", str(tmp_path / "a.json"), str(tmp_path / "b.json"))
     lines = capsys.readouterr().out.splitlines()
     assert lines[2:] == ["worse by 2.00x: label: warm: 200 -> 100 frames/s", "only in the first: gone: old"]
+
+
+def test_every_benchmark_keeps_its_figures() -> None:
+    for program in (Path(__file__).parent / "bench").glob("bench_*.py"):
+        text = program.read_text(encoding="utf-8")
+        assert "from rows import" in text and "record(" in text, program.name
+
+
+def test_a_share_of_the_repetitions(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert rows.shared(20, least=4) == 20
+    monkeypatch.setenv("RPL_BENCH_SHARE", "0.25")
+    assert rows.shared(20, least=4) == 5 and rows.shared(20, least=8) == 8 and rows.shared(3, least=8) == 3
+
+
+def test_no_false_alarm_can_be_compared() -> None:
+    none, some = (rows.Row("doctor", "sound: false alarms", value, "share") for value in (0.0, 0.05))
+    assert rows.compared([none], [none]) == []
+    assert rows.compared([none], [some])[0].startswith("worse by 50.00x")

@@ -104,11 +104,11 @@ def evaluate_pose(
 
 def say_depth(coco_json: Path, metres_per_unit: float | None) -> None:
     """Say how many images have depth that the poses will use."""
-    from rpl_data.formats.datasets.coco import read_coco
+    from rpl_data.formats.datasets.coco_parts import read_packed
 
     from .pose.evaluation import has_depth
 
-    images = read_coco(coco_json)["images"]
+    images = read_packed(coco_json, {"annotations": (), "crowds": ()})["images"]
     known = sum(has_depth(image, metres_per_unit) for image in images)
     print(f"ransac and consensus use the depth of {known} of {counted(len(images), 'image')}")
 

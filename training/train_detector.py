@@ -99,11 +99,11 @@ def _validation(
     coco_json: Path, network: DetectorNetwork, scenes: Collection[str] | None
 ) -> DetectionDataset | None:
     """None where there is nothing to validate on."""
-    from rpl_data.formats.datasets.coco import read_coco
+    from rpl_data.formats.datasets.coco_parts import read_packed
     from rpl_data.torch.detection import DetectionDataset
-    from rpl_data.torch.scenes import only_scenes
+    from rpl_data.torch.scenes import LOOKED_AT, only_scenes
 
-    if not coco_json.exists() or not only_scenes(read_coco(coco_json), scenes)["images"]:
+    if not coco_json.exists() or not only_scenes(read_packed(coco_json, LOOKED_AT), scenes)["images"]:
         return None
     return DetectionDataset(coco_json, width_px=network.width_px, scenes=scenes)
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 from rpl_data.export.split import SplitName
 from rpl_data.files import file_hash, read_json
-from rpl_data.formats.datasets.coco import read_coco
+from rpl_data.formats.datasets.coco_parts import ByImage, read_packed
 from rpl_data.json_arrays import Json
 from rpl_data.types import DataError
 from rpl_data.untrusted.names import checked_name
@@ -45,13 +45,14 @@ class Part:
 
     Attributes:
         objects: for each object its entry in `categories` and its entry in `rpl.objects`.
-        annotations: by image id, those that stand for a crowd included.
+        annotations: by image id, those that stand for a crowd included; parsed when they are looked at, so a
+            change to one is lost.
     """
 
     split: SplitName
     objects: list[tuple[Json, Json]]
     images: list[Json]
-    annotations: dict[int, list[Json]]
+    annotations: Mapping[int, list[Json]]
 
 
 def source_at(path: Path) -> Source:
@@ -79,7 +80,7 @@ def parts_of(source: Source) -> Iterator[Part]:
     """
     first: list[tuple[Json, Json]] | None = None
     for name in source.splits:
-        data = read_coco(source.folder / f"{name}.json")
+        data = read_packed(source.folder / f"{name}.json")
         _check_names(data, source.folder / f"{name}.json")
         described = {item["category_id"]: item for item in data["rpl"]["objects"]}
         objects = [(each, described[each["id"]]) for each in sorted(data["categories"], key=_by_id)]
@@ -89,10 +90,8 @@ def parts_of(source: Source) -> Iterator[Part]:
                 "the dataset again"
             )
         first = objects
-        annotations: dict[int, list[Json]] = {}
-        for entry in (*data["annotations"], *data.get("crowds", ())):
-            annotations.setdefault(entry["image_id"], []).append(entry)
-        yield Part(name, objects, data["images"], annotations)
+        by_image = ByImage(data["annotations"], data.get("crowds", ()))
+        yield Part(name, objects, list(data["images"]), by_image)
 
 
 def _check_names(data: Json, file: Path) -> None:

@@ -8,7 +8,7 @@ frames share (a shift, a lag, another field of view) adds up, everything else av
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -26,6 +26,9 @@ ZOOMS = np.geomspace(1 / 1.7, 1.7, 27)
 
 ZOOM_PEAK_RATIO = 1.2
 """A zoom's peak must be this many times higher than without zoom, and than at every zoom not near it."""
+
+EVERY_FOR_ZOOM = 3
+"""A zoom is first sought in every third frame; only where another than 1 is highest are all frames used."""
 
 NEAR_ZOOM = 1.12
 """Zooms within this factor count as near. A true zoom is sharp: at this factor, edges halfway to the sides
@@ -108,23 +111,33 @@ def align(
     if not by_lag.height > 0:  # one of the two has no edges: nothing was measured
         return Alignment(0.0, 1.0, np.zeros(2), np.inf, np.inf, np.inf, 1.0, 1.0, near)
     lag = round(by_lag.value) if by_lag.sigma < 0.5 else 0
-    by_zoom = _best(ZOOMS, spectra.summed(np.full(len(ZOOMS), lag), ZOOMS), spectra.shape, reach_px)
-    zoomed = by_zoom.height > ZOOM_PEAK_RATIO * max(by_lag.height, by_zoom.elsewhere(NEAR_ZOOM))
-    if zoomed:
+    by_zoom = _zoom(spectra, lag, by_lag, reach_px)
+    if by_zoom is not None:
         summed = spectra.summed(lags, np.full(len(lags), by_zoom.value))
         by_lag = _best(lags.astype(float), summed, spectra.shape, reach_px)
     as_is = near.mean(axis=0)
     return Alignment(
         lag_frames=by_lag.value,
-        zoom=by_zoom.value if zoomed else 1.0,
+        zoom=1.0 if by_zoom is None else by_zoom.value,
         shift_px=by_lag.shift_px,
         lag_sigma=by_lag.sigma,
-        zoom_sigma=by_zoom.sigma,
+        zoom_sigma=0.0 if by_zoom is None else by_zoom.sigma,
         shift_sigma_px=by_lag.shift_sigma_px,
         lag_contrast=by_lag.height / max(as_is[max_lag], 1e-3 * by_lag.height),
         shift_contrast=by_lag.height / max(as_is[max_lag + round(by_lag.value)], 1e-3 * by_lag.height),
         near=near,
     )
+
+
+def _zoom(spectra: _Spectra, lag: int, by_lag: _Best, reach_px: float) -> _Best | None:
+    """The zoom at which edges match much better than as they are, and than at every zoom not near it."""
+    few, lags = spectra.thinned(EVERY_FOR_ZOOM, lag), np.full(len(ZOOMS), lag)
+    at_first, _, _ = _highest(ZOOMS, few.summed(lags, ZOOMS).sum(axis=0), spectra.shape, reach_px)
+    if abs(np.log(at_first)) < np.log(ZOOMS[1] / ZOOMS[0]) / 2:
+        return None
+    found = _best(ZOOMS, spectra.summed(lags, ZOOMS), spectra.shape, reach_px)
+    as_it_is = max(by_lag.height, found.elsewhere(NEAR_ZOOM))
+    return found if found.height > ZOOM_PEAK_RATIO * as_it_is else None
 
 
 def _beyond(size: float, sigma: float, least: float) -> float:
@@ -161,6 +174,12 @@ class _Spectra:
             tuple(tuple(part.tolist()) for part in np.array_split(sorted(pairs), groups)),
             (height, width),
         )
+
+    def thinned(self, every: int, lag: int) -> _Spectra:
+        """One of `every` frames, with the depth that belongs to it at this lag."""
+        groups = tuple(group[::every] for group in self.groups)
+        kept = {t + lag for group in groups for t in group}
+        return replace(self, depth={t: edges for t, edges in self.depth.items() if t in kept}, groups=groups)
 
     def summed(self, lags: Int64[np.ndarray, " tried"], zooms: Float64[np.ndarray, " tried"]) -> Summed:
         """Correlate colour of frame t with zoomed depth of frame t + lag, for each lag and zoom."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 from jaxtyping import Float32
@@ -160,6 +161,7 @@ def _drift(
     advance: Callable[[int, int], None],
 ) -> tuple[Drift, Trajectory | None]:
     """Drift by depth and by the path that the images of `most` frames give, and that path."""
+    read_depth = cache(read_depth)  # the same images serve the path and the measurement
     posed = set(trajectory.frames.tolist())
     frames = [frame for frame in scene.frames if frame.index in posed and frame.depth is not None]
     rows = np.unique(np.linspace(0, len(frames) - 1, min(most, len(frames))).round().astype(int))

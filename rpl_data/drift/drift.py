@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from rpl_data.drift.reprojection import depth_reprojection_error_m
+from rpl_data.drift.reprojection import error_of_points_m, sampled_points
 from rpl_data.geometry import (
     Transform,
     invert,
@@ -110,10 +110,12 @@ def measure_drift(
     rows = _spread(len(frames), most_frames)
     beside = _spread(len(frames) - 1, most_neighbours)
     wanted = sorted({*rows, *beside, *(row + 1 for row in beside)})
-    depths_m = {}
+    depths_m, points, middles = {}, {}, {}
     for number, row in enumerate(wanted):
         advance(number, len(wanted))
         depths_m[row] = read_depth(frames[row])
+        points[row] = sampled_points(scene.intrinsics, depths_m[row])
+        middles[row] = np.array([0.0, 0.0, float(np.median(points[row][:, 2])) if len(points[row]) else 0.0])
 
     turns_rad = [_turn_rad(trajectory, frames[a], frames[b]) for a, b in pairwise(rows)]
     widest_rad = max(SAME_SIDE_RAD, FEWEST_NEIGHBOURS * float(np.median(turns_rad))) if turns_rad else np.pi
@@ -122,7 +124,7 @@ def measure_drift(
         if _turn_rad(trajectory, frames[a], frames[b]) > widest_rad:
             return float("nan")
         a_from_b = _between(trajectory, frames[a], frames[b])
-        return depth_reprojection_error_m(scene.intrinsics, a_from_b, depths_m[a], depths_m[b])
+        return error_of_points_m(scene.intrinsics, a_from_b, depths_m[a], points[b])
 
     known = set() if corrected is None else set(corrected.frames.tolist())
 
@@ -130,10 +132,8 @@ def measure_drift(
         """Distance, seen from frame a, by which the correction moves the middle of what frame b sees."""
         if corrected is None or not {frames[a].index, frames[b].index} <= known:
             return float("nan")
-        seen_m = depths_m[b][depths_m[b] > 0]
-        middle = np.array([0.0, 0.0, float(np.median(seen_m)) if len(seen_m) else 0.0])
         here, there = (
-            transform(_between(path, frames[a], frames[b]), middle) for path in (trajectory, corrected)
+            transform(_between(path, frames[a], frames[b]), middles[b]) for path in (trajectory, corrected)
         )
         return float(np.linalg.norm(here - there))
 

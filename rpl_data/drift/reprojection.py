@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from rpl_data.geometry import (
+    Points,
     Transform,
     back_project,
     inside_image,
@@ -86,11 +87,22 @@ def depth_reprojection_error_m(
     Args:
         a_from_b: takes points of camera b to camera a.
     """
+    return error_of_points_m(intrinsics, a_from_b, depth_a_m, sampled_points(intrinsics, depth_b_m))
+
+
+def sampled_points(intrinsics: Intrinsics, depth_m: DepthImage) -> Points:
+    """The points that every `STEP_PX`-th pixel sees, camera frame; for images compared with many others."""
     rows, columns = np.mgrid[0 : intrinsics.height : STEP_PX, 0 : intrinsics.width : STEP_PX]
-    measured = depth_b_m[rows, columns] > 0
+    measured = depth_m[rows, columns] > 0
     uv_px = np.column_stack([columns[measured], rows[measured]]).astype(float)
-    depth_m = depth_b_m[rows[measured], columns[measured]].astype(float)
-    points_a = transform(a_from_b, back_project(intrinsics, uv_px, depth_m))
+    return back_project(intrinsics, uv_px, depth_m[rows[measured], columns[measured]].astype(float))
+
+
+def error_of_points_m(
+    intrinsics: Intrinsics, a_from_b: Transform, depth_a_m: DepthImage, points_b: Points
+) -> float:
+    """`depth_reprojection_error_m` of what `sampled_points` made of b."""
+    points_a = transform(a_from_b, points_b)
     uv_a_px = project(intrinsics, points_a)  # NaN behind the camera
     inside = inside_image(intrinsics, uv_a_px)
     u, v = np.rint(uv_a_px[inside]).astype(int).T

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from rpl_data.formats.datasets.coco import read_coco
+from rpl_data.formats.datasets.coco_parts import ByImage, read_packed
 from rpl_data.json_arrays import Json
 from rpl_data.types import DataError
 
@@ -33,7 +33,8 @@ class Split:
     """One split: a file of the COCO folder.
 
     Attributes:
-        annotations: annotations by image id; an image without any has no entry.
+        annotations: annotations by image id; an image without any has no entry. They are parsed when they
+            are looked at, so a change to one is lost.
     """
 
     name: str
@@ -72,8 +73,6 @@ def splits_of(coco: Path) -> Iterator[Split]:
     if not names:
         raise DataError(f"{coco} holds no exported COCO files; export `coco` first")
     for name in names:
-        data = read_coco(coco / f"{name}.json")
-        annotations: dict[int, list[Json]] = {}
-        for annotation in data["annotations"]:
-            annotations.setdefault(annotation["image_id"], []).append(annotation)
-        yield Split(name, data, annotations)
+        data = read_packed(coco / f"{name}.json")
+        data["images"] = list(data["images"])  # the formats go through them more than once
+        yield Split(name, data, ByImage(data["annotations"]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -89,14 +90,14 @@ def estimate_pose(
     if attempt is None or not np.isfinite(attempt[0]).all():
         return PoseFailure("keypoints disagree")
     pose, inliers = attempt
-    rest = given.only(inliers)
-    if (refusal := _refusal(rest)) is not None:
+    rest = given if inliers.all() else given.only(inliers)
+    if rest is not given and (refusal := _refusal(rest)) is not None:
         return PoseFailure("keypoints disagree") if refusal.reason == "too few keypoints" else refusal
     try:
         if refine:
             deep = bool(np.isfinite(rest.depth_m).any())
             pose = nearest_to_depth(pose, rest) if deep else pose
-            pose = refined(pose[None], rest, robust=deep)[0]
+            pose = refined(pose, rest, robust=deep)
             rest = with_own_depth(pose, rest, largest_sigmas=INLIER_SIGMAS) if deep else rest
         covariance = covariance_of(pose, rest)
     except np.linalg.LinAlgError:  # the keypoints leave a direction of the pose free
@@ -104,9 +105,10 @@ def estimate_pose(
     sigmas = reprojection_sigmas(pose[None], rest)[0]
     if not np.isfinite(sigmas).all():
         return PoseFailure("not in front")
-    if np.mean(sigmas**2) > LARGEST_ERROR**2 * np.mean(_distances_sigmas(rest) ** 2):
+    squares, distances = float(sigmas @ sigmas), _distances_sigmas(rest)
+    if squares > LARGEST_ERROR**2 * float(distances @ distances):
         return PoseFailure("keypoints disagree")
-    return PoseEstimate(pose, rest.keypoints, covariance, float(np.sqrt(np.mean(sigmas**2) / 2)))
+    return PoseEstimate(pose, rest.keypoints, covariance, math.sqrt(squares / (2 * len(rest))))
 
 
 def _refusal(given: Correspondences) -> PoseFailure | None:
@@ -123,14 +125,14 @@ def _refusal(given: Correspondences) -> PoseFailure | None:
 
 def _coincide(given: Correspondences) -> bool:
     """Whether one point of the image explains all keypoints, or more than half of them are in one place."""
-    apart_px = np.linalg.norm(given.positions_px[:, None] - given.positions_px[None], axis=-1)
-    crowded = (apart_px < COINCIDENT_PX).sum(axis=1).max() > len(given) / 2
+    du, dv = (given.positions_px[:, None] - given.positions_px).T
+    crowded = (du * du + dv * dv < COINCIDENT_PX**2).sum(axis=0).max() > len(given) / 2
     return bool(crowded or _distances_sigmas(given).max() < INLIER_SIGMAS)
 
 
 def _distances_sigmas(given: Correspondences) -> Float64[np.ndarray, " n"]:
     """Distance of each keypoint in the image from the mean of all, in its standard deviations."""
     off = given.positions_px - given.positions_px.mean(axis=0)
-    whitened = np.einsum("nij,nj->ni", given.whitening, off)
-    distances: Float64[np.ndarray, " n"] = np.linalg.norm(whitened, axis=1)
+    whitened = (given.whitening @ off[..., None])[..., 0]
+    distances: Float64[np.ndarray, " n"] = np.sqrt(np.vecdot(whitened, whitened))
     return distances

@@ -13,7 +13,6 @@ from jaxtyping import Bool, Float64, Int64
 
 from rpl_data.geometry import rigid
 from rpl_data.pose.correspondences import Correspondences
-from rpl_data.pose.p3p import poses_from_triples
 from rpl_data.pose.refine import reprojection_sigmas, robust_cost
 
 INLIER_SIGMAS = 4.0
@@ -66,9 +65,10 @@ def consensus(given: Correspondences, *, looked_at: int = 12, solved: int = 3) -
     Every triple's poses (P3P) are ranked by the robust cost of all keypoints. The keypoints that agree with
     each of the best `looked_at` poses form at most `solved` different sets. SQPnP solves each set, and the
     pose of least robust cost decides which keypoints are right. Up to 10 keypoints nothing is random, so a
-    third of wrong
-    keypoints does no harm: the triples of all others are tried.
+    third of wrong keypoints does no harm: the triples of all others are tried.
     """
+    from rpl_data.pose.p3p import poses_from_triples
+
     triples = _triples(len(given))
     rays = np.column_stack([given.positions_px / given.focal_px, np.ones(len(given))])
     poses = poses_from_triples(given.points_object[triples], rays[triples])

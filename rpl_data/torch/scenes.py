@@ -7,10 +7,13 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from rpl_data.formats.datasets.coco import read_coco
+from rpl_data.formats.datasets.coco_parts import read_packed
 from rpl_data.torch.splits import split_file
 from rpl_data.types import DataError
 from rpl_data.wording import counted
+
+LOOKED_AT = {"images": ("id", "scene", "origin"), "annotations": ("image_id", "category_id"), "crowds": ()}
+"""Keys of a COCO file's entries that say which object is seen in which scene."""
 
 
 class SceneSplit(NamedTuple):
@@ -47,7 +50,7 @@ def hold_out_scenes(
         return SceneSplit(None, ())
     if count < 0:
         raise DataError(f"validate_scenes is {count}; give 0 or more")
-    data = read_coco(split_file(export, "train"))
+    data = read_packed(split_file(export, "train"), LOOKED_AT)
     if any(image.get("origin") == "synthetic" for image in data["images"]):
         raise DataError(
             f"validate_scenes is {count}, but {export} holds images that were rendered from all its scenes, "

@@ -23,7 +23,7 @@ from playwright.sync_api import Browser, CDPSession, Page, sync_playwright
 sys.path.insert(0, str(Path(__file__).parent.parent / "browser"))
 from conftest import FLAGS, chromium
 from driving import SHOWN, Server, on_page, toured
-from rows import record
+from rows import record, shared
 
 from rpl_data.annotate.live import Lifter, solve_live
 from rpl_data.annotate.stores.scenes import SceneStore
@@ -293,7 +293,7 @@ def main(folder: Path, actions: int) -> None:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--keep", type=Path)
-    parser.add_argument("--actions", type=int, default=1000)
+    parser.add_argument("--actions", type=int, default=shared(1000, least=200))
     options = parser.parse_args()
     if options.keep:
         options.keep.mkdir(parents=True, exist_ok=True)

@@ -7,6 +7,7 @@ from collections import Counter
 from pathlib import Path
 
 from export_damage import damaged, damages, names, write_all
+from rows import record
 
 from rpl_data.export.checks import CHECKS, check_export
 
@@ -27,6 +28,9 @@ def test_every_damage(tmp_path: Path) -> None:
             found["named" if named else "alarm" if said else "missed"] += 1
             if not named:
                 missed.append(f"    {damage.pattern}")
+        named, all_damages = found["named"], sum(found.values())
+        record("checks", f"{dialect}: damages named", named / all_damages, "share", more_is_better=True)
+        record("checks", f"{dialect}: a check", 1000 * seconds, "ms")
         print(f"{dialect:16s} false alarms {len(alarms)}, {dict(found)}, {1000 * seconds:.0f} ms per check")
         print("\n".join(missed))
         assert not alarms

@@ -1,8 +1,9 @@
 """What is said of wrong clicks: faults are planted in redrawn clicks of rendered workspaces, and counted.
 
-Run: python tests/bench/bench_click_faults.py WORKSPACE... [--runs 100] [--clicks 1,3] [--faults slip15]
-The workspaces are built from twins. Nothing is rendered: each run draws new clicks on the images that are
-there, plants one fault and solves, in a fraction of a second. Scored by verdict and by object:
+Run: python tests/bench/bench_click_faults.py [WORKSPACE...] [--runs 100] [--clicks 1,3] [--faults slip15]
+The workspaces are built from twins; that of `make demo` where none is named. Nothing is rendered: each run
+draws new clicks on the images that are there, plants one fault and solves, in a fraction of a second. Scored
+by verdict and by object:
 
 right     The wrong clicks are blamed and no others.
 asks      They are said to disagree with others, and nothing could tell which is wrong: with another click
@@ -33,6 +34,7 @@ from pathlib import Path
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as `rpl` does, before NumPy is loaded
 
 import numpy as np
+from rows import record, shared
 
 from rpl_data.clicks.lift import lift
 from rpl_data.geometry import invert, project, transform
@@ -44,6 +46,7 @@ from rpl_data.twin.annotator import click
 from rpl_data.types import HINTS, Click, DataError, Observation, Solution
 from rpl_data.workspace.workspace import Workspace
 
+DEMO = Path(__file__).parents[2] / "workspaces/demo"
 NOISE_PX = 2.0
 FAR_MM = 10.0
 """A scene whose keypoints are no farther off needs no warning, however its clicks lie."""
@@ -302,6 +305,13 @@ def print_row(fault: str, per: int, tally: Tally) -> None:
     for (_, told), count in tally.verdicts.items():
         counts[told] += count
     runs = sum(counts.values())
+    if fault == "clean":
+        record(
+            "click_faults", f"{per} per keypoint: false alarms", counts["alarm"] / runs, "share", asked=0.02
+        )
+    else:
+        work = f"{fault}, {per} per keypoint: right statements"
+        record("click_faults", work, counts["right"] / runs, "share", asked=0.95, more_is_better=True)
     ms = 1e3 * np.array(tally.seconds or [np.nan])
     others = ", ".join(f"{told} {n}" for told, n in counts.most_common() if told != "right")
     print(
@@ -320,13 +330,11 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("workspaces", type=Path, nargs="+")
+    parser.add_argument("workspaces", type=Path, nargs="*")
     parser.add_argument("--faults", default=",".join(FAULTS))
     parser.add_argument("--clicks", default="1,3")
-    parser.add_argument("--runs", type=int, default=100)
+    parser.add_argument("--runs", type=int, default=shared(100, least=20))
     parser.add_argument("--seed", type=int, default=0)
     asked = parser.parse_args()
-    main(
-        asked.workspaces, asked.faults.split(","), [int(n) for n in asked.clicks.split(",")], asked.runs,
-        asked.seed,
-    )  # fmt: skip
+    counts = [int(n) for n in asked.clicks.split(",")]
+    main(asked.workspaces or [DEMO], asked.faults.split(","), counts, asked.runs, asked.seed)

@@ -19,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 from playwright.sync_api import Page, sync_playwright
+from rows import record
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "browser"))
 from conftest import FLAGS, chromium
@@ -180,6 +181,9 @@ def main(data: Path, folder: Path) -> None:
     print("ours     ", described(person.count))
     print("original ", described(theirs), "and its waiting (SLSQP, region growing)")
     print(f"ratio of actions {sum(theirs.values()) / sum(person.count.values()):.2f}")
+    ours, originals = sum(person.count.values()), sum(theirs.values())
+    record("desk_session", "actions to the labels", ours, "", baseline=("the paper's program", originals))
+    record("desk_session", "error of the labels", float(errors_px.mean()), "px")
     frames = sum(len(poses) for poses in cube.poses.values())
     print(f"{len(errors_px)} of {frames} frames labelled; against the truth", end=": ")
     print(f"mean {errors_px.mean():.2f} px, worst frame {errors_px.max():.2f} px")

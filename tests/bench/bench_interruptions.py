@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from rows import record, shared
 
 from training.runs.callbacks import Steps
 from training.runs.options import DetectorNetwork, Learning, Machine, MaskNetwork, Network
@@ -121,6 +122,8 @@ def measure(train: Callable[[Path, Path], None], coco: Path, folder: Path, *, ru
         moments.append("+".join(str(step) for step, code in zip(at, deaths, strict=True) if code < 0))
         killed(train, coco, out, None)
         same += equal(wanted, weights(out))
+    work = f"{train.__name__}: killed runs that end with equal weights"
+    record("interruptions", work, same / runs, "share", asked=1.0, more_is_better=True)
     said = f"{same} of {runs} killed runs end with equal weights (asked {runs})"
     print(f"{train.__name__:10s} {steps} steps, killed before step {', '.join(moments)}: {said}", flush=True)
 
@@ -129,7 +132,7 @@ def main() -> None:
     """Print one line per training."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("data", type=Path, nargs="?", default=ROOT / "workspaces/demo/export/coco")
-    parser.add_argument("--runs", type=int, default=5, help="runs that are killed, per training")
+    parser.add_argument("--runs", type=int, default=shared(5), help="runs that are killed, per training")
     parser.add_argument("--kills", type=int, default=2, help="how often each is killed, at most")
     parser.add_argument("--images", type=int, default=24, help="images of the export that are trained on")
     told = parser.parse_args()

@@ -26,7 +26,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import open3d as o3d
-from rows import record
+from rows import record, shared
 
 from rpl_data.geometry import from_rotvec, invert, project, transform
 from rpl_data.images import depth_reader, read_depth_m
@@ -285,4 +285,4 @@ def _areas(found: list[FrameLabel]) -> Iterator[int]:
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 10_000)
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else shared(10_000, least=1_000))

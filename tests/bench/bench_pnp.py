@@ -111,7 +111,8 @@ class Score:
 
 
 def score(solve: Callable[[Case], Pose], given: list[Case]) -> Score:
-    """Errors, and CPU time a pose."""
+    """Errors, and CPU time per pose; the first call, which may compile, is not counted."""
+    solve(given[0])
     started = time.process_time()
     poses = [solve(case) for case in given]
     cpu_us = (time.process_time() - started) / len(given) * 1e6
@@ -147,7 +148,7 @@ def table(poses: int) -> dict[str, tuple[Score, Score, Score]]:
 
 
 def main() -> None:
-    """Print the table and the two ratios asked for."""
+    """Print the table and the ratios asked for."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--poses", type=int, default=1000)
     cv2.setNumThreads(1)
@@ -164,15 +165,34 @@ def main() -> None:
             f"| {none.ok:.3f} | {none.cpu_us:.0f} | {one.ok:.3f} ({one.cpu_us:.0f}) "
             f"| {two.ok:.3f} ({two.cpu_us:.0f}) |"
         )
-    mine, told = found["ours consensus, refined"][2], found["told the right ones: SQPnP + LM"][2]
-    known = found["OpenCV RANSAC EPnP + LM"][2]
-    told_one = ("SQPnP + LM told the right ones", told.ok)
+    record_ratios(found["ours consensus, refined"], found)
+
+
+def record_ratios(mine: tuple[Score, ...], found: dict[str, tuple[Score, Score, Score]]) -> None:
+    """Keep ours beside RANSAC EPnP + LM for each number of wrong keypoints, and beside the told solver."""
+    told = found["told the right ones: SQPnP + LM"][2]
+    named = ("SQPnP + LM told the right ones", told.ok)
     record(
-        "pnp", "2 of 8 wrong: successes", mine.ok, "share", baseline=told_one, asked=0.99, more_is_better=True
+        "pnp", "2 of 8 wrong: successes", mine[2].ok, "share", baseline=named, asked=0.99, more_is_better=True
     )
-    record("pnp", "2 of 8 wrong", mine.cpu_us, "us", baseline=("RANSAC EPnP + LM", known.cpu_us), asked=1.0)
-    print(f"2 wrong: {mine.ok / told.ok:.3f} of the successes of the told solver (asked 0.99)")
-    print(f"2 wrong: {mine.cpu_us / known.cpu_us:.2f} of the time of RANSAC EPnP + LM (asked 1)")
+    print(f"2 wrong: {mine[2].ok / told.ok:.3f} of the successes of the told solver (asked 0.99)")
+    for wrong, (ours_, known) in enumerate(zip(mine, found["OpenCV RANSAC EPnP + LM"], strict=True)):
+        work = f"{wrong} of 8 wrong"
+        ok, us = ("RANSAC EPnP + LM", known.ok), ("RANSAC EPnP + LM", known.cpu_us)
+        record(
+            "pnp",
+            f"{work}: successes beside RANSAC",
+            ours_.ok,
+            "share",
+            baseline=ok,
+            asked=1.0,
+            more_is_better=True,
+        )
+        record("pnp", work, ours_.cpu_us, "us", baseline=us, asked=1.0 if wrong == 2 else None)
+        print(
+            f"{wrong} wrong: {ours_.cpu_us / known.cpu_us:.2f} of the time of RANSAC EPnP + LM, "
+            f"{ours_.ok / known.ok:.3f} of its successes (asked with 2 wrong: at most 1, at least 1)"
+        )
 
 
 if __name__ == "__main__":

@@ -24,6 +24,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from rows import record
+
 ROOT = Path(__file__).parents[2]
 RPL = [sys.executable, "-m", "rpl_data.cli"]
 
@@ -94,6 +96,7 @@ def read_through(store: Any, recording: Path, scratch: Path) -> None:
     third_s, status, said = run(told)
     assert status == 0, said
     assert "copied" not in said
+    _record("recording", same, known, copied, total)
     print(
         f"recording: {total} files; killed after {known} ({first_s:.1f} s), then {copied} more "
         f"({second_s:.1f} s), then none ({third_s:.1f} s); bytes {'equal' if same else 'DIFFER'}"
@@ -118,10 +121,17 @@ def write_through(store: Any, workspace: Path) -> None:
     same = there == digests(workspace / "export/coco") == {name: mark[1] for name, mark in listed.items()}
     third_s, status, said = run(told)
     assert "s3://lab/out/coco: 0 files copied" in said, said
+    _record("export", same, known, copied, total)
     print(
         f"export: {total} files; killed after {known} ({first_s:.1f} s), then {copied} more "
         f"({second_s:.1f} s), then none ({third_s:.1f} s); bytes {'equal' if same else 'DIFFER'}"
     )
+
+
+def _record(what: str, same: bool, known: int, copied: int, total: int) -> None:
+    """Keep whether all bytes are equal, and how many files were copied twice because of the kill."""
+    record("s3", f"{what}: bytes equal after a kill", float(same), "share", asked=1.0, more_is_better=True)
+    record("s3", f"{what}: copied twice because of a kill", known + copied - total, "files", asked=64)
 
 
 def main() -> None:

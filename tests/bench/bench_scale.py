@@ -32,6 +32,7 @@ from pathlib import Path
 from typing import Any
 
 import psutil
+from rows import record, shared
 
 RPL = [sys.executable, "-m", "rpl_data.cli"]
 LOOK_EVERY_S = 0.25
@@ -325,11 +326,24 @@ class Runs:
         lost = (
             "" if "lost_s" not in more else f"  lost {more['lost_s']:.1f} s, {more['lost_cpu_s']:.1f} CPU s"
         )
+        self._record(name, row, same)
         print(
             f"{name:22s} {cost.wall_s:7.1f} s  CPU {cost.cpu_s:7.1f} s  peak {cost.peak_mb:6.0f} MB  "
             f"status {cost.status}  {made} {same}{lost}",
             flush=True,
         )
+
+    def _record(self, name: str, row: dict[str, Any], same: str) -> None:
+        """Keep a row's figures; all builds are compared with the first."""
+        kind, first = next(iter(self.rows.items()))
+        for key, unit in (("wall_s", "s"), ("cpu_s", "s CPU"), ("peak_mb", "MB")):
+            baseline = (kind, first[key]) if same else None
+            record("scale", f"{name}: {key}", row[key], unit, baseline=baseline)
+        if same:
+            equal = float(same == "same bytes")
+            record("scale", f"{name}: same bytes", equal, "share", asked=1.0, more_is_better=True)
+        if "lost_cpu_s" in row:
+            record("scale", f"{name}: lost by the kill", row["lost_cpu_s"], "s CPU")
 
     def serial(self) -> None:
         """One process."""
@@ -396,6 +410,37 @@ class Runs:
         return {"lost_s": cost.wall_s - row["wall_s"], "lost_cpu_s": cost.cpu_s - row["cpu_s"]}
 
 
+def doctor_cost_s(scene: Path, camera: Path, folder: Path, frames: int) -> float:
+    """CPU seconds that the doctor takes for a scene of so many frames."""
+    from rpl_data.doctor.examine import examine
+    from rpl_data.recordings.open import open_scenes
+
+    shutil.rmtree(folder, ignore_errors=True)
+    lengthen(scene, folder / "long", frames)
+    shutil.copy(camera, folder)
+    (recording,) = open_scenes(folder, "rpl", metres_per_unit=0.001)
+    started = time.process_time()
+    examine(recording)
+    return time.process_time() - started
+
+
+def doctor(short: Path, folder: Path, runs: Runs, told: argparse.Namespace) -> None:
+    """Keep how the doctor's cost grows with the frames, and what share of a build it and drift would be."""
+    scene, camera = next(short.glob("*/associations.txt")).parent, short / "camera.txt"
+    doctor_cost_s(scene, camera, folder / "doctor", 30)  # the first time, packages are loaded
+    few, many = (doctor_cost_s(scene, camera, folder / "doctor", frames) for frames in (100, 3000))
+    record("scale", "doctor, 3,000 frames", many, "s CPU", baseline=("100 frames", few), asked=1.0)
+    print(f"doctor: {few:.1f} CPU s for 100 frames, {many:.1f} for 3,000")
+    if "serial" in runs.rows:
+        steps = json.loads((folder / "ws_serial/stages.json").read_text())
+        drift_s = sum(step["seconds"] for name, step in steps.items() if name.startswith("drift"))
+        both_s, build_s = drift_s + told.scenes * few, runs.rows["serial"]["cpu_s"]
+        work = f"doctor and drift, {told.frames // told.scenes} frames per scene: share of a build with both"
+        share = both_s / (build_s + told.scenes * few)
+        record("scale", work, share, "share", asked=0.1)
+        print(f"{work}: {share:.1%} ({drift_s:.1f} s drift, {told.scenes * few:.1f} s doctor)")
+
+
 def _sum(one: Cost, two: Cost) -> Cost:
     wall_s, cpu_s = one.wall_s + two.wall_s, one.cpu_s + two.cpu_s
     return Cost(wall_s, cpu_s, max(one.peak_mb, two.peak_mb), two.status)
@@ -410,7 +455,9 @@ def main() -> None:
     """Print one row per build, the costs by stage, and write both as JSON."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--recording", type=Path, help="a short recording in the format rpl, with clicks.csv")
-    parser.add_argument("--frames", type=int, default=600, help="frames of all scenes together")
+    parser.add_argument(
+        "--frames", type=int, default=shared(600, least=96), help="frames of all scenes together"
+    )
     parser.add_argument("--scenes", type=int, default=4)
     parser.add_argument("--kill-after", type=int, default=0, help="steps done before a kill; half when 0")
     parser.add_argument("--folder", type=Path, help="where to work; a temporary folder when left out")
@@ -439,6 +486,7 @@ def built(told: argparse.Namespace, short: Path, folder: Path) -> dict[str, Any]
     for kind in told.only:
         at = (told.kill_after or 2 + 2 * told.scenes,)
         getattr(runs, kind)(*(at if kind.startswith("kill") else ()))
+    doctor(short, folder, runs, told)
     megabytes = sizes(folder / f"ws_{told.only[0]}")
     print("MB:", {name: round(size, 2) for name, size in megabytes.items()})
     return {"runs": runs.rows, "megabytes": megabytes}

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from rows import record
+from rows import record, shared
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
@@ -95,4 +95,4 @@ def main(count: int) -> None:
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 9_000)
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else shared(9_000, least=3_000))

@@ -27,6 +27,11 @@ USUAL_SPREAD = 0.15
 """Of a time that was measured once, as a share of it."""
 
 
+def shared(whole: int, *, least: int = 1) -> int:
+    """Of so many repetitions the share that RPL_BENCH_SHARE names, all without it."""
+    return max(min(whole, least), round(whole * float(os.environ.get("RPL_BENCH_SHARE", "1"))))
+
+
 @dataclass(frozen=True)
 class Row:
     """A figure.
@@ -95,6 +100,7 @@ def run_described() -> dict[str, Any]:
         "machine": model or platform.processor(),
         "cores": len(os.sched_getaffinity(0)),
         "load": os.getloadavg()[1],
+        "share": float(os.environ.get("RPL_BENCH_SHARE", "1")),
         "python": platform.python_version(),
         "packages": {name: version(name) for name in PACKAGES},
     }
@@ -122,9 +128,9 @@ def compared(before: Sequence[Row], after: Sequence[Row]) -> list[str]:
     for key in old.keys() & new.keys():
         a, b = old[key], new[key]
         if a.ratio is not None and b.ratio is not None:
-            gain, said = b.ratio / a.ratio, f"ratio {a.ratio:.2f} -> {b.ratio:.2f}"
+            gain, said = _over(b.ratio, a.ratio), f"ratio {a.ratio:.2f} -> {b.ratio:.2f}"
         else:
-            gain = b.value / a.value if b.more_is_better else a.value / b.value
+            gain = _over(b.value, a.value) if b.more_is_better else _over(a.value, b.value)
             said = f"{a.value:.4g} -> {b.value:.4g} {b.unit}"
         if abs(np.log(gain)) > np.log1p(a.spread + b.spread):
             word = "better" if gain > 1 else "worse"
@@ -134,21 +140,31 @@ def compared(before: Sequence[Row], after: Sequence[Row]) -> list[str]:
     return sorted(lines, reverse=True)
 
 
+def _over(one: float, other: float) -> float:
+    """A quotient; a figure of 0, such as of no false alarm, counts as almost 0."""
+    return max(one, 1e-3) / max(other, 1e-3)
+
+
 def read_rows(kept: Path) -> list[Row]:
     """The rows of a run that was kept."""
     return [Row(**row) for row in json.loads(kept.read_text(encoding="utf-8"))["rows"]]
 
 
+def table(rows_file: Path, kept: Path) -> None:
+    """Print all rows of a run, and keep them with machine and commit."""
+    lines = rows_file.read_text(encoding="utf-8").splitlines() if rows_file.exists() else []
+    rows = [Row(**json.loads(line)) for line in lines]
+    print(printed(rows))
+    content = {"run": run_described(), "rows": [asdict(row) for row in rows]}
+    kept.parent.mkdir(parents=True, exist_ok=True)
+    kept.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    print(f"kept in {kept}")
+
+
 def main(command: str, first: str, second: str) -> None:
     """Print a table or a comparison."""
     if command == "table":
-        lines = Path(first).read_text(encoding="utf-8").splitlines() if Path(first).exists() else []
-        rows = [Row(**json.loads(line)) for line in lines]
-        print(printed(rows))
-        kept = {"run": run_described(), "rows": [asdict(row) for row in rows]}
-        Path(second).parent.mkdir(parents=True, exist_ok=True)
-        Path(second).write_text(json.dumps(kept, indent=1) + "\n", encoding="utf-8")
-        print(f"kept in {second}")
+        table(Path(first), Path(second))
     elif command == "compare":
         for name in (first, second):
             run = json.loads(Path(name).read_text(encoding="utf-8"))["run"]

@@ -26,7 +26,7 @@ from rpl_data.formats.datasets.coco import (
     writing_coco,
 )
 from rpl_data.formats.datasets.coco_batch import sound_annotations, sound_images
-from rpl_data.formats.datasets.coco_parts import read_packed
+from rpl_data.formats.datasets.coco_parts import ByImage, read_packed
 from rpl_data.geometry import from_rotvec
 from rpl_data.types import DataError, Frame, FrameLabel, InstanceLabel, Symmetries, SymmetryAxis
 
@@ -238,6 +238,12 @@ def test_a_packed_file_is_the_same_dataset(data, tmp_path, monkeypatch):
         assert packed["images"][1] == {"id": 2, "scene": "desk"} and len(packed["images"]) == 3
         with pytest.raises(IndexError):
             packed["images"][3]
+        by_image: dict[int, list] = {}
+        for annotation in data["annotations"]:
+            by_image.setdefault(annotation["image_id"], []).append(annotation)
+        assert dict(ByImage(packed["annotations"])) == by_image
+        doubled = ByImage(packed["annotations"], data["annotations"])
+        assert dict(doubled) == {key: own + own for key, own in by_image.items()} and 99 not in doubled
     text = (tmp_path / "lines.json").read_text()
     (tmp_path / "damaged.json").write_text(text.replace('"truncated": false', '"truncated": 5'))
     with pytest.raises(DataError, match="annotation 1: truncated: 5 is neither true nor false"):

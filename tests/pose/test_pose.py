@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from itertools import combinations
 
+import cv2
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from rpl_data.geometry import invert, project, rays, rigid, rotation_angle_rad, transform
 from rpl_data.pose import correspondences
-from rpl_data.pose.algebra import cross, quartic_roots, small_rotations
 from rpl_data.pose.depth import depths_at
 from rpl_data.pose.errors import INFINITE, pose_errors
 from rpl_data.pose.estimate import PoseEstimate, PoseFailure, estimate_pose
+from rpl_data.pose.minimize import move, write_normal_equations
 from rpl_data.pose.p3p import poses_from_triples
+from rpl_data.pose.quartic import quartic_roots
 from rpl_data.pose.refine import covariance_of, nearest_to_depth, refined, with_own_depth
 from rpl_data.types import Intrinsics
 
@@ -113,7 +115,7 @@ def test_covariance_is_that_of_the_estimates():
     for _ in range(400):
         pixels = seen(pose, points) + rng.multivariate_normal(np.zeros(2), covariance_px, 8)
         noisy = correspondences(points, pixels, CAMERA, covariance_px=np.tile(covariance_px, (8, 1, 1)))
-        found = refined(pose[None], noisy, robust=False)[0]
+        found = refined(pose, noisy, robust=False)
         turn = Rotation.from_matrix(found[:3, :3] @ pose[:3, :3].T).as_rotvec()
         off.append([*turn, *(found[:3, 3] - pose[:3, 3])])
     distances = np.einsum("ni,ij,nj->n", off, np.linalg.inv(expected), off)
@@ -224,21 +226,69 @@ def test_every_triple_holds_the_pose():
     np.testing.assert_allclose(products, np.broadcast_to(np.eye(3), products.shape), atol=1e-9)
 
 
+def test_triples_against_opencv():
+    """Every pose that OpenCV finds for three points is found, also where noise moves them."""
+    rng = np.random.default_rng(0)
+    for _ in range(40):
+        at = np.array([*rng.uniform(-0.1, 0.1, 2), rng.uniform(0.5, 1.0)])
+        points, pose = rng.uniform(-0.1, 0.1, (3, 3)), rigid(Rotation.random(rng=rng).as_matrix(), at)
+        seen_at = project(CAMERA, transform(pose, points)) + rng.normal(0, 2, (3, 2))
+        found = poses_from_triples(points[None], rays(CAMERA, seen_at)[None])
+        _, rotvecs, shifts = cv2.solveP3P(points, seen_at, CAMERA.matrix, None, flags=cv2.SOLVEPNP_AP3P)
+        for rotvec, shift in zip(rotvecs, shifts, strict=True):
+            other = rigid(cv2.Rodrigues(rotvec)[0], shift[:, 0])
+            if np.abs(project(CAMERA, transform(other, points)) - seen_at).max() < 1e-3:
+                assert np.abs(found - other).max(axis=(1, 2)).min() < 1e-4
+
+
+def test_degenerate_triples_are_left_out_or_finite():
+    _, points, pose = some_pose(2)
+    coincident = np.array([points[0], points[1], points[0]])
+    line = np.array([points[0], (points[0] + points[1]) / 2, points[1]])
+    for three in (coincident, line, np.zeros((3, 3)), np.full((3, 3), np.nan), 1e200 * points[:3]):
+        for directions in (rays(CAMERA, seen(pose, points[:3])), np.tile([0.1, 0.2, 1.0], (3, 1))):
+            found = poses_from_triples(three[None], directions[None])
+            assert found.shape[1:] == (4, 4) and np.isfinite(found).all()
+    assert len(poses_from_triples(coincident[None], rays(CAMERA, seen(pose, points[:3]))[None])) == 0
+
+
 def test_quartics_against_numpy():
     coefficients = np.random.default_rng(0).normal(size=(5, 100))
-    found = quartic_roots(*coefficients)
-    for mine, column in zip(found, coefficients.T, strict=True):
-        np.testing.assert_allclose(np.sort(mine), np.sort(np.roots(column[::-1]).real), atol=1e-6)
+    for column in coefficients.T:
+        found = np.sort(quartic_roots(*column.tolist()))
+        np.testing.assert_allclose(found, np.sort(np.roots(column[::-1]).real), atol=1e-6)
 
 
-def test_small_algebra():
-    rng = np.random.default_rng(0)
-    a, b = rng.normal(size=(2, 5, 3))
-    np.testing.assert_allclose(cross(a, b), np.cross(a, b))
-    turns = rng.normal(size=(5, 3)) * 1e-3
-    np.testing.assert_allclose(small_rotations(turns), Rotation.from_rotvec(turns).as_matrix(), atol=1e-9)
-    large = small_rotations(1e3 * turns)
-    np.testing.assert_allclose(large @ np.swapaxes(large, 1, 2), np.tile(np.eye(3), (5, 1, 1)), atol=1e-12)
+@pytest.mark.parametrize("robust", [False, True])
+def test_the_slope_is_that_of_the_cost(robust):
+    """By differences, along each of the six directions of a step, with and without depth."""
+    rng, points, pose = some_pose(6)
+    depth = transform(pose, points)[:, 2] + rng.normal(0, 0.02, 8)
+    depth[:3] = np.nan
+    whitening = np.tile([[0.5, 0.0], [0.2, 0.7]], (8, 1, 1))
+    focal = np.array([CAMERA.fx, CAMERA.fy])
+    given = (points, rng.normal(0, 20, (8, 2)), focal, whitening, depth, np.full(8, 0.01))
+    normal, slope, moved = np.empty((6, 6)), np.empty(6), pose.copy()
+    write_normal_equations(pose, given, robust, normal, slope)
+    for k, direction in enumerate(1e-6 * np.eye(6)):
+        costs = []
+        for step in (direction, -direction):
+            move(pose, step, moved)
+            costs.append(write_normal_equations(moved, given, robust, np.empty((6, 6)), np.empty(6)))
+        assert (costs[0] - costs[1]) / 2e-6 == pytest.approx(2 * slope[k], rel=1e-4, abs=1e-3)
+
+
+def test_steps_turn_poses():
+    rng, _, pose = some_pose(0)
+    moved = pose.copy()
+    for size in (1e-3, 1.0, 1e3):
+        step = size * rng.normal(size=6)
+        move(pose, step, moved)
+        np.testing.assert_allclose(moved[:3, :3] @ moved[:3, :3].T, np.eye(3), atol=1e-12)
+        np.testing.assert_allclose(moved[:3, 3], pose[:3, 3] + step[3:])
+        if size < 0.01:
+            turn = Rotation.from_rotvec(step[:3]).as_matrix()
+            np.testing.assert_allclose(moved[:3, :3], turn @ pose[:3, :3], atol=1e-9)
 
 
 def test_depth_brings_back_a_pose_that_keypoints_alone_put_far_away():

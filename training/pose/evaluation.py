@@ -16,8 +16,8 @@ from rpl_data.formats.datasets.coco import (
     instance_from_coco,
     intrinsics_from_coco,
     objects_from_coco,
-    read_coco,
 )
+from rpl_data.formats.datasets.coco_parts import read_packed
 from rpl_data.geometry import fit_rigid, project, transform
 from rpl_data.meshes import load_mesh, sampled
 from rpl_data.pose.errors import INFINITE, pose_errors
@@ -60,7 +60,7 @@ def true_objects(coco_json: Path, *, points: int = 1000) -> dict[str, TrueObject
         DataError: the export has no mesh of an object.
     """
     found = {}
-    for category, item in enumerate(objects_from_coco(read_coco(coco_json)), start=1):
+    for category, item in enumerate(objects_from_coco(read_packed(coco_json)), start=1):
         if item.mesh is None or not (coco_json.parent / item.mesh).exists():
             raise DataError(f"{coco_json}: {item.model.name} has no mesh; ADD needs one: export again")
         surface = sampled(load_mesh(coco_json.parent / item.mesh), count=points)
@@ -99,7 +99,7 @@ def evaluate(
         unreadable: counts the images that cannot be read, by message; they are left out. Without it the first
             of them is a DataError.
     """
-    data = read_coco(coco_json)
+    data = read_packed(coco_json)
     if unknown := set(pipeline.networks) - set(truth):
         raise DataError(
             f"{coco_json} has no {', '.join(sorted(unknown))}, which a checkpoint is of; it has "

@@ -231,7 +231,11 @@ def write_coco(path: Path, data: Json) -> None:
 
 
 def read_coco(path: Path) -> Json:
-    """Read and validate a file, which may be edited elsewhere; DataError when it is damaged or foreign."""
+    """Read and validate a file, which may be edited elsewhere; DataError when it is damaged or foreign.
+
+    100,000 annotations take 600 MB as dictionaries, which may be changed. What only reads them uses
+    `coco_parts.read_packed`.
+    """
     data = as_exported(read_fast(path), source=str(path))
     validate_coco(data, source=str(path))
     return data

@@ -73,8 +73,37 @@ class Packed(Sequence[Json]):
         return chain.from_iterable(orjson.loads(b"[" + block + b"]") for block in self._blocks)
 
 
-def read_packed(path: Path, keys: Mapping[str, Sequence[str]]) -> Json:
+class ByImage(Mapping[int, list[Json]]):
+    """Annotations by the id of their image, parsed when they are looked at; images without any are left out.
+
+    A change to an annotation is therefore lost.
+    """
+
+    def __init__(self, *lists: Sequence[Json]) -> None:
+        """Sort the annotations of all lists; those of an image keep their order."""
+        self._lists = lists
+        self._rows: dict[int, list[tuple[int, int]]] = {}
+        for number, entries in enumerate(lists):
+            for row, entry in enumerate(entries):
+                self._rows.setdefault(entry["image_id"], []).append((number, row))
+
+    def __getitem__(self, image_id: int) -> list[Json]:
+        """Parse the annotations of an image."""
+        return [self._lists[number][row] for number, row in self._rows[image_id]]
+
+    def __iter__(self) -> Iterator[int]:
+        """Ids of the images that have annotations."""
+        return iter(self._rows)
+
+    def __len__(self) -> int:
+        """How many images have annotations."""
+        return len(self._rows)
+
+
+def read_packed(path: Path, keys: Mapping[str, Sequence[str]] | None = None) -> Json:
     """Read and check a file as `coco.read_coco` does; its images and annotations are `Packed`.
+
+    For everything that only reads: the same content in half the memory.
 
     Args:
         keys: for "images", "annotations" and "crowds", the keys that are wanted; all where it says nothing.
@@ -82,7 +111,7 @@ def read_packed(path: Path, keys: Mapping[str, Sequence[str]]) -> Json:
     Raises:
         DataError: the file is damaged or foreign.
     """
-    source = str(path)
+    source, keys = str(path), keys or {}
     with collector_waiting():
         try:
             return _packed(path, source, keys)

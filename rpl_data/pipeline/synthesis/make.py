@@ -18,8 +18,9 @@ import numpy as np
 from rpl_data.export.folder import Filling, replacing
 from rpl_data.export.split import SplitName
 from rpl_data.files import write_bytes, write_json
-from rpl_data.formats.datasets.coco import CocoObject, header, image_to_coco, instance_to_coco, read_coco
+from rpl_data.formats.datasets.coco import CocoObject, header, image_to_coco, instance_to_coco
 from rpl_data.formats.datasets.coco_entries import writing_entries
+from rpl_data.formats.datasets.coco_parts import ByImage, read_packed
 from rpl_data.formats.recordings.saved_images import encoded
 from rpl_data.json_arrays import Json
 from rpl_data.meshes import save_mesh
@@ -194,7 +195,7 @@ def _write(
     for split in REST if job.mix else ():
         if (training.folder / f"{split}.json").exists():
             with writing_entries(building / f"{split}.json", top) as writer:
-                data = read_coco(training.folder / f"{split}.json")
+                data = read_packed(training.folder / f"{split}.json")
                 taken.append(_take(writer.add, building, training.folder, data, files))
     with writing_entries(building / "train.json", top) as writer:
         if job.mix:
@@ -222,15 +223,14 @@ def _take(
     add: Callable[[Json, list[Json]], None], building: Path, folder: Path, data: Json, files: Filling
 ) -> tuple[int, int]:
     """Take recorded images as they are; returns the highest ids of images and annotations."""
-    by_image: dict[int, list[Json]] = {}
-    for one in (*data["annotations"], *data.get("crowds", ())):
-        by_image.setdefault(one["image_id"], []).append(one)
+    by_image, last = ByImage(data["annotations"], data.get("crowds", ())), 0
     for image in data["images"]:
         for name in filter(None, (image["file_name"], image["depth_file_name"])):
             files.share(folder / name, building / name)
-        add(image | {"origin": "recorded"}, by_image.get(image["id"], []))
-    labels = (one["id"] for entries in by_image.values() for one in entries)
-    return max((image["id"] for image in data["images"]), default=0), max(labels, default=0)
+        entries = by_image.get(image["id"], [])
+        add(image | {"origin": "recorded"}, entries)
+        last = max((last, *(one["id"] for one in entries)))
+    return max((image["id"] for image in data["images"]), default=0), last
 
 
 def _objects(building: Path, studio: Studio, training: Training) -> list[CocoObject]:

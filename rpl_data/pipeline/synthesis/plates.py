@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float64
 
 from rpl_data.files import write_bytes
 from rpl_data.formats.datasets.coco import depth_unit_m, intrinsics_from_coco, visible_mask
+from rpl_data.formats.datasets.coco_parts import ByImage
 from rpl_data.formats.recordings.saved_images import encoded
 from rpl_data.geometry import Transform, invert
 from rpl_data.images import read_pixels
@@ -75,10 +76,8 @@ def make_plates(
         tables: by scene.
         ups: upward direction by scene, scene frame.
     """
-    by_image: dict[int, list[Json]] = {}
     # Regions that a person marked as ignored may show an object, too, which no label would name.
-    for one in (*training.data["annotations"], *training.data.get("crowds", ())):
-        by_image.setdefault(one["image_id"], []).append(one)
+    by_image = ByImage(training.data["annotations"], training.data.get("crowds", ()))
     by_scene: dict[str, list[Json]] = {}
     for image in training.data["images"]:
         by_scene.setdefault(image["scene"], []).append(image)

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rpl_data.files import read_bytes
-from rpl_data.formats.datasets.coco import CocoObject, objects_from_coco, read_coco
+from rpl_data.formats.datasets.coco import CocoObject, objects_from_coco
+from rpl_data.formats.datasets.coco_parts import read_packed
 from rpl_data.json_arrays import Json
 from rpl_data.torch.splits import scenes_of
 from rpl_data.types import DataError
@@ -22,7 +23,7 @@ class Training:
         folder: the export.
         objects: all of the export's, in the order of their categories.
         scenes: the recordings that its images are of.
-        data: the file.
+        data: the file; its annotations are parsed when they are looked at.
         digest: stands for its content.
     """
 
@@ -61,7 +62,8 @@ def training_split(workspace: Workspace) -> Training:
             f"{workspace.root} has no labels to make views of: there is no {file}; run "
             f"`rpl export --workspace {workspace.root}` first"
         )
-    data = read_coco(file)
+    data = read_packed(file)
+    data["images"] = list(data["images"])  # gone through more than once
     if not data["annotations"]:
         raise DataError(f"{file} has no labels to make views of; label some frames, and export again")
     scenes = {image["scene"] for image in data["images"]}
