@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from inspect import unwrap
-from typing import Any
+from typing import TypeVar, cast
 
 from numba import njit
 
+Function = TypeVar("Function", bound=Callable[..., object])
 
-def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
+
+def compiled(function: Function) -> Function:
     """Compile a function at its first call, without bounds checks; a division by zero gives infinity.
 
     The compiled code is kept for the next process, beside the source or in the user's cache folder. Where
@@ -17,7 +19,7 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     """
     plain = unwrap(function)  # the tests check the types of arguments
     try:
-        kept: Callable[..., Any] = njit(plain, cache=True, error_model="numpy")
+        kept = njit(plain, cache=True, error_model="numpy")
     except RuntimeError:  # numba finds no folder to write to
         kept = njit(plain, error_model="numpy")
-    return kept
+    return cast(Function, kept)

@@ -131,8 +131,8 @@ def outline_of(mask: MaskPatch, usable: MaskPatch, depth_m: DepthPatch, window: 
     contours, _ = cv2.findContours(mask.view(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
     points = np.concatenate([contour[:, 0] for contour in contours])
     smooth = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), 2)
-    inwards = [cv2.Scharr(smooth, cv2.CV_32F, *axis) for axis in ((1, 0), (0, 1))]
-    spread = spread_over(points, usable, MOST_POINTS, *inwards, depth_m)
+    across, down = (cv2.Scharr(smooth, cv2.CV_32F, *axis) for axis in ((1, 0), (0, 1)))
+    spread = spread_over(points, usable, MOST_POINTS, across, down, depth_m)
     corner = [window[1].start, window[0].start]
     return Outline(spread[:, :2] + corner, spread[:, 2:4], spread[:, 4])
 

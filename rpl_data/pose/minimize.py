@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from rpl_data.compiled import compiled
 from rpl_data.geometry import NEAREST_M
-from rpl_data.pose.compiling import compiled
 
 ROBUST_SCALE = 3.0
 """Residuals beyond this many standard deviations lose weight fastest (Geman-McClure)."""

@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from rpl_data.pose.compiling import Vector, compiled, cross, difference, dot, normalized, scaled
+from rpl_data.compiled import compiled
 from rpl_data.pose.quartic import quartic_roots
+from rpl_data.pose.vectors import Vector, cross, difference, dot, normalized, scaled
 
 
 def poses_from_triples(

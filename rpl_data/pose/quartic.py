@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rpl_data.pose.compiling import compiled
+from rpl_data.compiled import compiled
 
 
 @compiled

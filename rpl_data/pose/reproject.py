@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from rpl_data.compiled import compiled
 from rpl_data.geometry import NEAREST_M
-from rpl_data.pose.compiling import compiled
 from rpl_data.pose.minimize import cost_and_weight, turned
 
 

@@ -1,24 +1,13 @@
-"""Compile functions with numba, and vectors of three numbers for them; importing this module imports numba.
+"""Vectors of three numbers for compiled code; importing this module imports numba.
 
 A pose takes a fraction of a millisecond, most of which numpy would spend on the overhead of small arrays.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from inspect import unwrap
-from typing import TypeVar, cast
+from rpl_data.compiled import compiled
 
-from numba import njit
-
-Function = TypeVar("Function", bound=Callable[..., object])
 Vector = tuple[float, float, float]
-
-
-def compiled(function: Function) -> Function:
-    """Compile a function, once for all processes; division by 0 gives infinity or NaN, as in numpy."""
-    # Unwrapped, since the tests check the types of arguments.
-    return cast(Function, njit(cache=True, error_model="numpy")(unwrap(function)))
 
 
 @compiled
