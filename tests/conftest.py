@@ -102,3 +102,24 @@ def plain_build(tiny_workspace: Workspace, tmp_path_factory: pytest.TempPathFact
         (folder / "said.json").write_text(json.dumps(said))
 
     return made_once(tmp_path_factory, "plain", make)
+
+
+@pytest.fixture(scope="session")
+def known_model(tiny_workspace: Workspace, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """As `plain_build`, but until the dense model only, and without any click in scene 02.
+
+    Those clicks are in `later.csv`. Only for `moved_copy`.
+    """
+
+    def make(folder: Path) -> None:
+        from rpl_data.pipeline.build import build
+        from rpl_data.pipeline.recipe_file import load_recipe
+
+        shutil.copytree(tiny_workspace.recording, folder / "recording")
+        clicks = folder / "recording" / "clicks.csv"
+        heading, *rows = clicks.read_text().splitlines(keepends=True)
+        clicks.write_text(heading + "".join(row for row in rows if ",02," not in row))
+        (folder / "later.csv").write_text(heading + "".join(row for row in rows if ",02," in row))
+        build(load_recipe(plain_recipe(folder)), Workspace(folder / "ws"), until="segment", workers=1)
+
+    return made_once(tmp_path_factory, "known", make)
