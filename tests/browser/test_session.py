@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from driving import Server, clicks, place, saved
+from driving import Server, clicks, place, saved, wait_until
 from playwright.sync_api import Page, expect
 from pycocotools.coco import COCO
 
@@ -19,20 +19,10 @@ STATE = """async () => {
         stale: app.result?.revision !== app.state?.revision || app.result.checking };
 }"""
 
-PRESS = """async ([key, offered]) => {
-    const { app } = await import("/static/state/store.js");
+PRESS = """({ app }, [key, offered]) => {
     if (![app.next?.action, app.next?.view].includes(offered)) return false;
     document.body.dispatchEvent(new KeyboardEvent("keydown", { key, bubbles: true }));
     return true;
-}"""
-
-DONE = """async () => {
-    const { app } = await import("/static/state/store.js");
-    if (app.next?.text.startsWith("done")) return true;
-    // A result that was still on its way may bring the step back, unmade.
-    if (app.next?.action === "export")
-        document.body.dispatchEvent(new KeyboardEvent("keydown", { key: "g", bubbles: true }));
-    return false;
 }"""
 
 Truth = dict[tuple[str, int], InstanceLabel]
@@ -96,7 +86,7 @@ def mark_as_advised(page: Page, server: Server, truth: Truth) -> int:
 
 def press_when(page: Page, key: str, offered: str) -> None:
     """Press a key in the very moment in which the next step offers this: G waits while clicks are checked."""
-    page.wait_for_function(PRESS, arg=[key, offered])
+    wait_until(page, PRESS, arg=[key, offered])
 
 
 def test_a_session_from_no_click_to_the_dataset(
@@ -119,7 +109,7 @@ def test_a_session_from_no_click_to_the_dataset(
     page.get_by_label("export frame 2").uncheck()
     expect(page.locator("#sheet figure.out")).to_have_count(1)
     press_when(page, "g", "export")
-    page.wait_for_function(DONE, polling=2000, timeout=180_000)
+    expect(page.locator("#next-text")).to_contain_text("done", timeout=180_000)
     check_dataset(Workspace(server.workspace), truth)
 
 
