@@ -7,10 +7,11 @@ STAMP := .venv/.made-from-constraints
 demo: $(STAMP)
 	.venv/bin/rpl build datasets/demo.yaml --workspace workspaces/demo
 
-# Two processes on two cores: more threads would only wait for one another. Bytecode is kept, so that not every
-# process compiles everything anew.
+# Two processes on two cores: more threads would only wait for one another. Each takes whole files, in their order,
+# so that none makes what the tests of a file share a second time. Bytecode is kept, so that not every process
+# compiles everything anew.
 test: $(STAMP)
-	PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 .venv/bin/python -m pytest -n 2 tests
+	PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 .venv/bin/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder tests
 
 # All benchmarks, one after the other, then `make attack`; the figures are printed once more at the end and kept with
 # machine, versions and commit in runs/bench/, a file per run. SHARE is the share of their repetitions that those

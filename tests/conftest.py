@@ -24,6 +24,8 @@ from built_once import made_once, moved_copy, plain_recipe  # noqa: E402
 from rpl_data.workspace.workspace import Workspace  # noqa: E402
 
 TINY = Path(__file__).parent / "tiny.yaml"
+NEEDS_NONE = "test_doctor.py"
+"""A file of tests that takes longer than building the tiny workspace, which it does not need."""
 gc.set_threshold(100_000, 20, 20)  # a collection walks all modules, and the tests import many
 
 
@@ -33,7 +35,12 @@ def pytest_collection_finish() -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item], config: pytest.Config) -> None:
-    """Tests on real recordings run where RPL_REAL_DATA points at them; elsewhere they are deselected."""
+    """Tests on real recordings run where RPL_REAL_DATA points at them; elsewhere they are deselected.
+
+    Of two processes, one builds the tiny workspace while the other takes a file that needs none.
+    """
+    first = items[0].path if items else None
+    items.sort(key=lambda item: 0 if item.path == first else 1 if item.path.name == NEEDS_NONE else 2)
     if "RPL_REAL_DATA" in os.environ:
         return
     real = [item for item in items if "real_data" in getattr(item, "fixturenames", ())]
@@ -102,3 +109,24 @@ def plain_build(tiny_workspace: Workspace, tmp_path_factory: pytest.TempPathFact
         (folder / "said.json").write_text(json.dumps(said))
 
     return made_once(tmp_path_factory, "plain", make)
+
+
+@pytest.fixture(scope="session")
+def known_model(tiny_workspace: Workspace, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """As `plain_build`, but until the dense model only, and without any click in scene 02.
+
+    Those clicks are in `later.csv`. Only for `moved_copy`.
+    """
+
+    def make(folder: Path) -> None:
+        from rpl_data.pipeline.build import build
+        from rpl_data.pipeline.recipe_file import load_recipe
+
+        shutil.copytree(tiny_workspace.recording, folder / "recording")
+        clicks = folder / "recording" / "clicks.csv"
+        heading, *rows = clicks.read_text().splitlines(keepends=True)
+        clicks.write_text(heading + "".join(row for row in rows if ",02," not in row))
+        (folder / "later.csv").write_text(heading + "".join(row for row in rows if ",02," in row))
+        build(load_recipe(plain_recipe(folder)), Workspace(folder / "ws"), until="segment", workers=1)
+
+    return made_once(tmp_path_factory, "known", make)

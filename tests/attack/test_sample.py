@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -20,15 +21,16 @@ def faults(counts: Counter[str]) -> dict[str, int]:
 
 def test_parsers_answer_or_refuse(tmp_path: Path) -> None:
     said: list[str] = []
-    counts = parsers.attack(tmp_path, 50, said.append)
+    counts = parsers.attack(tmp_path, 35, said.append)
     assert not faults(counts), said
-    assert sum(counts.values()) > 750
+    assert sum(counts.values()) > 525
 
 
 def test_the_server_answers_what_no_page_asks(tiny_workspace: Workspace, tmp_path: Path) -> None:
     shutil.copytree(tiny_workspace.root, tmp_path / "ws")
     said: list[str] = []
-    counts = server.attack(tmp_path / "ws", 150, 50, said.append)
+    with ThreadPoolExecutor(1) as own:  # after tests of the page, an event loop runs in this thread
+        counts = own.submit(server.attack, tmp_path / "ws", 150, 50, said.append).result()
     assert not faults(counts), said
     assert counts["annotation server: 4xx"] > 100
 
@@ -47,4 +49,4 @@ def test_the_judge_sees_a_fault(code: str, kind: str) -> None:
         exec(code)
         return "same"
 
-    assert ended(work, limit_s=1).kind == kind
+    assert ended(work, limit_s=1 if kind == "hang" else 30).kind == kind

@@ -87,6 +87,15 @@ def is_ours(url: str, server: Server | ServerHere) -> bool:
     return url.startswith((server.url, "data:", "blob:"))
 
 
+def wait_until(page: Page, condition: str, *, arg: Any = None, timeout_ms: float = 30_000) -> None:
+    """Wait until a condition `({ app }, arg) => ...` on the page's state holds.
+
+    It may not be async: Playwright takes the promise for a yes.
+    """
+    page.evaluate("async () => { window.store = await import('/static/state/store.js'); }")
+    page.wait_for_function(f"(arg) => ({condition})(window.store, arg)", arg=arg, timeout=timeout_ms)
+
+
 def view(page: Page) -> dict[str, float]:
     """Zoom, and where the image's corner is in the page."""
     return page.evaluate(

@@ -11,7 +11,7 @@ import tempfile
 from pathlib import Path
 
 from conftest import FLAGS, chromium
-from driving import SHOWN, Server, on_page, saved, toured
+from driving import SHOWN, Server, on_page, saved, toured, wait_until
 from playwright.sync_api import Page, expect, sync_playwright
 
 from rpl_data.clicks.log import click_event
@@ -22,8 +22,7 @@ from rpl_data.workspace.workspace import Workspace
 
 OBJECT = "kettle"
 PATIENT_MS = 600_000  # a build
-SETTLED = """async () => {
-    const { app } = await import("/static/state/store.js");
+SETTLED = """({ app }) => {
     return !app.waiting && app.result?.revision === app.state?.revision && !app.result.checking;
 }"""
 
@@ -158,7 +157,7 @@ def scene_of(page: Page) -> str:
 
 
 def picture(page: Page, path: Path) -> None:
-    page.wait_for_function(SETTLED, timeout=PATIENT_MS)
+    wait_until(page, SETTLED, timeout_ms=PATIENT_MS)
     page.wait_for_timeout(1500)  # pictures and 3D that are still on their way
     page.screenshot(path=path, type="jpeg", quality=82)
     print(path, f"{path.stat().st_size / 1e3:.0f} kB")

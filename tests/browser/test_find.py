@@ -6,18 +6,11 @@ import json
 from pathlib import Path
 
 import pytest
+from built_once import moved_copy
 from driving import SHOWN, ServerHere, place, toured
 from playwright.sync_api import Browser, Page, Route, expect
 
-from rpl_data.pipeline.build import build
-from rpl_data.pipeline.recipe_file import load_recipe
 from rpl_data.workspace.workspace import Workspace
-
-RECIPE = """
-name: tiny
-scenes: [{path: RECORDING, metres_per_unit: 0.001}]
-objects: [{name: carton, keypoints: [KEYPOINTS], clicks: clicks.csv}]
-"""
 
 REDRAWN = """async () => {
     const { change } = await import("/static/state/store.js");
@@ -26,16 +19,9 @@ REDRAWN = """async () => {
 
 
 @pytest.fixture
-def known(tiny_workspace: Workspace, tmp_path: Path) -> Workspace:
+def known(known_model: Path, tmp_path: Path) -> Workspace:
     """A workspace in which the carton has its dense model, and no click in scene 02."""
-    recording, names = tiny_workspace.recording, tiny_workspace.load_solution("carton").model.keypoints
-    rows = (recording / "clicks.csv").read_text().splitlines(keepends=True)
-    (tmp_path / "clicks.csv").write_text("".join(row for row in rows if ",02," not in row))
-    text = RECIPE.replace("RECORDING", str(recording)).replace("KEYPOINTS", ", ".join(names))
-    (tmp_path / "recipe.yaml").write_text(text)
-    workspace = Workspace(tmp_path / "ws")
-    build(load_recipe(tmp_path / "recipe.yaml"), workspace, until="segment", workers=1)
-    return workspace
+    return Workspace(moved_copy(known_model, tmp_path / "known") / "ws")
 
 
 def test_a_known_object_is_found_without_clicks(browser: Browser, known: Workspace) -> None:

@@ -15,15 +15,14 @@ from collections.abc import Callable
 from pathlib import Path
 
 from conftest import FLAGS, chromium
-from driving import SHOWN, Server, on_page, saved, toured
+from driving import SHOWN, Server, on_page, saved, toured, wait_until
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 from rpl_data.workspace.workspace import Workspace
 
 SIZES = ((1280, 720), (1920, 1080))
 PATIENT_MS = 180_000
-SETTLED = """async () => {
-    const { app } = await import("/static/state/store.js");
+SETTLED = """({ app }) => {
     return app.next && !app.waiting && app.result?.revision === app.state?.revision && !app.result.checking;
 }"""
 
@@ -60,7 +59,7 @@ def shoot_all(
     page.wait_for_selector(SHOWN)
     tour(page, shot)
     context.add_cookies([toured(server.url)])
-    page.wait_for_function(SETTLED, timeout=PATIENT_MS)
+    wait_until(page, SETTLED, timeout_ms=PATIENT_MS)
     for view in (marking, solid, sheet, dialogs):
         view(page, shot)
     page.goto((server.workspace / "report" / "index.html").as_uri())

@@ -25,7 +25,7 @@ from rpl_data.geometry import invert
 from rpl_data.recordings.mend import Mend, mended, mended_poses
 from rpl_data.types import Frame, Intrinsics, Recording, Trajectory
 
-FRAMES = 32
+FRAMES = 24
 
 
 @pytest.fixture(scope="module")

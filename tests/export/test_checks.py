@@ -23,6 +23,7 @@ from rpl_data.export import export_coco, export_linemod, export_ycb_video, expor
 from rpl_data.export.checks import CHECKS, check_export, dialect_of
 from rpl_data.export.checksums import NAME, keeping_edited, read_checksums, write_checksums
 from rpl_data.export.split import SplitRule
+from rpl_data.meshes import load_mesh, save_mesh, simplified
 from rpl_data.pipeline.stages.export import EXPORTS
 from rpl_data.workspace.workspace import Workspace
 
@@ -190,7 +191,12 @@ def test_a_built_workspace_gives_no_alarm_and_a_damaged_one_is_named(
     coco = tiny_workspace.export("coco")
     assert main(["check", str(coco.parent)]) == 0
     assert f"{coco}: coco: no fault was found" in capsys.readouterr().out
-    write_dialects(tmp_path / "export", coco, {name: 0.001 for name in tiny_workspace.labelled_scene_names()})
+    coarse = tmp_path / "coarse"
+    shutil.copytree(coco, coarse)
+    mesh = load_mesh(coarse / "meshes/carton.ply")  # a texture is laid on it twice: seconds for thousands
+    save_mesh(coarse / "meshes/carton.ply", simplified(mesh, most_triangles=300))
+    units = {name: 0.001 for name in tiny_workspace.labelled_scene_names()}
+    write_dialects(tmp_path / "export", coarse, units)
     chosen = tmp_path / "export/only_object-box"  # as `rpl export --object box` writes it
     shutil.copytree(coco, chosen / "coco")
     shutil.copytree(tmp_path / "export/yolo", chosen / "yolo")

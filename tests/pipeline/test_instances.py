@@ -48,7 +48,7 @@ label: {rate: all}
 def built(tmp_path_factory: pytest.TempPathFactory) -> Workspace:
     folder = tmp_path_factory.mktemp("several")
     (folder / "several.yaml").write_text(RECIPE)
-    build(load_recipe(folder / "several.yaml"), Workspace(folder / "ws"), workers=1)
+    build(load_recipe(folder / "several.yaml"), Workspace(folder / "ws"), until="export", workers=1)
     return Workspace(folder / "ws")
 
 
@@ -91,7 +91,13 @@ def test_one_object_marked_as_two_instances_is_said(built: Workspace) -> None:
 
 def test_a_build_that_is_up_to_date_stays_so(built: Workspace) -> None:
     told = []
-    build(load_recipe(built.recipe_file), built, workers=1, tell=lambda step: told.append(step.state))
+    build(
+        load_recipe(built.recipe_file),
+        built,
+        until="export",
+        workers=1,
+        tell=lambda step: told.append(step.state),
+    )
     assert set(told) == {"kept"}
 
 

@@ -19,7 +19,7 @@ def test_the_check_runs_in_little(
     tiny_workspace: Workspace, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "check.json"
-    gpu_check(tiny_workspace.export("coco"), "carton", epochs=8, steps=1, out=out, little=True)
+    gpu_check(tiny_workspace.export("coco"), "carton", epochs=5, steps=1, out=out, little=True)
     printed = capsys.readouterr().out
     for word in ("heatmaps", "hourglass", "Mask R-CNN", "poses in val", "poses in test", "loss of carton"):
         assert word in printed

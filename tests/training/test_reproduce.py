@@ -91,17 +91,17 @@ def test_a_careful_click_goes_to_the_nearest_pixel_that_measures_its_keypoint() 
 
 
 def test_drifting_trajectories_cost_accuracy_and_are_reproduced(
-    tiny_workspace: Workspace, tmp_path: Path
+    tiny_workspace: Workspace, whole: Row, tmp_path: Path
 ) -> None:
     command = ["table1", str(tiny_workspace.root), "--out", str(tmp_path), "--workers", "1"]
-    command += ["--baseline", "false", "--trajectories"]
-    assert main([*command, "[given, drifting]"]) == 0
-    given, drifting = rows_of(tmp_path)
-    assert drifting["trajectories"] == "drifting" and drifting["labels"] == given["labels"]
-    assert drifting["strict"]["error_2d_px"] > given["strict"]["error_2d_px"]
-    stages = tmp_path / "workspaces" / f"{given['workspace']}_drifting"
+    command += ["--baseline", "false", "--trajectories", "[drifting]"]
+    assert main(command) == 0
+    (drifting,) = rows_of(tmp_path)
+    assert drifting["trajectories"] == "drifting" and drifting["labels"] == whole.labels
+    assert drifting["strict"]["error_2d_px"] > whole.strict.error_2d_px
+    stages = tmp_path / "workspaces" / f"{whole.workspace}_drifting"
     before = (stages / "stages.json").read_text()
-    assert main([*command, "[drifting]"]) == 0
+    assert main(command) == 0
     assert rows_of(tmp_path) == [drifting]
     assert (stages / "stages.json").read_text() == before  # nothing was built again
 

@@ -105,7 +105,15 @@ def assert_same(one: dict[str, torch.Tensor], other: dict[str, torch.Tensor]) ->
     assert [key for key in one if not torch.equal(one[key], other[key])] == []
 
 
-@pytest.mark.parametrize(("epoch", "batch"), [(0, 1), (1, 0), (2, 2)])
+@pytest.mark.parametrize(
+    ("finished", "epoch", "batch"),
+    [
+        ("detector", 0, 1), ("detector", 1, 0), ("detector", 2, 2),
+        ("keypoints", 2, 2),  # its average of the weights goes on, too
+        ("masks", 1, 0),  # where the body begins to learn
+    ],
+    indirect=["finished"],
+)  # fmt: skip
 def test_interrupted_run_ends_with_the_same_weights(finished, coco, tmp_path, capsys, epoch, batch):
     train, straight = finished
     with interruption(epoch=epoch, batch=batch):
@@ -118,15 +126,9 @@ def test_interrupted_run_ends_with_the_same_weights(finished, coco, tmp_path, ca
         assert_same(weights(straight, name), weights(tmp_path, name))
 
 
-def test_weights_do_not_depend_on_worker_processes(finished, coco, tmp_path):
+def test_neither_a_pause_nor_worker_processes_change_the_weights_but_the_seed_does(finished, coco, tmp_path):
     train, straight = finished
-    train(coco, tmp_path, machine=replace(ONE, workers=1))
-    assert_same(weights(straight), weights(tmp_path))
-
-
-def test_a_pause_is_an_interruption_and_the_seed_matters(finished, coco, tmp_path):
-    train, straight = finished
-    train(coco, tmp_path / "paused", until=1)
+    train(coco, tmp_path / "paused", until=1, machine=replace(ONE, workers=1))
     assert trained_epochs(tmp_path / "paused" / "last.ckpt") == 1
     # Worker processes load the first batches early: of the epoch that follows, not of the first one.
     train(coco, tmp_path / "paused", resume=True, machine=replace(ONE, workers=1))
@@ -136,7 +138,7 @@ def test_a_pause_is_an_interruption_and_the_seed_matters(finished, coco, tmp_pat
     assert any(not torch.equal(first[key], second[key]) for key in first)
 
 
-def test_a_folder_with_a_run_is_continued_started_anew_or_refused(finished, coco, tmp_path, capsys):
+def test_a_folder_with_a_run_is_not_written_into(finished, coco):
     train, straight = finished
     with pytest.raises(
         DataError, match="holds a run that was trained for 3 epochs.*--resume true.*--overwrite"
@@ -144,6 +146,11 @@ def test_a_folder_with_a_run_is_continued_started_anew_or_refused(finished, coco
         train(coco, straight)
     with pytest.raises(DataError, match="choose one of them"):
         train(coco, straight, resume=True, overwrite=True)
+
+
+@pytest.mark.parametrize("finished", ["detector"], indirect=True)
+def test_a_folder_with_a_run_is_continued_or_started_anew(finished, coco, tmp_path, capsys):
+    train, straight = finished
     (tmp_path / "notes.txt").write_text("mine")
     train(coco, tmp_path, until=1, seed=1)
     train(coco, tmp_path, overwrite=True)
@@ -154,6 +161,7 @@ def test_a_folder_with_a_run_is_continued_started_anew_or_refused(finished, coco
     assert "trained for 3 epochs already" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("finished", ["detector", "masks"], indirect=True)
 def test_more_epochs_go_on_where_the_run_ended(finished, coco, tmp_path, capsys):
     train, _ = finished
     learning = CYCLE if train is not TRAININGS["masks"] else STAGED
@@ -279,6 +287,7 @@ def test_a_foreign_file_is_no_checkpoint(tmp_path):
             read_checkpoint(tmp_path / "file")
 
 
+@pytest.mark.parametrize("finished", ["detector"], indirect=True)
 @pytest.mark.parametrize("lost", ["epoch", "state_dict", "optimizer_states", "loops", "run", "callbacks"])
 def test_a_checkpoint_that_lost_a_part_is_one_line(finished, coco, tmp_path, lost):
     train, straight = finished
