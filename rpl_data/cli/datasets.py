@@ -96,7 +96,7 @@ def dataset_split(
 def dataset_convert(
     out: Path,
     source: Path,
-    format: Literal["yolo", "coco_per_object", "okt", "huggingface", "webdataset"],
+    format: Literal["yolo", "coco_per_object", "okt", "huggingface", "webdataset"] = "yolo",
 ) -> None:
     """Write a dataset in another format: what `rpl export --format` does for a workspace, for any dataset.
 
