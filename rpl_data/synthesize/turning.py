@@ -23,7 +23,8 @@ def cross(a: Vector, b: Vector) -> Vector:
 def turn_about(axis: Vector, angle_rad: float) -> Rotated:
     """The rotation by an angle about a unit vector (Rodrigues)."""
     skew = _skew(axis)
-    return np.eye(3) + math.sin(angle_rad) * skew + (1 - math.cos(angle_rad)) * (skew @ skew)
+    turned: Rotated = np.eye(3) + math.sin(angle_rad) * skew + (1 - math.cos(angle_rad)) * (skew @ skew)
+    return turned
 
 
 def shortest_turn(start: Vector, end: Vector) -> Rotated:
@@ -33,7 +34,8 @@ def shortest_turn(start: Vector, end: Vector) -> Rotated:
         across = cross(start, np.eye(3)[int(np.abs(start).argmin())])
         return turn_about(across / np.linalg.norm(across), math.pi)
     skew = _skew(axis)
-    return np.eye(3) + skew + skew @ skew / (1 + cosine)
+    turned: Rotated = np.eye(3) + skew + skew @ skew / (1 + cosine)
+    return turned
 
 
 def _skew(vector: Vector) -> Rotated:
