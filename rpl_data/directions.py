@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from jaxtyping import Float64
 from scipy.spatial import cKDTree
@@ -15,13 +17,26 @@ COMPARED = 2000
 """Directions that are compared with the views, about 4.5 degrees apart."""
 
 
+@lru_cache
 def spread_directions(count: int) -> Directions:
-    """Directions spread evenly, on a Fibonacci spiral."""
+    """Directions spread evenly, on a Fibonacci spiral; the array is shared and read-only."""
     number = np.arange(count) + 0.5
     z = 1 - 2 * number / count
     turn = np.pi * (1 + np.sqrt(5)) * number
     across = np.sqrt(1 - z**2)
-    return np.column_stack([across * np.cos(turn), across * np.sin(turn), z])
+    found: Directions = np.column_stack([across * np.cos(turn), across * np.sin(turn), z])
+    found.flags.writeable = False
+    return found
+
+
+def nearest_spread(count: int, direction: Float64[np.ndarray, "3"]) -> int:
+    """The number of the one of `spread_directions(count)` that is nearest to a direction."""
+    return int(_spread_tree(count).query(direction)[1])
+
+
+@lru_cache
+def _spread_tree(count: int) -> cKDTree:
+    return cKDTree(spread_directions(count))
 
 
 def gaps_deg(views: Directions) -> Float64[np.ndarray, "_"]:

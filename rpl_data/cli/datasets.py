@@ -1,4 +1,4 @@
-"""The commands about datasets: exported COCO folders, merged, filtered, split anew and counted."""
+"""The commands about datasets: exported COCO folders, merged, filtered, split anew, converted and counted."""
 
 from __future__ import annotations
 
@@ -91,6 +91,30 @@ def dataset_split(
 
     rule = SplitRule(test_scenes, val_fraction, seed)
     print("\n".join(split_dataset(out, source, rule, images=images).lines(out)))
+
+
+def dataset_convert(
+    out: Path,
+    source: Path,
+    format: Literal["yolo", "coco_per_object", "okt", "huggingface", "webdataset"] = "yolo",
+) -> None:
+    """Write a dataset in another format: what `rpl export --format` does for a workspace, for any dataset.
+
+    It takes rendered datasets (`rpl synthesize`), merged, filtered and split ones. The splits stay; images
+    are linked. A YOLO dataset without val is validated on its training images.
+
+    Example: rpl dataset convert mixed-yolo mixed --format yolo
+
+    Args:
+        out: folder to write; a new one.
+        source: a workspace, or a folder that `rpl export`, `rpl synthesize` or `rpl dataset` wrote.
+        format: yolo for Ultralytics; coco_per_object; okt for ObjectKeypointTrainer; huggingface, an image
+            folder for `datasets`; webdataset, tar shards.
+    """
+    from rpl_data.cli.building import say_written
+    from rpl_data.dataset import convert_dataset
+
+    say_written(out, convert_dataset(out, source, format))
 
 
 def dataset_stats(source: Path, json: Path | None = None) -> None:

@@ -15,6 +15,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from rpl_data.cli.building import HERE, run_build, workspace_for  # noqa: E402
 from rpl_data.cli.clicks import annotate, clicks_export, clicks_import  # noqa: E402
 from rpl_data.cli.datasets import (  # noqa: E402
+    dataset_convert,
     dataset_filter,
     dataset_merge,
     dataset_split,
@@ -207,10 +208,11 @@ COMMANDS: dict[str, Any] = {
         "forget": labels_forget,
     },
     "dataset": {
-        "_help": "Exported datasets, merged, filtered, split anew and counted.",
+        "_help": "Exported datasets, merged, filtered, split anew, converted and counted.",
         "merge": dataset_merge,
         "filter": dataset_filter,
         "split": dataset_split,
+        "convert": dataset_convert,
         "stats": dataset_stats,
     },
     "drift": drift,

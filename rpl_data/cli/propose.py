@@ -23,7 +23,8 @@ def propose(
     images agree is one proposal; shape makes others, as for `rpl register --auto true`, and colours and free
     space decide. What they do not support is not placed: the message names the one click that would tell.
     Where it has labels, the distance between both is kept for the report, which marks labels that lie
-    farther off than the images are apart.
+    farther off than the images are apart. Poses that look the same, by a symmetry that holds for the object
+    (`rpl symmetry`), count as one.
 
     New recordings come in by the recipe: add them to its scenes and `rpl build` once, then propose, then
     `rpl build` again for labels and exports.

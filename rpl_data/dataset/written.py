@@ -147,13 +147,18 @@ def spooling(out: Path, sources: Sequence[Source], how: Images) -> Iterator[Spoo
         yield Spool(building, file, how)
 
 
-def _check_target(out: Path, sources: Sequence[Source]) -> None:
+def refuse_overlap(out: Path, sources: Sequence[Source]) -> None:
+    """DataError where a dataset would be written over one that it is made of, into it or around it."""
     for source in sources:
         inner, outer = out.resolve(), source.folder.resolve()
         if inner == outer or inner in outer.parents or outer in inner.parents:
             raise DataError(
                 f"{out} and {source.given} are the same folder, or one lies in the other; name another"
             )
+
+
+def _check_target(out: Path, sources: Sequence[Source]) -> None:
+    refuse_overlap(out, sources)
     if out.exists() and not (out / VERSION_FILE).exists() and not (out.is_dir() and not any(out.iterdir())):
         raise DataError(
             f"{out} exists and is no dataset that `rpl dataset` wrote (it has no {VERSION_FILE}), so it is "

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from jaxtyping import Float64
 
 from rpl_data.geometry import Transform
 from rpl_data.images import read_color
 from rpl_data.pipeline.automatic import find_step
-from rpl_data.pipeline.build import context_of, recipe_of, run_step
-from rpl_data.pipeline.context import posed_frames
+from rpl_data.pipeline.build import alone_in, context_of, recipe_of, run_step
+from rpl_data.pipeline.context import Context, posed_frames
 from rpl_data.pipeline.progress import Progress, Tell
 from rpl_data.pipeline.register import object_named
-from rpl_data.pipeline.symmetry import frame_change
-from rpl_data.pose.agreement import agreements, keypoint_distance_m
+from rpl_data.pipeline.symmetry import frame_change, symmetry_turns
+from rpl_data.pose.agreement import NO_TURN, agreements, keypoint_distance_m, nearest_pose
+from rpl_data.symmetries import moved_symmetries, symmetries_of, symmetry_transforms
 from rpl_data.types import (
     ColorImage,
     DataError,
@@ -28,6 +30,10 @@ from rpl_data.types import (
 from rpl_data.types.instances import places_in
 from rpl_data.wording import counted
 from rpl_data.workspace.workspace import Workspace
+
+TURN_STEP = 0.03
+"""Between two turns about an axis of full rotation, as a part of the diameter: poses agree within five times
+as much."""
 
 Look = Callable[[ColorImage, Intrinsics, DepthImage | None], Mapping[str, Transform]]
 """From an image to `camera_from_object` of the objects in it, in the frames of the networks' models."""
@@ -71,9 +77,11 @@ def propose(
     """
     check_asked(workspace, networks, scenes)
     for scene in scenes or workspace.scene_names():
-        seen = look_at_scene(workspace, networks, scene, frames=frames, tell=tell)
+        with alone_in(workspace):  # a build may not change labels and frames meanwhile; placing locks itself
+            seen = look_at_scene(workspace, networks, scene, frames=frames, tell=tell)
+            for name, view in seen.items():
+                workspace.save_network_views(name, {**workspace.load_network_views(name), scene: view})
         for name, view in seen.items():
-            workspace.save_network_views(name, {**workspace.load_network_views(name), scene: view})
             placed = workspace.load_placed(name).scene_from_object
             if scene in placed:
                 yield compared_line(workspace, name, scene, view)
@@ -124,14 +132,47 @@ def look_at_scene(
         for name, pose in networks.look(read_color(frame), recorded.intrinsics, depth).items():
             poses[name].append(trajectory.at(frame.index) @ pose)
             numbers[name].append(frame.index)
-    return {name: _view(networks, name, len(chosen), np.array(numbers[name]), poses[name]) for name in poses}
+    context = context_of(workspace)
+    found = {}
+    for name, seen in poses.items():
+        same = _same_poses(context, name, networks.models[name])
+        view = _view(networks, name, len(chosen), np.array(numbers[name]), seen, same)
+        found[name] = _turned_to_labels(workspace, name, scene, view, same)
+    return found
+
+
+def _same_poses(context: Context, name: str, model: KeypointModel) -> Float64[np.ndarray, "s 4 4"]:
+    """The turns after which an object looks the same, in the frame of a network's model."""
+    symmetries = symmetries_of(symmetry_turns(context, object_named(context, name)))
+    if not symmetries.discrete and not symmetries.continuous:
+        return NO_TURN
+    then_from_now = frame_change(model, context.workspace.load_placed(name).model)
+    return symmetry_transforms(moved_symmetries(symmetries, then_from_now), max_deviation=TURN_STEP)
+
+
+def _turned_to_labels(
+    workspace: Workspace, name: str, scene: str, view: NetworkView, same: Float64[np.ndarray, "s 4 4"]
+) -> NetworkView:
+    """The view with the pose, of those that look the same, which is nearest to the labels."""
+    placed = workspace.load_placed(name)
+    if view.scene_from_object is None or scene not in placed.scene_from_object:
+        return view
+    labelled, points = placed.scene_from_object[scene], placed.model.points_object
+    nearest = nearest_pose(view.scene_from_object, view.points_object, same, to=labelled, points_to=points)
+    return replace(view, scene_from_object=nearest)
 
 
 def _view(
-    networks: Networks, name: str, looked: int, numbers: np.ndarray, poses: Sequence[Transform]
+    networks: Networks,
+    name: str,
+    looked: int,
+    numbers: np.ndarray,
+    poses: Sequence[Transform],
+    same: Float64[np.ndarray, "s 4 4"],
 ) -> NetworkView:
     points = networks.models[name].points_object
-    groups = agreements(np.array(poses).reshape(-1, 4, 4), points[np.isfinite(points).all(axis=1)])
+    known = points[np.isfinite(points).all(axis=1)]
+    groups = agreements(np.array(poses).reshape(-1, 4, 4), known, same)
     if not groups:
         return NetworkView(looked, len(poses), (), (), None, points, networks.names[name])
     best = groups[0]

@@ -15,6 +15,9 @@ FEWEST = 3
 WITHIN = 0.15
 """Poses agree whose keypoints are apart by less than this share of the object's size, root mean square."""
 
+NO_TURN = np.eye(4)[None]
+"""What leaves an object without symmetry looking the same."""
+
 
 @dataclass(frozen=True)
 class Agreement:
@@ -31,26 +34,60 @@ class Agreement:
     off_m: Float64[np.ndarray, " m"]
 
 
-def agreements(scene_from_object: Float64[np.ndarray, "p 4 4"], points_object: Points) -> list[Agreement]:
+def agreements(
+    scene_from_object: Float64[np.ndarray, "p 4 4"],
+    points_object: Points,
+    same: Float64[np.ndarray, "s 4 4"] = NO_TURN,
+) -> list[Agreement]:
     """Group poses of one object in one scene, the largest group first.
 
     Args:
         scene_from_object: one pose per frame.
         points_object: the keypoints, object frame, metres.
+        same: turns after which the object looks the same (`symmetry_transforms`); poses that differ by one of
+            them agree.
     """
     points = transform_all(scene_from_object, points_object)
-    apart_m = np.sqrt(((points[:, None] - points[None]) ** 2).sum(axis=3).mean(axis=2))
+    turned = np.array([transform_all(pose @ same, points_object) for pose in scene_from_object])
+    apart_m = np.array([_apart_m(turned, one).min(axis=1) for one in points]).reshape(2 * (len(points),))
     near = apart_m < WITHIN * _size_m(points_object)
     left: Bool[np.ndarray, " p"] = np.ones(len(points), dtype=bool)
     found = []
     while left.any():
         votes = (near & left).sum(axis=1) * left
-        members = np.flatnonzero(near[int(votes.argmax())] & left)
+        first = int(votes.argmax())
+        members = np.flatnonzero(near[first] & left)
         if len(members) < FEWEST:
             break
-        found.append(_agreement(points, members, points_object))
+        alike = _apart_m(turned[members], points[first]).argmin(axis=1)
+        found.append(_agreement(turned[members, alike], members, points_object))
         left[members] = False
     return found
+
+
+def _apart_m(
+    points: Float64[np.ndarray, "m s n 3"], other: Float64[np.ndarray, "n 3"]
+) -> Float64[np.ndarray, "m s"]:
+    """Distances of keypoints in one pose from those in many, root mean square."""
+    found: Float64[np.ndarray, "m s"] = np.sqrt(((points - other) ** 2).sum(axis=3).mean(axis=2))
+    return found
+
+
+def nearest_pose(
+    pose: Transform,
+    points: Points,
+    same: Float64[np.ndarray, "s 4 4"],
+    *,
+    to: Transform,
+    points_to: Points,
+) -> Transform:
+    """Of the poses in which an object looks the same, the one whose keypoints are nearest to another pose's.
+
+    Arguments as in `agreements` and `keypoint_distance_m`.
+    """
+    alike = pose @ same
+    nearest: Transform = min(alike, key=lambda one: keypoint_distance_m(one, points, to, points_to))
+    return nearest
 
 
 def keypoint_distance_m(one: Transform, points_one: Points, other: Transform, points_other: Points) -> float:
@@ -63,11 +100,11 @@ def keypoint_distance_m(one: Transform, points_one: Points, other: Transform, po
 
 
 def _agreement(
-    points: Float64[np.ndarray, "p n 3"], members: Int64[np.ndarray, " m"], points_object: Points
+    points: Float64[np.ndarray, "m n 3"], members: Int64[np.ndarray, " m"], points_object: Points
 ) -> Agreement:
     """The middle of some poses, by the median of each keypoint's positions: a few far ones do not pull it."""
-    middle = fit_rigid(np.median(points[members], axis=0), points_object)
-    off = points[members] - transform(middle, points_object)
+    middle = fit_rigid(np.median(points, axis=0), points_object)
+    off = points - transform(middle, points_object)
     return Agreement(middle, members, np.sqrt((off**2).sum(axis=2).mean(axis=1)))
 
 

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Float32, Float64
-from scipy.spatial.transform import Rotation
+
+from rpl_data.synthesize.turning import shortest_turn, turn_about
 
 TERMS = 9
 DARKEST, BRIGHTEST = 0.25, 2.0
@@ -91,7 +92,6 @@ def draw_lights(
     for name, lights in own.items():
         other = sorted(lights)[int(rng.integers(len(lights)))]
         light = lights[chosen if chosen in lights else other]
-        upright, _ = Rotation.align_vectors(light.up[None], up_camera[None])
-        turn = (Rotation.from_rotvec(spin_rad * light.up) * upright).as_matrix()
+        turn = turn_about(light.up, spin_rad) @ shortest_turn(up_camera, light.up)
         found[name] = Light(turn, light.coefficients * gain)
     return found

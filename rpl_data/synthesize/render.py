@@ -99,13 +99,14 @@ def _draw_one(
         return
     hits = body.rays.cast(rays_in_object(table.directions[window], pose))
     before = np.flatnonzero(hits.t < nearest[window].ravel())
-    texel = body.painted.texel_at(hits.triangle_id[before], hits.uv[before])
-    shaded = shade(body.normals[texel] @ pose[:3, :3].T.astype(np.float32), light)
-    shape = nearest[window].shape
-    rows, columns = np.unravel_index(before, shape)
-    rows, columns = rows + window[0].start, columns + window[1].start
-    nearest[rows, columns] = hits.t[before]
-    color[rows, columns] = shaded * body.colors[texel]
+    # `take` gathers rows several times as fast as indexing does.
+    texel = body.painted.texel_at(hits.triangle_id.take(before), hits.uv.take(before, axis=0))
+    normals = body.normals.take(texel, axis=0)
+    shaded = shade(normals @ pose[:3, :3].T.astype(np.float32), light)
+    rows, columns = np.divmod(before, window[1].stop - window[1].start)
+    pixels = (rows + window[0].start) * nearest.shape[1] + columns + window[1].start
+    nearest.reshape(-1)[pixels] = hits.t.take(before)
+    color.reshape(-1, 3)[pixels] = shaded * body.colors.take(texel, axis=0)
 
 
 @dataclass(frozen=True)

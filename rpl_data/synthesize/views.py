@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Bool, Float64
-from scipy.spatial import cKDTree
-from scipy.spatial.transform import Rotation
 
-from rpl_data.directions import COMPARED, Directions, gaps_deg, spread_directions
+from rpl_data.directions import COMPARED, Directions, gaps_deg, nearest_spread, spread_directions
 from rpl_data.synthesize.body import Body
+from rpl_data.synthesize.turning import cross, shortest_turn, turn_about
 
 MOST_UNSEEN = 0.05
 """Share of an object's pixels that may show what no camera saw."""
@@ -56,8 +55,7 @@ def view_weights(views: Directions, shown: Bool[np.ndarray, " d"]) -> Float64[np
 
 def is_shown(direction: Float64[np.ndarray, "3"], shown: Bool[np.ndarray, " d"]) -> bool:
     """Whether the nearest of the directions is one of those that are shown."""
-    nearest = cKDTree(spread_directions(len(shown))).query(direction)[1]
-    return bool(shown[nearest])
+    return bool(shown[nearest_spread(len(shown), direction)])
 
 
 def looking(
@@ -76,7 +74,7 @@ def looking(
     """
     in_camera = _axes(-ray, np.array([0.0, -1.0, 0.0]))
     in_object = _axes(view, up)
-    turned = Rotation.from_rotvec(turn_rad * ray / np.linalg.norm(ray)).as_matrix()
+    turned = turn_about(ray / np.linalg.norm(ray), turn_rad)
     rotation: Rotated = turned @ in_camera @ in_object.T
     return rotation
 
@@ -85,8 +83,7 @@ def standing(
     up_object: Float64[np.ndarray, "3"], up_camera: Float64[np.ndarray, "3"], turn_rad: float
 ) -> Rotated:
     """The rotation `camera_from_object` of an object that stands on a table, turned about the vertical."""
-    upright, _ = Rotation.align_vectors(up_camera[None], up_object[None])
-    rotation: Rotated = (Rotation.from_rotvec(turn_rad * up_camera) * upright).as_matrix()
+    rotation: Rotated = turn_about(up_camera, turn_rad) @ shortest_turn(up_object, up_camera)
     return rotation
 
 
@@ -97,7 +94,7 @@ def _axes(forward: Float64[np.ndarray, "3"], up: Float64[np.ndarray, "3"]) -> Ro
     if np.linalg.norm(second) < 1e-6:
         second = _across(third)[0]
     second = second / np.linalg.norm(second)
-    return np.column_stack([np.cross(second, third), second, third])
+    return np.column_stack([cross(second, third), second, third])
 
 
 def _across(direction: Float64[np.ndarray, "*n 3"]) -> tuple[np.ndarray, np.ndarray]:

@@ -222,10 +222,14 @@ class SyntheticKeypoints(Dataset[KeypointSample]):
 
     def _directions(self, camera: Intrinsics, crop_from_image: Affine) -> Float64[np.ndarray, "h w 3"]:
         """Rays through the pixels of the crop."""
-        side = np.arange(self.input_px, dtype=float)
-        grid = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
-        directions = rays(camera, moved(inverted(crop_from_image), grid))
+        directions = rays(camera, moved(inverted(crop_from_image), self._grid))
         return directions.reshape(self.input_px, self.input_px, 3)
+
+    @cached_property
+    def _grid(self) -> Float64[np.ndarray, "n 2"]:
+        """The pixels of a crop."""
+        side = np.arange(self.input_px, dtype=float)
+        return np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
 
     @cached_property
     def _pictures(self) -> dict[Path, Image]:
@@ -238,8 +242,8 @@ class SyntheticKeypoints(Dataset[KeypointSample]):
         return self._pictures[plate.color]
 
     def __getstate__(self) -> dict[str, Any]:
-        """Without the decoded plates, which each worker decodes for itself."""
-        return {name: value for name, value in self.__dict__.items() if name != "_pictures"}
+        """Without what each worker makes for itself: the decoded plates above all."""
+        return {name: value for name, value in self.__dict__.items() if name not in ("_pictures", "_grid")}
 
 
 def _square(keypoints_px: Float64[np.ndarray, "k 2"]) -> tuple[float, float, float]:

@@ -78,7 +78,7 @@ class SymmetryRecord:
     Attributes:
         points_object: the keypoint model whose frame all axes are in; NaN where a keypoint has no position.
         found: axes of the shape; None where nobody has looked.
-        seen: share of the dense model's surface that cameras saw.
+        seen: share of the dense model's surface that cameras saw; NaN where nobody has looked.
         confirmed: what holds; None where nobody has confirmed anything.
         by: who or what confirmed it.
     """

@@ -32,7 +32,7 @@ def symmetry_to_json(record: SymmetryRecord) -> Json:
         confirmed = [_turns_to_json(one) for one in record.confirmed]
     return {
         "points_object": rows_to_json(record.points_object),
-        "seen": record.seen,
+        "seen": finite_or_none(record.seen),
         "found": None if record.found is None else [_found_to_json(one) for one in record.found],
         "confirmed": confirmed,
         "by": record.by,
@@ -44,7 +44,7 @@ def symmetry_from_json(data: Json) -> SymmetryRecord:
     return SymmetryRecord(
         points_object=taken(data, "points_object", lambda rows: rows_from_json(rows, 3)),
         found=taken(data, "found", optional(each(_found_from_json))),
-        seen=taken(data, "seen", number),
+        seen=taken(data, "seen", lambda seen: math.nan if seen is None else number(seen)),
         confirmed=taken(data, "confirmed", optional(each(_turns_from_json))),
         by=taken(data, "by", text),
     )

@@ -10,7 +10,7 @@ import pytest
 from labelled_scenes import BOX, CAN, exported, labelled_scene
 from pycocotools.coco import COCO
 
-from rpl_data.dataset import Wanted, dataset_stats, filter_dataset, split_dataset
+from rpl_data.dataset import Wanted, convert_dataset, dataset_stats, filter_dataset, split_dataset
 from rpl_data.dataset.stats_table import stats_table
 from rpl_data.export import ExportScene, export_coco
 from rpl_data.export.split import SplitRule
@@ -138,3 +138,19 @@ def test_a_changed_dataset_is_noticed(three_scenes: Path, tmp_path: Path) -> Non
     assert dataset_stats(tmp_path / "out")["as_recorded"] is True
     next((tmp_path / "out/images").rglob("*.png")).write_bytes(b"gone")
     assert dataset_stats(tmp_path / "out")["as_recorded"] is False
+
+
+def test_a_dataset_is_converted_with_its_splits(three_scenes: Path, tmp_path: Path) -> None:
+    written = convert_dataset(tmp_path / "yolo", three_scenes, "yolo")
+    assert written.images == {"train": 12, "test": 6}
+    labels = tmp_path / "yolo/detect/labels"
+    for split in ("train", "test"):
+        expected = len(read_coco(three_scenes / f"{split}.json")["annotations"])
+        lines = [line for file in (labels / split).iterdir() for line in file.read_text().splitlines()]
+        assert len(lines) == expected > 0
+    with pytest.raises(DataError, match="exists and is not replaced"):
+        convert_dataset(tmp_path / "yolo", three_scenes, "yolo")
+    with pytest.raises(DataError, match="not converted to bop; expected one of yolo"):
+        convert_dataset(tmp_path / "bop", three_scenes, "bop")
+    with pytest.raises(DataError, match="one lies in the other"):
+        convert_dataset(three_scenes / "yolo", three_scenes, "yolo")

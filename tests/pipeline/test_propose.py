@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from itertools import cycle
 from pathlib import Path
 
 import numpy as np
@@ -11,15 +12,32 @@ import pytest
 from built_once import moved_copy
 
 from rpl_data.geometry import Transform, from_rotvec, invert
+from rpl_data.pipeline.build import alone_in
 from rpl_data.pipeline.placements import without_scenes
 from rpl_data.pipeline.propose import Networks, propose
 from rpl_data.report import write_report
-from rpl_data.types import ColorImage, DataError, DepthImage, Intrinsics, KeypointModel
+from rpl_data.symmetries import turn
+from rpl_data.types import (
+    ColorImage,
+    DataError,
+    DepthImage,
+    Intrinsics,
+    KeypointModel,
+    SymmetryAxis,
+    SymmetryRecord,
+    Turns,
+)
 from rpl_data.workspace.workspace import Workspace
 
+HALF_TURN = Turns(SymmetryAxis((0.0, 0.0, 1.0), (0.0, 0.0, 0.0)), 2)
 
-def network_by_labels(place: Workspace, scene: str, *, off_m: float = 0.0) -> Networks:
-    """A network that sees the carton of a scene where its labels have it, in each image that it is shown."""
+
+def network_by_labels(place: Workspace, scene: str, *, off_m: float = 0.0, turning: bool = False) -> Networks:
+    """A network that sees the carton of a scene where its labels have it, in each image that it is shown.
+
+    With `turning`, two images of three show it half a turn about its z axis away.
+    """
+    turned = cycle([np.eye(4), turn(HALF_TURN.axis, np.pi), turn(HALF_TURN.axis, np.pi)])
     solution = place.load_placed("carton")
     shown = iter(place.load_trajectory(place.load_scene(scene)).scene_from_camera)
     beside = from_rotvec(np.array([0.0, 0.0, 3 * off_m]), np.array([off_m, 0.0, 0.0]))
@@ -29,7 +47,8 @@ def network_by_labels(place: Workspace, scene: str, *, off_m: float = 0.0) -> Ne
         assert image.shape[:2] == (camera.height, camera.width)
         assert depth is not None and depth.shape == image.shape[:2]
         shake = from_rotvec(0.05 * rng.normal(size=3), 0.002 * rng.normal(size=3))
-        return {"carton": invert(next(shown)) @ solution.scene_from_object[scene] @ beside @ shake}
+        seen = invert(next(shown)) @ solution.scene_from_object[scene] @ beside @ shake
+        return {"carton": seen @ next(turned) if turning else seen}
 
     return Networks({"carton": solution.model}, {"carton": "carton/best.ckpt"}, look)
 
@@ -39,9 +58,12 @@ def place(plain_build: Path, tmp_path: Path) -> Workspace:
     return Workspace(moved_copy(plain_build, tmp_path / "copy") / "ws")
 
 
-@pytest.mark.parametrize("off_m", [0.0, 0.05])
-def test_a_network_is_compared_with_labels(place: Workspace, off_m: float) -> None:
-    networks = network_by_labels(place, "01", off_m=off_m)
+@pytest.mark.parametrize(("off_m", "symmetric"), [(0.0, True), (0.05, False)])
+def test_a_network_is_compared_with_labels(place: Workspace, off_m: float, symmetric: bool) -> None:
+    networks = network_by_labels(place, "01", off_m=off_m, turning=symmetric)
+    if symmetric:
+        points = place.load_placed("carton").model.points_object
+        place.save_symmetry("carton", SymmetryRecord(points, None, 1.0, confirmed=(HALF_TURN,)))
     [said] = propose(place, networks, scenes=["01"])
     found = re.fullmatch(
         r"carton in scene 01: the network puts it (\d+) mm from its labels, by (\d+) of (\d+) frames that "
@@ -80,6 +102,8 @@ def test_networks_and_scenes_of_others_are_refused(place: Workspace) -> None:
     fewer = KeypointModel("carton", model.keypoints[1:], model.points_object[1:])
     with pytest.raises(DataError, match="carton.ckpt: the network knows carton by the keypoints"):
         list(propose(place, replace(known, models={"carton": fewer})))
+    with alone_in(place), pytest.raises(DataError, match="another build is running"):
+        list(propose(place, known))
     strange = Networks({"egg": model}, {"egg": "egg.ckpt"}, lambda *image: {})
     with pytest.raises(DataError, match="no object 'egg'"):
         list(propose(place, strange))

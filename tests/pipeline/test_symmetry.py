@@ -113,6 +113,9 @@ def test_confirmed_axes_follow_the_object_frame_into_the_export(tiny_workspace, 
     points = transform(then_from_now, place.load_placed("carton").model.points_object)
     with pytest.raises(DataError, match="run `rpl symmetry --object carton` first"):
         confirm_symmetry(context, "carton", "found")
+    confirm_symmetry(context, "carton", "none")  # though nobody has looked for any
+    known = place.load_symmetry("carton")
+    assert known is not None and known.confirmed == () and np.isnan(known.seen)
     place.save_symmetry("carton", SymmetryRecord(points, (FREE, LABELLED), 0.9))
     for answer in ("3", "0", "all"):
         with pytest.raises(

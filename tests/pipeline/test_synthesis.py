@@ -19,8 +19,9 @@ from rpl_data.formats.datasets.coco import intrinsics_from_coco, read_coco
 from rpl_data.meshes import load_mesh
 from rpl_data.pipeline.synthesis import run
 from rpl_data.pipeline.synthesis.make import _take
+from rpl_data.pipeline.synthesis.models import scene_table
 from rpl_data.pipeline.synthesis.pictures import plate_depth
-from rpl_data.pipeline.synthesis.plates import _Image, plane_in_camera, without_objects
+from rpl_data.pipeline.synthesis.plates import _Image, make_plates, plane_in_camera, without_objects
 from rpl_data.pipeline.synthesis.run import synthesize_workspace
 from rpl_data.pipeline.synthesis.training import training_split
 from rpl_data.raycast import RayScene, render_depth_m
@@ -152,6 +153,25 @@ def test_an_interrupted_run_goes_on_and_ends_the_same(workspace: Workspace, tmp_
     assert all(
         data == whole[name] for name, data in content(tmp_path / "out").items() if name.startswith("images")
     )
+
+
+def test_each_part_of_a_recording_has_its_own_table(workspace: Workspace, tmp_path: Path) -> None:
+    """Poses drift: after a cut the same table lies elsewhere."""
+    training = training_split(workspace)
+    normal, offset_m = next(filter(None, (scene_table(workspace, scene) for scene in training.scenes)))
+    drift_m = {"even": 0.0, "odd": 0.02}
+    plates = make_plates(
+        tmp_path,
+        training,
+        lambda image: "odd" if image["frame"] % 2 else "even",
+        {part: (normal, offset_m + off_m) for part, off_m in drift_m.items()},
+        dict.fromkeys(drift_m, normal),
+    )
+    images = {(image["scene"], image["frame"]): image for image in training.data["images"]}
+    centres = [np.reshape(images[p.scene, p.frame]["scene_from_camera"], (4, 4))[:3, 3] for p in plates]
+    off_m = [p.table.offset_m - offset_m + normal @ at for p, at in zip(plates, centres, strict=True)]
+    np.testing.assert_allclose(off_m, [drift_m["odd" if p.frame % 2 else "even"] for p in plates], atol=1e-9)
+    assert len(set(np.round(off_m, 6))) == 2
 
 
 def test_pictures_of_the_user_take_the_place_of_tables(workspace: Workspace, tmp_path: Path) -> None:

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from rpl_data.geometry import from_rotvec, invert, rotation_angle_rad
-from rpl_data.pose.agreement import agreements, keypoint_distance_m
+from rpl_data.pose.agreement import agreements, keypoint_distance_m, nearest_pose
+from rpl_data.symmetries import symmetry_transforms
+from rpl_data.types import Symmetries, SymmetryAxis
 
 POINTS = np.array([[0.1, 0, 0], [-0.1, 0, 0], [0, 0.05, 0], [0, 0, 0.05]])
 TRUE = from_rotvec(np.array([0.2, -0.4, 1.0]), np.array([0.3, 0.1, 0.5]))
@@ -30,6 +32,18 @@ def test_the_largest_group_comes_first_and_strays_are_left_out() -> None:
     off = invert(TRUE) @ first.scene_from_object
     assert np.linalg.norm(off[:3, 3]) < 0.005 and rotation_angle_rad(off[:3, :3]) < 0.05
     assert first.off_m.max() < 0.03
+
+
+def test_turns_that_look_the_same_agree() -> None:
+    bottle = Symmetries((), (SymmetryAxis((0.0, 0.0, 1.0), (0.0, 0.0, 0.0)),))
+    same = symmetry_transforms(bottle, max_deviation=0.03)
+    angles = np.linspace(0, 2 * np.pi, 8, endpoint=False) + 0.01
+    seen = poses(8) @ [from_rotvec(np.array([0, 0, angle]), np.zeros(3)) for angle in angles]
+    assert not agreements(seen, POINTS)  # each view turned it otherwise
+    [found] = agreements(seen, POINTS, same)
+    assert len(found.members) == 8 and found.off_m.max() < 0.03
+    nearest = nearest_pose(found.scene_from_object, POINTS, same, to=TRUE, points_to=POINTS)
+    assert keypoint_distance_m(nearest, POINTS, TRUE, POINTS) < 0.008
 
 
 @pytest.mark.parametrize("count", [0, 1, 2])

@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 from dataclasses import replace
+from html import unescape
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +34,7 @@ from training.reproduce.table1.page import write_page
 from training.reproduce.table1.rows import Row
 from training.reproduce.table1.worst import worst_scenes
 from training.runs.presets import with_preset_files
+from training.runs.program import INTERRUPTED
 
 ROOT = Path(__file__).parents[2]
 
@@ -197,6 +199,9 @@ def test_all_experiments_go_on_where_they_were(tmp_path: Path) -> None:
     assert run_all(commands, tmp_path, run) == ["curves", "segmentation"]
     page = (tmp_path / "all.html").read_text()
     assert "failed" in page and "body of table2" in page and "body of curves" not in page
+    assert "'[drill, cup]'" in unescape(page)  # a command line that a shell takes as it is
+    with pytest.raises(SystemExit):
+        run_all({"ablation": ["ablation"]}, tmp_path, lambda command: INTERRUPTED)
     assert run_all(commands, tmp_path, run) == []
     assert run_all(command_lines(*given, seeds=2, **options), tmp_path, run) == []
     assert ran == [*commands, "curves", "segmentation", "table2"]

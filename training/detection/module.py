@@ -24,7 +24,8 @@ from ..keypoints.hourglass import Hourglass, Residual
 from ..runs.network_module import NetworkModule
 from ..runs.options import DetectorNetwork, Learning
 from ..runs.schedule import optimizer_of
-from ..runs.trainer import load_module, nothing_read, stop_if_not_finite
+from ..runs.together import nothing_read
+from ..runs.trainer import load_module, stop_if_not_finite
 from ..runs.weights import Start
 
 Collated = tuple[list[Tensor], list[DetectionTarget], Sequence[str]]

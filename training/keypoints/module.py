@@ -19,7 +19,8 @@ from rpl_data.types import DataError, KeypointModel
 from ..runs.network_module import NetworkModule
 from ..runs.options import Learning, Network
 from ..runs.schedule import optimizer_of
-from ..runs.trainer import load_module, nothing_read, stop_if_not_finite
+from ..runs.together import EMPTY_SIDE_PX, share_of_mean
+from ..runs.trainer import load_module, stop_if_not_finite
 from .hourglass import cross_entropy, mean_squares
 from .networks import network_of
 from .pictures import heatmap_picture
@@ -84,18 +85,32 @@ class KeypointTraining(NetworkModule):
 
     def loss_of(self, outputs: list[Tensor], batch: KeypointSample) -> Tensor:
         """The loss, averaged over the stacks; every stack is supervised."""
+        return self._loss(outputs, batch["heatmaps"], batch["weights"])
+
+    def _loss(self, outputs: list[Tensor], heatmaps: Tensor, weights: Tensor) -> Tensor:
         one = cross_entropy if self.options.loss == "entropy" else mean_squares
-        losses = [one(output.float(), batch["heatmaps"], batch["weights"]) for output in outputs]
-        return torch.stack(losses).mean()
+        return torch.stack([one(output.float(), heatmaps, weights) for output in outputs]).mean()
+
+    def _nothing(self) -> tuple[Tensor, Tensor, Tensor]:
+        """Images, heatmaps and weights of no crop."""
+        images = torch.zeros(0, 3, EMPTY_SIDE_PX, EMPTY_SIDE_PX, device=self.device)
+        weights = torch.zeros(0, len(self.model.keypoints), device=self.device)
+        side = EMPTY_SIDE_PX * self.options.heatmap_px // self.options.input_px
+        return images, weights.new_zeros(*weights.shape, side, side), weights
 
     def training_step(self, collated: Collated, number: int) -> Tensor | None:
         """The loss; None when no image of the batch could be read."""
         batch = self._read(collated)
-        if batch is None:
-            return nothing_read(self)
-        loss = self.loss_of(self.network(self._laid_out(batch["image"])), batch)
-        stop_if_not_finite({"the loss": loss}, self.current_epoch, number, _ids(batch))
-        self.log("train_loss", loss, on_step=False, on_epoch=True, batch_size=len(batch["image"]))
+        if batch is None and self.trainer.world_size == 1:
+            return None
+        # Processes that train together take each step together, if need be with a batch of nothing.
+        images, heatmaps, weights = self._nothing() if batch is None else _lesson(batch)
+        outputs = self.network(self._laid_out(images))
+        loss = self._loss(outputs, heatmaps, weights) * share_of_mean(weights.sum())
+        if batch is not None:
+            stop_if_not_finite({"the loss": loss}, self.current_epoch, number, _ids(batch))
+        asked = len(images) + len(collated[1])  # every process counts alike, whatever it could read
+        self.log("train_loss", loss, on_step=False, on_epoch=True, sync_dist=True, batch_size=asked)
         return loss
 
     def validation_step(self, collated: Collated, number: int, dataloader_idx: int = 0) -> None:
@@ -133,6 +148,10 @@ class KeypointTraining(NetworkModule):
         if self._learning.channels_last:
             return images.contiguous(memory_format=torch.channels_last)
         return images
+
+
+def _lesson(batch: KeypointSample) -> tuple[Tensor, Tensor, Tensor]:
+    return batch["image"], batch["heatmaps"], batch["weights"]
 
 
 def _ids(batch: KeypointSample) -> list[int]:

@@ -13,7 +13,8 @@ from rpl_data.torch.instances import InstanceTarget
 from ..runs.network_module import NetworkModule
 from ..runs.options import Learning, MaskNetwork
 from ..runs.schedule import optimizer_of
-from ..runs.trainer import nothing_read, stop_if_not_finite
+from ..runs.together import nothing_read
+from ..runs.trainer import stop_if_not_finite
 from .mask_rcnn import build_model, train_body
 from .pictures import tinted
 from .results import MASK_THRESHOLD

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import time
 import traceback
 from collections.abc import Callable, Mapping
@@ -120,7 +121,7 @@ def run_all(commands: Mapping[str, list[str]], out: Path, run: Run) -> list[str]
     `all.json` keeps which command lines are done, so that a changed one runs again.
 
     Raises:
-        KeyboardInterrupt: an experiment was interrupted.
+        SystemExit: an experiment was interrupted, and has said so.
     """
     from ..runs.program import INTERRUPTED
 
@@ -133,7 +134,7 @@ def run_all(commands: Mapping[str, list[str]], out: Path, run: Run) -> list[str]
         started = time.perf_counter()
         status = _status(run, command)
         if status == INTERRUPTED:
-            raise KeyboardInterrupt
+            raise SystemExit(INTERRUPTED)
         if status:
             failed.append(name)
             done.pop(name, None)
@@ -168,7 +169,7 @@ def write_page(
         state = "done" if name in done else "failed" if name in failed else "not yet"
         minutes = done.get(name, {}).get("minutes")
         shown = number(minutes, 1) if isinstance(minutes, float) else ""
-        rows.append([name, state, f"rpl reproduce {' '.join(command)}", shown])
+        rows.append([name, state, f"rpl reproduce {shlex.join(command)}", shown])
         own = out / name / f"{name}.html"
         if own.exists():
             parts.append(folded(name, body_of(own.read_text(encoding="utf-8"))))

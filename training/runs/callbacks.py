@@ -183,9 +183,9 @@ class EpochLines(Callback):
 
     def on_train_epoch_end(self, trainer: Trainer, module: LightningModule) -> None:
         """The loss, the figures of the validation where there was one, and the time left."""
+        metrics, done = trainer.callback_metrics, trainer.current_epoch + 1  # all processes average them
         if not trainer.is_global_zero:
             return
-        metrics, done = trainer.callback_metrics, trainer.current_epoch + 1
         validated = done % (trainer.check_val_every_n_epoch or 1) == 0
         names = [name for name in metrics if name.startswith("val_") and not name.endswith("_loss")]
         names = ["train_loss", *(names if validated else [])]

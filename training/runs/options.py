@@ -176,7 +176,8 @@ class Machine:
 
     Attributes:
         accelerator: `auto` takes a GPU when there is one.
-        devices: how many GPUs, or how many processes on the CPU. More than one train together by DDP.
+        devices: how many GPUs, or how many processes on the CPU. More than one train together by DDP,
+            with the steps of one that has all their images in its batch.
         precision: `bf16-mixed` and `16-mixed` are for GPUs; most CPUs are slower with them.
         workers: processes that load images; 0 loads them in the training process.
         threads: processor threads of torch; None leaves the number to torch.

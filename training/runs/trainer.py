@@ -40,6 +40,7 @@ from .folder import (
 from .network_module import RANDOM_FRAMES, UNSEEN_SCENES, NetworkModule
 from .options import Machine, Run
 from .program import say_left_out, use_threads
+from .together import SharedStatistics
 
 Module = TypeVar("Module", bound=LightningModule)
 
@@ -100,13 +101,21 @@ def say_held_out(scenes: SceneSplit, count: int) -> None:
 
 def _check_machine(machine: Machine) -> None:
     """Refuse more GPUs than this machine has, before an earlier run is deleted."""
-    gpus = torch.cuda.device_count() or int(torch.backends.mps.is_available())
-    asked = machine.accelerator == "gpu" or (machine.accelerator == "auto" and gpus > 0)
-    if asked and machine.devices > gpus:
+    gpus = _gpus()
+    if _on_gpus(machine) and machine.devices > gpus:
         raise DataError(
             f"machine.devices asks for {counted(machine.devices, 'GPU')}, and torch finds {gpus} here; "
             "ask for fewer, or train with --machine.accelerator cpu"
         )
+
+
+def _on_gpus(machine: Machine) -> bool:
+    """Whether the training runs on GPUs."""
+    return machine.accelerator == "gpu" or (machine.accelerator == "auto" and _gpus() > 0)
+
+
+def _gpus() -> int:
+    return torch.cuda.device_count() or int(torch.backends.mps.is_available())
 
 
 def fit(lesson: Lesson, run: Run, *, resumed: Path | None) -> Path:
@@ -181,6 +190,7 @@ def _trainer(run: Run, callbacks: list[Callback]) -> Trainer:
     loggers: list[Logger] = [CSVLogger(run.out, name="", version=logs)]
     if find_spec("tensorboard") is not None:
         loggers.append(TensorBoardLogger(run.out, name="", version=logs))
+    shared = [SharedStatistics(on_gpus=_on_gpus(machine))] if machine.devices > 1 else []
     return Trainer(
         max_epochs=min(run.until or run.learning.epochs, run.learning.epochs),
         accelerator=machine.accelerator,
@@ -193,7 +203,7 @@ def _trainer(run: Run, callbacks: list[Callback]) -> Trainer:
         gradient_clip_val=run.learning.clip or None,
         logger=loggers,
         callbacks=callbacks,
-        plugins=[WholeCheckpoints()],
+        plugins=[WholeCheckpoints(), *shared],
         enable_checkpointing=False,  # `Checkpoints` writes them
         check_val_every_n_epoch=max(run.validate_every, 1),
         num_sanity_val_steps=0,
@@ -248,16 +258,6 @@ def _way_on(last: Path) -> str:
     if not done:
         return "no epoch was finished: give the same command again"
     return f"{last} holds what {counted(done, 'epoch')} taught: go on with the same command and --resume true"
-
-
-def nothing_read(module: LightningModule) -> Tensor | None:
-    """What a training step returns when no image of its batch could be read.
-
-    One process alone skips the step. Among several, which all have to take it, the step teaches nothing.
-    """
-    if module.trainer.world_size == 1:
-        return None
-    return torch.stack([parameter.sum() for parameter in module.parameters()]).sum() * 0.0
 
 
 def stop_if_not_finite(

@@ -6,7 +6,7 @@ images there; what no image shows, below the object, is filled from its border.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -67,28 +67,34 @@ class _Image:
 
 
 def make_plates(
-    folder: Path, training: Training, tables: Mapping[str, Table | None], ups: Mapping[str, np.ndarray]
+    folder: Path,
+    training: Training,
+    part_of: Callable[[Json], str],
+    tables: Mapping[str, Table | None],
+    ups: Mapping[str, np.ndarray],
 ) -> tuple[Plate, ...]:
     """Write plates of images spread over the training scenes.
 
     Args:
         folder: gets plates/.
-        tables: by scene.
-        ups: upward direction by scene, scene frame.
+        part_of: the part of its recording that an image is in. Poses drift from part to part, and the table
+            with them, so images fill only plates of their own part.
+        tables: by part.
+        ups: upward direction by part, scene frame.
     """
     # Regions that a person marked as ignored may show an object, too, which no label would name.
     by_image = ByImage(training.data["annotations"], training.data.get("crowds", ()))
-    by_scene: dict[str, list[Json]] = {}
+    by_part: dict[str, list[Json]] = {}
     for image in training.data["images"]:
-        by_scene.setdefault(image["scene"], []).append(image)
-    each = -(-MOST_PLATES // len(by_scene))
+        by_part.setdefault(part_of(image), []).append(image)
+    each = -(-MOST_PLATES // len(by_part))
     plates = []
-    for scene, entries in sorted(by_scene.items()):
+    for part, entries in sorted(by_part.items()):
         chosen = _spread(entries, each)
         images = [_Image.of(entry, by_image.get(entry["id"], [])) for entry in chosen]
         for image in images:
             others = _spread([other for other in images if other is not image], OTHERS)
-            plates.append(_plate(folder, training.folder, image, others, tables[scene], ups[scene]))
+            plates.append(_plate(folder, training.folder, image, others, tables[part], ups[part]))
     return tuple(plates)
 
 

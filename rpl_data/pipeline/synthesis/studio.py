@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -34,8 +34,10 @@ from rpl_data.synthesize.views import shown_directions
 from rpl_data.torch.turns import turn_by_scenes, up_in_object
 from rpl_data.types import DataError, Intrinsics
 from rpl_data.types.instances import scene_of
+from rpl_data.workspace.parts import Parts
+from rpl_data.workspace.workspace import Workspace
 
-VERSION = 3
+VERSION = 4
 """Increase it when the same workspace gives another studio."""
 MOST_PHOTOS = 80
 """Images per object that colour it."""
@@ -45,6 +47,9 @@ MEASURED_EVERY = 8
 """One in so many of these images is compared with the model, for the noise of depth."""
 
 Tell = Callable[[str], None]
+
+PartOf = Callable[[Json], str]
+"""From an image of the export to the part of its recording that it is in."""
 
 
 @dataclass
@@ -99,24 +104,21 @@ def _made_of(context: Context, training: Training) -> Json:
 def _make(context: Context, training: Training, folder: Path, tell: Tell) -> Studio:
     workspace, parts = context.workspace, context.workspace.parts()
     tell("tables of the training scenes")
-    by_part = {
-        scene: scene_table(workspace, scene)
-        for scene in workspace.scene_names()
-        if parts.video_of(scene) in training.scenes
-    }
-    tables: dict[str, Table | None] = {}
-    for scene, table in by_part.items():
-        video = parts.video_of(scene)
-        tables[video] = tables.get(video) or table
+    tables = _tables(workspace, parts, training.scenes)
+
+    def part_of(image: Json) -> str:
+        return parts.scene_at(image["scene"], image["frame"])
+
     gathered, shown = _Gathered(), training.names()
-    ups = {scene: _up(training, scene, tables[scene]) for scene in training.scenes}
+    used = sorted({part_of(image) for image in training.data["images"]})
+    ups = {part: _up(training, part, part_of, tables[part]) for part in used}
     subjects = {
-        item.model.name: _subject(context, training, item, tables, ups, gathered, tell)
+        item.model.name: _subject(context, training, item, part_of, tables, ups, gathered, tell)
         for item in training.objects
         if item.model.name in shown and can_be_made(context, item.model.name, training.scenes)
     }
     tell("plates")
-    plates = make_plates(folder, training, tables, ups)
+    plates = make_plates(folder, training, part_of, tables, ups)
     per_image = Counter(one["image_id"] for one in training.data["annotations"])
     return Studio(
         scenes=training.scenes,
@@ -128,6 +130,20 @@ def _make(context: Context, training: Training, folder: Path, tell: Tell) -> Stu
     )
 
 
+def _tables(workspace: Workspace, parts: Parts, videos: Sequence[str]) -> dict[str, Table | None]:
+    """The table of each part of these recordings; where it is not known there, that of another part."""
+    found = {
+        scene: scene_table(workspace, scene)
+        for scene in workspace.scene_names()
+        if parts.video_of(scene) in videos
+    }
+    known: dict[str, Table] = {}
+    for part, table in found.items():
+        if table is not None:
+            known.setdefault(parts.video_of(part), table)
+    return {part: table or known.get(parts.video_of(part)) for part, table in found.items()}
+
+
 def _centres(training: Training) -> np.ndarray:
     images = {image["id"]: image for image in training.data["images"]}
     rows = []
@@ -137,14 +153,14 @@ def _centres(training: Training) -> np.ndarray:
     return np.array(rows, dtype=float).reshape(-1, 2)
 
 
-def _up(training: Training, scene: str, table: Table | None) -> np.ndarray:
-    """What is up in a scene: out of its table, else what is up in its images, on average."""
+def _up(training: Training, part: str, part_of: PartOf, table: Table | None) -> np.ndarray:
+    """What is up in a part of a recording: out of its table, else what is up in its images, on average."""
     if table is not None:
         return table[0]
     poses = [
         matrix_from_json(image["scene_from_camera"])
         for image in training.data["images"]
-        if image["scene"] == scene
+        if part_of(image) == part
     ]
     # Seen from the scene, as `up_in_object` sees it from an object.
     return up_in_object(np.array([invert(pose) for pose in poses]))
@@ -154,6 +170,7 @@ def _subject(
     context: Context,
     training: Training,
     item: CocoObject,
+    part_of: PartOf,
     tables: Mapping[str, Table | None],
     ups: Mapping[str, np.ndarray],
     gathered: _Gathered,
@@ -169,18 +186,20 @@ def _subject(
     _measure(training.folder, labels, body, gathered)
     poses = np.array([matrix_from_json(one["camera_from_object"]) for _, one in labels])
     scenes = np.array([image["scene"] for image, _ in labels])
+    places = np.array([part_of(image) for image, _ in labels])
+    up_by_light = {image["scene"]: ups[part_of(image)] for image, _ in reversed(labels)}
     distances = np.linalg.norm(poses[:, :3, 3], axis=1)
     return Subject(
         body=body,
         keypoints=item.model.keypoints,
         views=np.array([view_of(pose) for pose in poses]),
         shown=shown_directions(body),
-        ups=np.array([_up_of(labels, poses, scenes, scene, tables) for scene in np.unique(scenes)]),
+        ups=np.array([_up_of(labels, poses, places, part, tables) for part in np.unique(places)]),
         turn_deg=turn_by_scenes(scenes, poses),
         nearest_m=float(np.percentile(distances, 2)),
         farthest_m=float(np.percentile(distances, 98)),
         keypoint_sigma_m=_keypoint_sigma_m(context, name),
-        lights={scene: SceneLight(ups[scene], light) for scene, light in sorted(lights.items())},
+        lights={scene: SceneLight(up_by_light[scene], light) for scene, light in sorted(lights.items())},
         symmetries=item.symmetries,
     )
 
@@ -188,12 +207,12 @@ def _subject(
 def _up_of(
     labels: list[tuple[Json, Json]],
     poses: np.ndarray,
-    scenes: np.ndarray,
-    scene: str,
+    places: np.ndarray,
+    part: str,
     tables: Mapping[str, Table | None],
 ) -> np.ndarray:
-    """What is up for the object in a scene, object frame."""
-    rows, table = np.flatnonzero(scenes == scene), tables[scene]
+    """What is up for the object in a part of a recording, object frame."""
+    rows, table = np.flatnonzero(places == part), tables[part]
     if table is None:
         return up_in_object(poses[rows])
     scene_from_camera = matrix_from_json(labels[rows[0]][0]["scene_from_camera"])

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from rpl_data.files import write_json
 from rpl_data.types import DataError
+from rpl_data.wording import counted
 
 from .progress import Progress, load_progress
 
@@ -184,10 +185,11 @@ def write_figure(
     from .page import bars, sections, verdict
 
     figure = bars(scores)
+    images = len(read_coco(sources[OURS] / "train.json")["images"])
     data = {
         "settings": asdict(settings),
         "progress": asdict(progress),
-        "training_images": len(read_coco(sources[OURS] / "train.json")["images"]),
+        "training_images": images,
         "verdict": {split: verdict(arms) for split, arms in scores.items()},
         "scores": {split: {k: asdict(v) for k, v in arms.items()} for split, arms in scores.items()},
     }
@@ -197,8 +199,8 @@ def write_figure(
         title="Segmentation",
         data=data,
         sections=sections(sources, scores, progress, figure, out),
-        note=f"{settings.network.backbone} FPN at {settings.network.size_px} px, {progress.epochs} epochs of "
-        f"{data['training_images']} images a source, {progress.seconds / 60:.0f} min on the clock, "
-        f"{progress.cpu_seconds / 60:.0f} CPU min",
+        note=f"{settings.network.backbone} FPN at {settings.network.size_px} px, "
+        f"{counted(progress.epochs, 'epoch')} of {counted(images, 'image')} per label "
+        f"source, {progress.seconds / 60:.0f} min on the clock, {progress.cpu_seconds / 60:.0f} CPU min",
         figures={"segmentation": figure},
     )
