@@ -102,13 +102,15 @@ def _neighbours(
     return row.clip(0, shape[0] - 1), column.clip(0, shape[1] - 1)
 
 
-def depth_agreement(
+def depth_disagreement(
     model_m: DepthPatch, visible: MaskPatch, measured_m: DepthPatch, tolerances: Tolerances
 ) -> float:
-    """Share of the visible and measured pixels whose depth agrees with the model; 1 when there are none."""
-    compared = visible & (measured_m > 0) & (model_m < FAR_M)
-    if not compared.any():
-        return 1.0
+    """Share of the visible pixels whose measured depth is not the model's; 0 when there are none.
+
+    Pixels without depth agree: where an object is dark or shiny, the few that have some are its edges.
+    """
+    shown = visible & (model_m < FAR_M)
+    compared = shown & (measured_m > 0)
     expected = model_m[compared]
-    agrees = np.abs(measured_m[compared] - expected) <= tolerances.depth_at_m(expected)
-    return float(agrees.mean())
+    differs = np.abs(measured_m[compared] - expected) > tolerances.depth_at_m(expected)
+    return float(differs.sum() / max(shown.sum(), 1))
