@@ -40,6 +40,8 @@ from training.reproduce.table1.worst import worst_scenes
 PAPER_RECIPE = Path(__file__).parents[2] / "datasets" / "paper_twin.yaml"
 PAPERS_IMAGES = {"scenes": 80, "images": 150_000}
 BY_SCENE = ("track", "drift", "surface", "label")
+MOST_LOOKED_AT = {"drift": 24, "surface": MOST_FRAMES}
+"""Frames per scene that these stages look at, however many there are."""
 BY_OBJECT = ("solve", "refine", "segment")
 BY_FRAME = ("import", "export", "quality", "report")
 
@@ -193,7 +195,7 @@ def print_costs(costs: Sequence[StepCost], spec: TwinSpec, share: float) -> None
         if stage in BY_SCENE:
             unit = unit_cost(steps)
             units = f"{unit.scene_s:.2f} s | {1e3 * unit.frame_s:.1f} ms"
-            most = MOST_FRAMES if stage == "surface" else np.inf
+            most = MOST_LOOKED_AT.get(stage, np.inf)
             many = [unit.of(np.minimum(each, most).tolist()) for each in (at_3_hz, at_30_hz)]
         elif stage in BY_OBJECT:
             units = f"{spent_s / len(frames):.2f} s | "
