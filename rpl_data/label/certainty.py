@@ -14,7 +14,7 @@ from jaxtyping import Float64
 from rpl_data.geometry import transform
 from rpl_data.label.alone import ObjectAlone
 from rpl_data.label.masks import MaskPatch
-from rpl_data.label.occlusion import FAR_M, DepthPatch, Tolerances, depth_agreement
+from rpl_data.label.occlusion import FAR_M, DepthPatch, Tolerances, depth_disagreement
 from rpl_data.label.outline import REACH_PX, moved_by_edges_px, outline_of
 from rpl_data.pose.projection import projected_variance
 from rpl_data.raycast import PixelTable
@@ -130,6 +130,6 @@ def _misplaced_px(
     if depth_m is None:
         return 0.0
     measured: DepthPatch = depth_m[alone.window]
-    disagreeing = 1 - depth_agreement(alone.depth_m, visible, measured, tolerances)
+    disagreeing = depth_disagreement(alone.depth_m, visible, measured, tolerances)
     size_px = float(np.sqrt(alone.mask.sum()))
     return UNCOVERED * size_px * max(disagreeing - USUAL_DISAGREEMENT, 0.0)

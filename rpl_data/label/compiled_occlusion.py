@@ -26,19 +26,19 @@ def mark_blocked(nearest_m: Any, measured_m: Any, least_m: float, least_sigmas: 
 
 
 @compiled
-def count_agreeing(
+def count_disagreeing(
     model_m: Any, visible: Any, measured_m: Any, nothing_m: float, least_m: float, least_sigmas: float
 ) -> Any:
-    """How many visible pixels have measured depth, and how many of these have the model's."""
-    compared, agreeing = 0, 0
+    """How many pixels of the object are visible, and how many of these have another depth than the model's."""
+    shown, disagreeing = 0, 0
     for row in range(model_m.shape[0]):
         for column in range(model_m.shape[1]):
             expected_m, sensor_m = model_m[row, column], measured_m[row, column]
-            if visible[row, column] and sensor_m > 0 and expected_m < nothing_m:
+            if visible[row, column] and expected_m < nothing_m:
                 tolerance_m = max(least_m, least_sigmas * sensor_sigma_m(expected_m))
-                compared += 1
-                agreeing += abs(sensor_m - expected_m) <= tolerance_m
-    return compared, agreeing
+                shown += 1
+                disagreeing += sensor_m > 0 and abs(sensor_m - expected_m) > tolerance_m
+    return shown, disagreeing
 
 
 @compiled

@@ -94,13 +94,16 @@ def keypoints_seen(
     return seen
 
 
-def depth_agreement(
+def depth_disagreement(
     model_m: DepthPatch, visible: MaskPatch, measured_m: DepthPatch, tolerances: Tolerances
 ) -> float:
-    """Share of the visible and measured pixels whose depth agrees with the model; 1 when there are none."""
-    from rpl_data.label.compiled_occlusion import count_agreeing
+    """Share of the visible pixels whose measured depth is not the model's; 0 when there are none.
 
-    compared, agreeing = count_agreeing(
+    Pixels without depth agree: where an object is dark or shiny, the few that have some are its edges.
+    """
+    from rpl_data.label.compiled_occlusion import count_disagreeing
+
+    shown, disagreeing = count_disagreeing(
         model_m, visible, measured_m, FAR_M, tolerances.depth_m, tolerances.depth_sigmas
     )
-    return float(agreeing / compared) if compared else 1.0
+    return float(disagreeing / max(shown, 1))

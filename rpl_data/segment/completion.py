@@ -68,6 +68,12 @@ def closed_mesh(
     return ClosedMesh(mesh, _seen(mesh, cloud, voxel_m), open_edges(mesh))
 
 
+def mesh_of_border(border: PointCloud, *, voxel_m: float) -> ClosedMesh:
+    """Fit a mesh to the border of the space that an object may fill, of which no camera saw any."""
+    mesh = _poisson(border, voxel_m)
+    return ClosedMesh(mesh, np.zeros(len(mesh.triangles), bool), open_edges(mesh))
+
+
 def open_edges(mesh: Mesh) -> int:
     """Number of edges that do not have exactly two triangles."""
     sides = mesh.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)

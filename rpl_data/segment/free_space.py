@@ -91,10 +91,12 @@ def unseen_border(
     cells = np.indices(size).reshape(3, -1).T * CELL_M + low
     filled = (cells @ facets[:, :3].T + facets[:, 3]).max(axis=1) < 1e-6
     filled[filled] = witnesses(cells[filled], views, margin_m=MARGIN_M) < WITNESSES
-    return _border(filled.reshape(size), low)
+    return border(filled.reshape(size), low)
 
 
-def _border(filled: Bool[np.ndarray, "x y z"], low: Float64[np.ndarray, "3"]) -> PointCloud:
+def border(
+    filled: Bool[np.ndarray, "x y z"], low: Float64[np.ndarray, "3"], *, cell_m: float = CELL_M
+) -> PointCloud:
     """The outermost filled cells, each shifted to where the smoothed filling falls to one half."""
     smooth = ndimage.gaussian_filter(filled.astype(float), 1.0)
     edge = filled & ~ndimage.binary_erosion(filled)
@@ -104,7 +106,7 @@ def _border(filled: Bool[np.ndarray, "x y z"], low: Float64[np.ndarray, "3"]) ->
     outwards = -slope[clear] / steepness[clear, None]
     beyond = (smooth[edge][clear] - 0.5) / np.maximum(steepness[clear], 0.05)
     cells = np.argwhere(edge)[clear] + outwards * np.clip(beyond, -1, 1)[:, None]
-    return PointCloud(low + CELL_M * cells, outwards)
+    return PointCloud(low + cell_m * cells, outwards)
 
 
 def view_of(

@@ -31,6 +31,13 @@ class Plane:
         return height
 
 
+def box_around_keypoints(keypoints: Points) -> tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "3"]]:
+    """The lowest and the highest corner of a box that holds the object and some of its support."""
+    low, high = keypoints.min(axis=0), keypoints.max(axis=0)
+    margin_m = max(0.6 * float(np.linalg.norm(high - low)), 0.06)
+    return low - margin_m, high + margin_m
+
+
 def smooth_or_convex_pairs(
     cloud: PointCloud, *, radius_m: float, max_concave_rad: float
 ) -> Int64[np.ndarray, "m 2"]:
@@ -155,6 +162,25 @@ def beyond_footprint_m(
     edges = ConvexHull(corners).equations
     beyond: Float64[np.ndarray, " n"] = (points @ axes.T @ edges[:, :2].T + edges[:, 2]).max(axis=1)
     return beyond
+
+
+def beyond_support_halo(
+    points: Float64[np.ndarray, "m 3"],
+    plane: Plane,
+    keypoints: Points,
+    *,
+    low_m: float = 0.02,
+    reach_m: float = 0.008,
+) -> Bool[np.ndarray, " m"]:
+    """Which points are the object's, not the halo's: low ones around it, where its support seems raised.
+
+    Low points are kept only within `reach_m` of the footprint of the higher points and the keypoints.
+    """
+    height = plane.height_m(points)
+    limit_m = min(low_m, 0.3 * float(plane.height_m(keypoints).max()))
+    upper = np.concatenate([points[height > limit_m], keypoints])
+    kept: Bool[np.ndarray, " m"] = (height > limit_m) | (beyond_footprint_m(plane, upper, points) < reach_m)
+    return kept
 
 
 def height_above(

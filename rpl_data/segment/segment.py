@@ -11,19 +11,24 @@ from scipy.spatial import cKDTree
 
 from rpl_data.geometry import Points, invert, transform
 from rpl_data.meshes import joined, oriented_points, select, smoothed_normals, thinned
-from rpl_data.segment.completion import closed_mesh
+from rpl_data.segment.carving import carved
+from rpl_data.segment.completion import closed_mesh, mesh_of_border
 from rpl_data.segment.free_space import DepthView, free_share, witnesses
 from rpl_data.segment.mask_votes import MaskView, regions_by_masks
-from rpl_data.segment.refusals import CropBox, refuse_without_surface
+from rpl_data.segment.refusals import NEAR_M, CropBox, refuse_without_surface
 from rpl_data.segment.region_growing import (
     Plane,
-    beyond_footprint_m,
+    beyond_support_halo,
+    box_around_keypoints,
     components,
     height_above,
     planes_below,
     smooth_or_convex_pairs,
 )
 from rpl_data.types import Mesh, PointCloud, Solution
+
+LEAST_COVERED = 0.5
+"""Where a smaller share of the keypoints lies on the grown regions, depth may have missed the object."""
 
 
 @dataclass(frozen=True)
@@ -32,11 +37,11 @@ class DenseModel:
 
     Attributes:
         mesh: closed triangles, from which masks are rendered.
-        cloud: points of the surface that was seen.
+        cloud: points of the surface that was seen; of a carved model, of its border.
         seen: for each triangle, whether it lies on surface that was seen; the others close unseen sides.
         open_edges: edges without exactly two triangles; 0 = the mesh is watertight.
         free_share: share of the mesh's area in space that depth images saw through, where the object cannot
-            be; NaN without depth images.
+            be; NaN without depth images, and for a carved model, which ends where they saw through.
         warnings: lines for the user.
     """
 
@@ -79,6 +84,8 @@ def segment_object(
     3. Regions grow from the keypoints across smooth and convex edges.
     4. Points that other scenes saw through are removed; the rest is merged and closed.
 
+    Where depth has holes in the object's place, regions hardly grow; it is then carved: see `carved`.
+
     Args:
         surfaces: by scene name, in the scene frame; scenes that the solution does not place are ignored.
         voxel_m: resolution of the surfaces.
@@ -94,19 +101,51 @@ def segment_object(
     grown = _regions(surroundings, keypoints, voxel_m)
     above = {scene: around.above for scene, around in surroundings.items()}
     grown, said = regions_by_masks(grown, above, mask_views, keypoints)
-    if not grown:
+    cloud = _merged(grown, surroundings, keypoints, depth_views, voxel_m) if grown else None
+    if cloud is None or _covered_share(cloud, keypoints) < LEAST_COVERED:
+        planes = [plane for around in surroundings.values() for plane in around.planes]
+        border = carved(keypoints, planes, depth_views, voxel_m=voxel_m, crop_m=crop_m)
+        if border is not None:
+            return _unseen_model(border, voxel_m)
+    if cloud is None:
         refuse_without_surface(surfaces, solution, crop_m)
-    agreed = [
-        _not_seen_through(region, scene, surroundings, depth_views, voxel_m)
-        for scene, region in grown.items()
-    ]
-    cloud = _around_keypoints(thinned(joined(agreed), voxel_m=voxel_m * 0.7), keypoints, voxel_m)
     anchors = np.concatenate([keypoints, _contact_points(cloud, surroundings)])
     lacking = [f"scene {scene} has no surface at the keypoints" for scene in surfaces if scene not in grown]
     warnings = (*lacking, *said)
     closed = closed_mesh(cloud, anchors, voxel_m=voxel_m, views=depth_views)
     share = free_share(closed.mesh, depth_views) if depth_views else float("nan")
     return DenseModel(closed.mesh, cloud, closed.seen, closed.open_edges, share, warnings)
+
+
+def _merged(
+    grown: Mapping[str, PointCloud],
+    surroundings: Mapping[str, _Surroundings],
+    keypoints: Points,
+    depth_views: Sequence[DepthView],
+    voxel_m: float,
+) -> PointCloud:
+    """The regions of all scenes as one cloud, without what other scenes saw through."""
+    agreed = [
+        _not_seen_through(region, scene, surroundings, depth_views, voxel_m)
+        for scene, region in grown.items()
+    ]
+    return _around_keypoints(thinned(joined(agreed), voxel_m=voxel_m * 0.7), keypoints, voxel_m)
+
+
+def _covered_share(cloud: PointCloud, keypoints: Points) -> float:
+    """Share of the keypoints that lie on a cloud."""
+    return float((cKDTree(cloud.points).query(keypoints)[0] < NEAR_M).mean())
+
+
+def _unseen_model(border: PointCloud, voxel_m: float) -> DenseModel:
+    """The dense model of an object of which no surface was measured: what no depth image saw through."""
+    closed = mesh_of_border(border, voxel_m=voxel_m)
+    warning = (
+        "hardly any depth is measured on it, so its dense model is the space that no depth image saw "
+        "through: without colours, and too large where it is hollow; more scenes, in which it lies on other "
+        "sides, help"
+    )
+    return DenseModel(closed.mesh, border, closed.seen, closed.open_edges, float("nan"), (warning,))
 
 
 def grown_regions(
@@ -164,9 +203,8 @@ def _near_object(
     """Points of the surface around the keypoints, in the object frame, with smoothed normals."""
     moved = Mesh(transform(invert(scene_from_object), mesh.vertices), mesh.triangles, mesh.colors)
     cloud = oriented_points(moved)
-    low, high = keypoints.min(axis=0), keypoints.max(axis=0)
-    margin_m = max(0.6 * float(np.linalg.norm(high - low)), 0.06)
-    inside = ((cloud.points > low - margin_m) & (cloud.points < high + margin_m)).all(axis=1)
+    low, high = box_around_keypoints(keypoints)
+    inside = np.all((cloud.points > low) & (cloud.points < high), axis=1)
     if crop_m is not None:
         inside &= ((cloud.points > crop_m[0]) & (cloud.points < crop_m[1])).all(axis=1)
     return smoothed_normals(thinned(select(cloud, inside), voxel_m=voxel_m * 0.7), radius_m=2 * voxel_m)
@@ -195,24 +233,11 @@ def _grow(
     return select(cloud, (seeded > 0)[region] & (size > 20)[region])
 
 
-def _without_support_halo(
-    region: PointCloud,
-    planes: list[Plane],
-    keypoints: Points,
-    *,
-    low_m: float = 0.02,
-    reach_m: float = 0.008,
-) -> PointCloud:
-    """Remove the support halo: points of the table around the object, raised by noise or smoothing.
-
-    Low points are kept only within `reach_m` of the footprint of the higher points and the keypoints.
-    """
+def _without_support_halo(region: PointCloud, planes: list[Plane], keypoints: Points) -> PointCloud:
+    """Remove the support halo: points of the table around the object, raised by noise or smoothing."""
     kept = np.ones(len(region.points), bool)
     for plane in planes:
-        height = plane.height_m(region.points)
-        limit_m = min(low_m, 0.3 * float(plane.height_m(keypoints).max()))
-        upper = np.concatenate([region.points[height > limit_m], keypoints])
-        kept &= (height > limit_m) | (beyond_footprint_m(plane, upper, region.points) < reach_m)
+        kept &= beyond_support_halo(region.points, plane, keypoints)
     return select(region, kept)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -169,7 +170,9 @@ def flush_neighbour(scene_from_object: Transform, hidden: tuple[int, int], seed:
     return Mesh(whole.vertices + noise_m, whole.triangles)
 
 
-def seen_from(scene: str, frame: int, surface: Mesh, up: np.ndarray, *, empty: bool) -> MaskView:
+def seen_from(
+    scene: str, frame: int, surface: Mesh, up: np.ndarray, *, empty: bool, camera: Intrinsics = CAMERA
+) -> MaskView:
     """Depth of the surface from above and aside, and the true mask of the box alone; or an empty one."""
     turn = 2 * np.pi * frame / 6
     aside = np.linalg.svd(up[None])[2][1:]  # two axes across
@@ -178,11 +181,11 @@ def seen_from(scene: str, frame: int, surface: Mesh, up: np.ndarray, *, empty: b
     right = np.cross(forward, up) / np.linalg.norm(np.cross(forward, up))
     rotation = np.array([right, np.cross(forward, right), forward])
     pose = rigid(rotation, np.array([0, 0, 0.45]))
-    window = {"left_px": 0, "top_px": 0, "width": CAMERA.width, "height": CAMERA.height}
-    depth_m = render_depth_m(RayScene([surface]), CAMERA, pose, **window)
-    box_m = render_depth_m(RayScene([joined_meshes(box_faces((9, 9)))]), CAMERA, pose, **window)
+    window = {"left_px": 0, "top_px": 0, "width": camera.width, "height": camera.height}
+    depth_m = render_depth_m(RayScene([surface]), camera, pose, **window)
+    box_m = render_depth_m(RayScene([joined_meshes(box_faces((9, 9)))]), camera, pose, **window)
     mask = (box_m > 0) & (np.abs(box_m - depth_m) < 0.005) & (not empty)
-    return MaskView(frame, DepthView(scene, CAMERA, pose, depth_m), mask)
+    return MaskView(frame, DepthView(scene, camera, pose, depth_m), mask)
 
 
 def test_masks_part_what_no_edge_parts() -> None:
@@ -200,3 +203,37 @@ def test_masks_part_what_no_edge_parts() -> None:
     parted = segment_object(glued, solution, mask_views=views)
     assert beyond_m(parted.cloud.points) < 0.02  # the votes end 5 px, 8 mm, beside the outline
     assert [line for line in parted.warnings if "out-voted" in line and line.endswith("not used: 2")]
+
+
+# Objects without depth ----------------------------------------------------------------------------
+
+
+def test_what_depth_does_not_show_is_carved() -> None:
+    surfaces, solution = two_scenes()
+    wide = Intrinsics(240.0, 240.0, 159.5, 119.5, 320, 240)
+    measured, holes = [], []
+    for scene, up in {"00": np.array([0.0, 0, 1]), "01": np.array([-1.0, 0, 0])}.items():
+        points = transform(invert(solution.scene_from_object[scene]), surfaces[scene].vertices)
+        whole = Mesh(points, surfaces[scene].triangles)
+        below = (points @ up).min() * up  # the table, larger than any view of it
+        corners = [below + x * np.roll(up, 1) + y * np.roll(up, 2) for x, y in product((-1, 1), repeat=2)]
+        table = Mesh(np.array(corners), np.array([[0, 1, 2], [1, 2, 3]]))
+        for n in range(4):
+            shot = seen_from(scene, n, joined_meshes([whole, table]), up, empty=False, camera=wide)
+            measured.append(shot.view)
+            holes.append(replace(shot.view, depth_m=np.where(shot.mask, 0, shot.view.depth_m)))
+        on_table = ((np.abs(points) - SIZE_M / 2).max(axis=1) > 0.004)[whole.triangles].all(axis=1)
+        surfaces[scene] = replace(surfaces[scene], triangles=whole.triangles[on_table])
+
+    dense = segment_object(surfaces, solution, depth_views=holes, voxel_m=0.006)
+    axes = [np.arange(-0.6 * size - 0.02, 0.6 * size + 0.02, 0.004) for size in SIZE_M]
+    points = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 3)
+    true, found = (np.abs(points) < SIZE_M / 2).all(axis=1), inside(dense.mesh, points)
+    assert (found & true).sum() > 0.95 * true.sum() and found.sum() < 1.7 * true.sum()
+    assert not dense.seen.any() and dense.open_edges == 0
+    assert "hardly any depth is measured on it" in dense.warnings[0]
+
+    risen = replace(solution.model, points_object=CORNERS + [0.1, 0, 0.1])  # where the cameras saw through
+    for placed, views in ((solution, measured), (replace(solution, model=risen), holes)):
+        with pytest.raises(DataError, match="no dense model grows"):
+            segment_object(surfaces, placed, depth_views=views, voxel_m=0.006)

@@ -54,6 +54,8 @@ from rpl_data.geometry import Transform
 from rpl_data.types import DataError, Recording
 
 _MICROSECOND = 1e-6
+_LONGEST_STEP_S = 2.0
+"""A log of ElasticFusion's is a film: of frames farther apart than this, the unit is another one."""
 _DATES_S = (1e9, 2.2e9)
 """Seconds since 1970 in the years 2001 to 2039."""
 
@@ -144,7 +146,7 @@ def _unit_s(log: Path, stored: Float64[np.ndarray, " n"]) -> tuple[float, tuple[
     clock = clock_of(stored.tolist(), log)
     if dated and USUAL_STEPS_S[0] <= step * dated[0] <= USUAL_STEPS_S[1]:
         unit_s = dated[0]
-    elif clock.note:
+    elif clock.note and step * clock.unit_s <= _LONGEST_STEP_S:
         unit_s = clock.unit_s
     else:
         unit_s = 10.0 ** -round(float(np.log10(step * FRAME_RATE_HZ)))

@@ -1,7 +1,8 @@
 """Times of frames and poses, in whatever unit a recorder wrote them, as seconds.
 
-Which unit it was follows from the usual step: cameras make a picture every 1/250 to 2 s, and only one of
-seconds, milliseconds, microseconds and nanoseconds can give that.
+Which unit it was follows from the usual step: depth cameras make a picture every 1/120 s or less often, and
+of those that are kept one comes every 8 s or more often. Only one of seconds, milliseconds, microseconds and
+nanoseconds can give that.
 """
 
 from __future__ import annotations
@@ -15,8 +16,8 @@ from jaxtyping import Float64
 
 from rpl_data.types import DataError
 
-USUAL_STEPS_S = (1 / 250, 2.0)
-"""Usual times between frames."""
+USUAL_STEPS_S = (1 / 120, 8.0)
+"""Usual times between frames; less than a factor of 1000 apart, so that one unit alone fits."""
 
 UNITS = {"seconds": 1.0, "milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
 

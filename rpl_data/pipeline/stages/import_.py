@@ -18,7 +18,7 @@ from rpl_data.pipeline.sources import recordings_of
 from rpl_data.types import DataError, Recording
 from rpl_data.workspace.workspace import Workspace
 
-VERSION = 1
+VERSION = 2
 """Increase it when the stage writes something else for the same input: its steps then run again."""
 
 

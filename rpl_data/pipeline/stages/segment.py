@@ -23,7 +23,7 @@ MASKS_PER_SCENE = 12
 """Given masks per scene that vote on the surface."""
 MOST_FALSE_AREA = 0.03
 """Share of a mesh's area in free space above which the user is warned."""
-VERSION = 4
+VERSION = 5
 """Increase it when the stage writes something else for the same input: its steps then run again."""
 
 if TYPE_CHECKING:
