@@ -26,9 +26,9 @@ GATES_M = (0.012, 0.008, 0.005, 0.004)
 """How far a counterpart may be, from the first pass to the last."""
 STEPS = 10
 """Most Gauss-Newton steps per gate."""
-STILL_SIGMAS = 0.03
+STILL_SIGMAS = 0.01
 """A shorter step, in standard deviations of the unknowns (root mean square), ends the steps of a gate.
-Counterparts that change from step to step keep the scenes stirring by about a tenth of it, for ever."""
+Counterparts that change from step to step keep the scenes stirring by about a third of it, for ever."""
 INDEPENDENT_M = 0.02
 """Errors of a fused surface are alike within about this distance, so a patch of it counts once."""
 KERNEL_SCALE_SIGMAS = 3.0
