@@ -269,5 +269,9 @@ def costs_of_positions(
     turned = (camera_from_model[:, :3, :3] @ positions_model.T).transpose(2, 0, 1)
     found = misfit(rays, turned + camera_from_model[:, :3, 3])
     lateral, depth = squared_errors(found, COARSE)
-    costs: Float64[np.ndarray, "n m"] = robust(lateral, 2 * KERNEL_SCALE_SIGMAS) + robust(depth)
-    return costs + FARTHER_SURFACE_PENALTY * (found.surface > 0)
+    costs: Float64[np.ndarray, "n m"] = (
+        robust(lateral, 2 * KERNEL_SCALE_SIGMAS)
+        + robust(depth)
+        + FARTHER_SURFACE_PENALTY * (found.surface > 0)
+    )
+    return costs

@@ -30,7 +30,7 @@ def adjusted_by_least_squares(fragments: Fragments) -> Adjusted | None:
     return Adjusted(poses, points, fragments.clicked)
 
 
-def _cofactor(matrix: Any, i: int, j: int) -> float:
+def _cofactor(matrix: Any, i: int, j: int) -> Any:
     """Of a 4x4 matrix; the other rows and columns in cyclic order, which keeps the sign."""
     a, b, c = (i + 1) % 4, (i + 2) % 4, (i + 3) % 4
     x, y, z = (j + 1) % 4, (j + 2) % 4, (j + 3) % 4
@@ -47,21 +47,25 @@ _cofactor_compiled = njit(cache=True, error_model="numpy")(unwrap(_cofactor))
 
 def _fit(model: Any, scene: Any, weights: Any, pose: Any) -> None:
     """The rigid motion that takes weighted points of the model to those of a scene, into `pose`."""
-    total, of_model, of_scene = 0.0, np.zeros(3), np.zeros(3)
+    total, of_model, of_scene, s = 1e-300, np.zeros(3), np.zeros(3), np.zeros((3, 3))
     for k in range(len(weights)):
         total += weights[k]
         for i in range(3):
             of_model[i] += weights[k] * model[k, i]
             of_scene[i] += weights[k] * scene[k, i]
-    total = max(total, 1e-300)
-    of_model, of_scene = of_model / total, of_scene / total
-    s, bound = np.zeros((3, 3)), 0.0  # s: sums of products of model and scene
+    for i in range(3):
+        of_model[i] /= total
+        of_scene[i] /= total
+    bound, squares = 0.0, 0.0
     for k in range(len(weights)):
         for i in range(3):
-            left = weights[k] * (model[k, i] - of_model[i])
-            bound += left * (model[k, i] - of_model[i]) + weights[k] * (scene[k, i] - of_scene[i]) ** 2
+            left = model[k, i] - of_model[i]
+            bound += weights[k] * (left * left + (scene[k, i] - of_scene[i]) ** 2) / 2
             for j in range(3):
-                s[i, j] += left * (scene[k, j] - of_scene[j])
+                s[i, j] += weights[k] * left * (scene[k, j] - of_scene[j])
+    for i in range(3):
+        for j in range(3):
+            squares += s[i, j] * s[i, j]
     n = np.empty((4, 4))
     n[0, 0] = s[0, 0] + s[1, 1] + s[2, 2]
     n[0, 1] = n[1, 0] = s[1, 2] - s[2, 1]
@@ -74,11 +78,11 @@ def _fit(model: Any, scene: Any, weights: Any, pose: Any) -> None:
     n[1, 3] = n[3, 1] = s[2, 0] + s[0, 2]
     n[2, 3] = n[3, 2] = s[1, 2] + s[2, 1]
     # The characteristic polynomial x^4 + c2 x^2 + c1 x + c0 falls towards its largest root from above.
-    c2, c1, c0 = -2 * (s * s).sum(), 0.0, 0.0
+    c2, c1, c0 = -2 * squares, 0.0, 0.0
     for j in range(4):
         c0 += n[0, j] * _cofactor_compiled(n, 0, j)
         c1 -= _cofactor_compiled(n, j, j)
-    largest = bound / 2
+    largest = bound
     for _ in range(50):
         value = ((largest * largest + c2) * largest + c1) * largest + c0
         slope = (4 * largest * largest + 2 * c2) * largest + c1
@@ -94,12 +98,12 @@ def _fit(model: Any, scene: Any, weights: Any, pose: Any) -> None:
     for j in range(4):
         if abs(_cofactor_compiled(n, j, j)) > most:
             column, most = j, abs(_cofactor_compiled(n, j, j))
-    q = np.array([1.0, 0.0, 0.0, 0.0])
+    w, x, y, z = 1.0, 0.0, 0.0, 0.0
     if most > 0:
-        for i in range(4):
-            q[i] = _cofactor_compiled(n, i, column)
-        q /= np.sqrt((q * q).sum())
-    w, x, y, z = q
+        w, x = _cofactor_compiled(n, 0, column), _cofactor_compiled(n, 1, column)
+        y, z = _cofactor_compiled(n, 2, column), _cofactor_compiled(n, 3, column)
+        length = np.sqrt(w * w + x * x + y * y + z * z)
+        w, x, y, z = w / length, x / length, y / length, z / length
     pose[0, 0], pose[0, 1], pose[0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
     pose[1, 0], pose[1, 1], pose[1, 2] = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
     pose[2, 0], pose[2, 1], pose[2, 2] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
@@ -113,10 +117,35 @@ def _fit(model: Any, scene: Any, weights: Any, pose: Any) -> None:
 _fit_compiled = njit(cache=True, error_model="numpy")(unwrap(_fit))
 
 
+def _on_a_line(points: Any, chosen: Any, count: float) -> bool:
+    """Whether the second of the principal deviations of the chosen points is too small."""
+    m, mean = np.zeros((3, 3)), np.zeros(3)
+    for k in range(len(chosen)):
+        for i in range(3):
+            mean[i] += chosen[k] * points[k, i] / count
+    for k in range(len(chosen)):
+        for i in range(3):
+            for j in range(3):
+                m[i, j] += chosen[k] * (points[k, i] - mean[i]) * (points[k, j] - mean[j])
+    for i in range(3):
+        m[i, i] -= LINE_M**2 * count
+    # Two eigenvalues below 0, so below the limit before: as many as the principal minors change their sign.
+    one, two = m[0, 0], m[0, 0] * m[1, 1] - m[0, 1] * m[1, 0]
+    three = (
+        m[0, 2] * (m[1, 0] * m[2, 1] - m[1, 1] * m[2, 0])
+        - m[1, 2] * (m[0, 0] * m[2, 1] - m[0, 1] * m[2, 0])
+        + m[2, 2] * two
+    )
+    return bool((one < 0) + ((one < 0) != (two < 0)) + ((two < 0) != (three < 0)) >= 2)
+
+
+_on_a_line_compiled = njit(cache=True, error_model="numpy")(unwrap(_on_a_line))
+
+
 def _join(scenes: Any, clicked: Any, poses: Any, points: Any) -> bool:
     """Poses and keypoints to start from; False where a scene shares no three keypoints off a line."""
     count, keypoints = clicked.shape
-    known, waiting = np.zeros(keypoints), np.ones(count)
+    known, both, waiting = np.zeros(keypoints), np.zeros(keypoints), np.ones(count)
     for number in range(count):
         chosen, most = 0, -1.0
         for s in range(count):  # the one that shares most; first the one that shares most with all others
@@ -132,16 +161,14 @@ def _join(scenes: Any, clicked: Any, poses: Any, points: Any) -> bool:
                 chosen, most = s, shared
         waiting[chosen] = 0
         pose = poses[chosen]
+        for k in range(keypoints):
+            both[k] = known[k] if clicked[chosen, k] > 0 else 0.0
         if number == 0:
-            pose[:] = np.eye(4)
+            for i in range(4):
+                pose[i, i] = 1.0
+        elif most < 3 or _on_a_line_compiled(scenes[chosen], both, most):
+            return False
         else:
-            both = known * (clicked[chosen] > 0)
-            if most < 3:
-                return False
-            mean = (both.reshape(-1, 1) * scenes[chosen]).sum(axis=0) / most
-            centred = both.reshape(-1, 1) * (scenes[chosen] - mean)
-            if np.linalg.eigvalsh(centred.T @ centred)[1] < LINE_M**2 * most:
-                return False
             _fit_compiled(points, scenes[chosen], both, pose)
         for k in range(keypoints):
             if clicked[chosen, k] > 0 and not known[k]:
@@ -159,19 +186,21 @@ _joined = njit(cache=True, error_model="numpy")(unwrap(_join))
 def _alternate(scenes: Any, clicked: Any, poses: Any, points: Any) -> None:
     """Gower's alternation to convergence, from the poses."""
     count, keypoints = clicked.shape
-    previous, total = np.inf, np.maximum(clicked.sum(axis=0), 1e-300)
+    previous, total = np.inf, np.zeros(keypoints)
+    for s in range(count):
+        for k in range(keypoints):
+            total[k] += clicked[s, k]
     for turn in range(MOST_ALTERNATIONS + 1):
         if turn:
             for s in range(count):
                 _fit_compiled(points, scenes[s], clicked[s], poses[s])
-        points[:] = 0.0
-        for s in range(count):
-            for k in range(keypoints):
-                for i in range(3):
+        for k in range(keypoints):
+            for i in range(3):
+                mean = 0.0
+                for s in range(count):
                     for j in range(3):
-                        points[k, i] += (
-                            clicked[s, k] * poses[s, j, i] * (scenes[s, k, j] - poses[s, j, 3]) / total[k]
-                        )
+                        mean += clicked[s, k] * poses[s, j, i] * (scenes[s, k, j] - poses[s, j, 3])
+                points[k, i] = mean / max(total[k], 1e-300)
         if not turn:
             continue
         cost = 0.0

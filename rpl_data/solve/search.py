@@ -219,7 +219,7 @@ def points_without(
     told = np.array([bool((of_keypoint.scene[1:] != scene).any()) for of_keypoint in costs])
     seen = np.isin(np.arange(len(costs)), others.keypoint)
     points = state.points_model.copy()
-    for k in np.flatnonzero(told & seen):
+    for k in np.flatnonzero(told & seen).tolist():
         points[k] = costs[k].without(scene)
     found = State(state.scene_from_model, points)
     poses = 6 * len(state.scene_from_model)
