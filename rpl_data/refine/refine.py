@@ -28,6 +28,9 @@ from rpl_data.refine.registration import (
 from rpl_data.refine.scene_surfaces import SceneSurface, scene_surface
 from rpl_data.types import PointCloud
 
+WORST_SHARE = 0.25
+"""Of the scenes with evidence against them, this share is turned down in each round."""
+
 
 @dataclass(frozen=True)
 class Refined:
@@ -84,7 +87,7 @@ def refine_scenes(
         if not against:
             final = tuple(rejected.get(n, verdict) for n, verdict in enumerate(judged))
             return Refined(found.scene_from_object, found.points_object, found.normal, final)
-        for worst in _worst_of_their_neighbours(against, judged, pairs):
+        for worst in _turned_down_now(against, judged, pairs):
             rejected[worst] = judged[worst]
             surfaces[worst] = None
     left = tuple(rejected.get(n, without_surface()) for n in range(len(scenes)))
@@ -100,8 +103,12 @@ def _registered(
     )
 
 
-def _worst_of_their_neighbours(against: Sequence[int], judged: Sequence[Verdict], pairs: Pairs) -> list[int]:
-    """The scenes to be turned down now: a wrong one spoils the agreement of those it is compared with."""
-    order = {n: (judged[n].gain_sigmas, n) for n in against}
-    spared = {a for a, b in pairs if a in order and b in order and order[b] < order[a]}
-    return [n for n in against if n not in spared]
+def _turned_down_now(against: Sequence[int], judged: Sequence[Verdict], pairs: Pairs) -> list[int]:
+    """The scenes to be turned down before the others are judged again.
+
+    A wrong one spoils the agreement of those it is compared with, so one at a time of these. Of many, the
+    worst quarter at once: that the rounds do not become as many as the scenes.
+    """
+    rank = {n: place for place, n in enumerate(sorted(against, key=lambda n: judged[n].gain_sigmas))}
+    spared = {a for a, b in pairs if a in rank and b in rank and rank[b] < rank[a]}
+    return [n for n in against if n not in spared or WORST_SHARE * len(against) > rank[n]]
