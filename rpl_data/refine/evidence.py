@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import permutations
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +16,7 @@ from jaxtyping import Bool, Float64, Int64
 from scipy.stats import chi2
 
 from rpl_data.geometry import invert, transform
+from rpl_data.refine.overlap import Pairs, all_pairs
 from rpl_data.refine.registration import ClickTerms, Points, Poses, Registration, register_scenes
 from rpl_data.refine.scene_surfaces import SceneSurface, match, print_differences
 
@@ -59,7 +59,12 @@ class Test(NamedTuple):
 
 
 def cross_validated(
-    surfaces: Sequence[SceneSurface | None], start: Poses, points: Points, clicks: ClickTerms
+    surfaces: Sequence[SceneSurface | None],
+    start: Poses,
+    points: Points,
+    clicks: ClickTerms,
+    *,
+    pairs: Pairs | None = None,
 ) -> list[Test]:
     """Register twice, each time without the blocks of one colour of the chessboard."""
     colours = [None if s is None else _chessboard(s, pose) for s, pose in zip(surfaces, start, strict=True)]
@@ -72,7 +77,7 @@ def cross_validated(
             ]
             for side in (black, not black)
         ]
-        tests.append(Test(register_scenes(fitted, start, points, clicks), held_out))
+        tests.append(Test(register_scenes(fitted, start, points, clicks, pairs=pairs), held_out))
     return tests
 
 
@@ -89,14 +94,19 @@ def _chessboard(surface: SceneSurface, scene_from_object: np.ndarray) -> Bool[np
     return black
 
 
-def gains_sigmas(tests: Sequence[Test], start: Poses) -> Float64[np.ndarray, " s"]:
+def gains_sigmas(
+    tests: Sequence[Test], start: Poses, *, pairs: Pairs | None = None
+) -> Float64[np.ndarray, " s"]:
     """Per scene, how much better its held-out blocks agree than at the start, in standard errors.
 
     0 for scenes that share no held-out surface with another one.
+
+    Args:
+        pairs: the scenes that are compared; every one with every other one when None.
     """
     scenes, blocks, gains = [], [], []
     for number, (found, held_out) in enumerate(tests):
-        for a, b in permutations(range(len(held_out)), 2):
+        for a, b in all_pairs(held_out) if pairs is None else pairs:
             one, other = held_out[a], held_out[b]
             if one is None or other is None:
                 continue

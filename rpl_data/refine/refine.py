@@ -16,9 +16,20 @@ from rpl_data.refine.evidence import (
     verdicts,
     without_surface,
 )
-from rpl_data.refine.registration import ClickTerms, Points, Poses, register_scenes
+from rpl_data.refine.overlap import Pairs, compared_pairs
+from rpl_data.refine.registration import (
+    GATES_M,
+    ClickTerms,
+    Points,
+    Poses,
+    Registration,
+    register_scenes,
+)
 from rpl_data.refine.scene_surfaces import SceneSurface, scene_surface
 from rpl_data.types import PointCloud
+
+WORST_SHARE = 0.25
+"""Of the scenes with evidence against them, this share is turned down in each round."""
 
 
 @dataclass(frozen=True)
@@ -67,17 +78,37 @@ def refine_scenes(
     ]
     rejected = {n: without_surface() for n, surface in enumerate(surfaces) if surface is None}
     while len(scenes) - len(rejected) >= 2:
-        tests = cross_validated(surfaces, start, points_object, clicks)
-        found = register_scenes(surfaces, start, points_object, clicks)
+        pairs = compared_pairs(surfaces, start)
+        tests = cross_validated(surfaces, start, points_object, clicks, pairs=pairs)
+        found = _registered(surfaces, tests[0].registration, clicks, pairs)
         worse = click_costs(found.scene_from_object, found.points_object) - click_costs(start, points_object)
-        judged = verdicts(gains_sigmas(tests, start), worse)
+        judged = verdicts(gains_sigmas(tests, start, pairs=pairs), worse)
         against = [n for n, verdict in enumerate(judged) if n not in rejected and not verdict.accepted]
         if not against:
             final = tuple(rejected.get(n, verdict) for n, verdict in enumerate(judged))
             return Refined(found.scene_from_object, found.points_object, found.normal, final)
-        # One at a time: a scene that is wrong spoils the agreement of those that it shares surface with.
-        worst = min(against, key=lambda n: judged[n].gain_sigmas)
-        rejected[worst] = judged[worst]
-        surfaces[worst] = None
+        for worst in _turned_down_now(against, judged, pairs):
+            rejected[worst] = judged[worst]
+            surfaces[worst] = None
     left = tuple(rejected.get(n, without_surface()) for n in range(len(scenes)))
     return Refined(start, points_object, clicks(start, points_object)[0], left)
+
+
+def _registered(
+    surfaces: Sequence[SceneSurface | None], near: Registration, clicks: ClickTerms, pairs: Pairs
+) -> Registration:
+    """Registered on all blocks, from where half of them had brought the scenes."""
+    return register_scenes(
+        surfaces, near.scene_from_object, near.points_object, clicks, pairs=pairs, gates_m=GATES_M[1:]
+    )
+
+
+def _turned_down_now(against: Sequence[int], judged: Sequence[Verdict], pairs: Pairs) -> list[int]:
+    """The scenes to be turned down before the others are judged again.
+
+    A wrong one spoils the agreement of those it is compared with, so one at a time of these. Of many, the
+    worst quarter at once: that the rounds do not become as many as the scenes.
+    """
+    rank = {n: place for place, n in enumerate(sorted(against, key=lambda n: judged[n].gain_sigmas))}
+    spared = {a for a, b in pairs if a in rank and b in rank and rank[b] < rank[a]}
+    return [n for n in against if n not in spared or WORST_SHARE * len(against) > rank[n]]

@@ -10,8 +10,8 @@ of the same system, held by the clicks' rays and depths, so that they move along
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from itertools import permutations
 from typing import NamedTuple
 
 import numpy as np
@@ -19,14 +19,16 @@ from jaxtyping import Float64
 from scipy.spatial.transform import Rotation
 
 from rpl_data.geometry import Transform, invert
+from rpl_data.refine.overlap import Pairs, all_pairs
 from rpl_data.refine.scene_surfaces import Matches, SceneSurface, match, print_differences
 
 GATES_M = (0.012, 0.008, 0.005, 0.004)
 """How far a counterpart may be, from the first pass to the last."""
 STEPS = 10
 """Most Gauss-Newton steps per gate."""
-STILL = 2e-5
-"""Metres and radians: a smaller step ends a pass."""
+STILL_SIGMAS = 0.01
+"""A shorter step, in standard deviations of the unknowns (root mean square), ends the steps of a gate.
+Counterparts that change from step to step keep the scenes stirring by about a third of it, for ever."""
 INDEPENDENT_M = 0.02
 """Errors of a fused surface are alike within about this distance, so a patch of it counts once."""
 KERNEL_SCALE_SIGMAS = 3.0
@@ -76,6 +78,9 @@ def register_scenes(
     scene_from_object: Poses,
     points_object: Points,
     clicks: ClickTerms,
+    *,
+    pairs: Pairs | None = None,
+    gates_m: Sequence[float] = GATES_M,
 ) -> Registration:
     """Register all scenes of an object from a start that is right to about a centimetre.
 
@@ -84,26 +89,32 @@ def register_scenes(
         scene_from_object: the start, one per scene.
         points_object: the keypoints at the start; unknown ones anywhere finite.
         clicks: the terms of the clicks.
+        pairs: the scenes that are compared; every one with every other one when None.
+        gates_m: how far a counterpart may be, from the first pass to the last.
     """
+    asked = all_pairs(surfaces) if pairs is None else pairs
     poses, points = scene_from_object, points_object
     normal, sigma_m, print_sigmas = np.empty((0, 0)), 0.0, np.empty(0)
-    for gate_m in GATES_M:
+    partners = Counter(asking for asking, _ in asked)
+    for gate_m in gates_m:
         for _ in range(STEPS):
-            pairs = list(_pairs(surfaces, poses, gate_m))
-            sigma_m, print_sigmas = _spreads(pairs)
+            compared = list(_compared(surfaces, asked, poses, gate_m))
+            sigma_m, print_sigmas = _spreads(compared)
             normal, gradient = clicks(poses, points)
-            for pair in pairs:
-                _add(normal, gradient, pair, surfaces, sigma_m, print_sigmas)
+            for pair in compared:
+                _add(normal, gradient, pair, surfaces, sigma_m, print_sigmas, partners=partners[pair.a])
             step = _solved(normal, gradient)
             poses, points = _moved(poses, points, step)
-            if np.abs(step).max() < STILL:
+            if -step @ gradient < STILL_SIGMAS**2 * len(step):
                 break
     return Registration(poses, points, normal, sigma_m, print_sigmas)
 
 
-def _pairs(surfaces: Sequence[SceneSurface | None], poses: Poses, gate_m: float) -> Iterator[_Pair]:
-    """Every scene asks every other one."""
-    for a, b in permutations(range(len(surfaces)), 2):
+def _compared(
+    surfaces: Sequence[SceneSurface | None], asked: Pairs, poses: Poses, gate_m: float
+) -> Iterator[_Pair]:
+    """What the scenes that are compared find in one another."""
+    for a, b in asked:
         one, other = surfaces[a], surfaces[b]
         if one is None or other is None:
             continue
@@ -136,42 +147,52 @@ def _add(
     surfaces: Sequence[SceneSurface | None],
     sigma_m: float,
     print_sigmas: Float64[np.ndarray, " c"],
+    *,
+    partners: int,
 ) -> None:
-    """Add what two scenes say of one another to the system."""
-    one, other = surfaces[pair.a], surfaces[pair.b]
-    assert one is not None and other is not None
-    partners = sum(surface is not None for surface in surfaces) - 1
-    share = 2 * (one.spacing_m / INDEPENDENT_M) ** 2 / partners
-    points_a = one.cloud.points[one.asking[pair.matches.asking]]
-    close = share * robust_weight(pair.matches.distance_m / sigma_m)
-    terms = [(other.cloud.normals[pair.matches.found], pair.matches.distance_m / sigma_m, close, sigma_m)]
-    for channel, sigma in enumerate(print_sigmas):
-        normed = pair.print[:, channel] / sigma
-        slope = other.texture.gradients[pair.matches.found, channel]
-        terms.append((slope, normed, close * robust_weight(normed), sigma))
-    columns = np.r_[6 * pair.a : 6 * pair.a + 6, 6 * pair.b : 6 * pair.b + 6]
-    for slope, normed, weight, sigma in terms:
-        jacobian = _by_poses(slope / sigma, points_a, pair.matches.points_b, pair.b_from_a)
-        weighted = jacobian * weight[:, None]
-        normal[np.ix_(columns, columns)] += jacobian.T @ weighted
-        gradient[columns] += weighted.T @ normed
-
-
-def _by_poses(
-    slope_b: Float64[np.ndarray, "m 3"],
-    points_a: Float64[np.ndarray, "m 3"],
-    points_b: Float64[np.ndarray, "m 3"],
-    b_from_a: Transform,
-) -> Float64[np.ndarray, "m 12"]:
-    """Derivative of a residual by small motions of scene a, then of scene b.
+    """Add what two scenes say of one another to the system.
 
     Args:
-        slope_b: the residual's derivative by the position of the asking point, scene b.
+        partners: how many scenes the asking one asks: of what it sees, each says its share.
     """
-    slope_a = slope_b @ b_from_a[:3, :3]
-    return np.concatenate(
-        [np.cross(slope_a, points_a), -slope_a, np.cross(points_b, slope_b), slope_b], axis=1
-    )
+    one, other = surfaces[pair.a], surfaces[pair.b]
+    assert one is not None and other is not None
+    found, sigmas = pair.matches.found, np.r_[sigma_m, print_sigmas]
+    slopes = np.concatenate([other.cloud.normals[found][:, None], other.texture.gradients[found]], axis=1)
+    normed = np.column_stack([pair.matches.distance_m, pair.print]) / sigmas
+    weight = robust_weight(normed)
+    weight[:, 1:] *= weight[:, :1]
+    weight *= 2 * (one.spacing_m / INDEPENDENT_M) ** 2 / partners
+    by_b = _by_pose(slopes / sigmas[:, None], pair.matches.points_b)
+    by_a = -_motions(pair.b_from_a)
+    weighted = by_b * weight.reshape(-1, 1)
+    block, slope = by_b.T @ weighted, weighted.T @ normed.ravel()
+    both = np.hstack([by_a, np.eye(6)])
+    columns = np.r_[6 * pair.a : 6 * pair.a + 6, 6 * pair.b : 6 * pair.b + 6]
+    normal[np.ix_(columns, columns)] += both.T @ block @ both
+    gradient[columns] += both.T @ slope
+
+
+def _by_pose(
+    slopes: Float64[np.ndarray, "m c 3"], points: Float64[np.ndarray, "m 3"]
+) -> Float64[np.ndarray, "n 6"]:
+    """Derivatives of residuals by a small motion (rotation, translation) of the scene of their points.
+
+    Args:
+        slopes: the residuals' derivatives by the position of the point, several per point; n = m c.
+    """
+    x, y, z = points.T[..., None]
+    u, v, w = np.moveaxis(slopes, 2, 0)
+    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u, u, v, w], axis=2).reshape(-1, 6)
+
+
+def _motions(b_from_a: Transform) -> Float64[np.ndarray, "6 6"]:
+    """Takes a small motion of frame a (rotation, translation) to that of frame b which moves things alike."""
+    turn, (x, y, z) = b_from_a[:3, :3], b_from_a[:3, 3]
+    motions = np.zeros((6, 6))
+    motions[:3, :3] = motions[3:, 3:] = turn
+    motions[3:, :3] = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]) @ turn
+    return motions
 
 
 def _solved(normal: Float64[np.ndarray, "u u"], gradient: Float64[np.ndarray, " u"]) -> np.ndarray:

@@ -109,18 +109,20 @@ def match(a: SceneSurface, b: SceneSurface, b_from_a: Transform, *, gate_m: floa
     Args:
         gate_m: farther counterparts are not believed.
     """
-    points = transform(b_from_a, a.cloud.points[a.asking])
-    normals = a.cloud.normals[a.asking] @ b_from_a[:3, :3].T
+    asking = np.flatnonzero(~a.rim[a.asking])
+    points = transform(b_from_a, a.cloud.points[a.asking[asking]])
     distance, nearest = b.tree.query(points, distance_upper_bound=gate_m)
-    near = np.isfinite(distance) & ~a.rim[a.asking]
-    nearest = np.where(near, nearest, 0)
+    near = np.flatnonzero(np.isfinite(distance))
+    near = near[~b.rim[nearest[near]]]
+    asking, points, nearest = asking[near], points[near], nearest[near].astype(np.int64)
     normals_b = b.cloud.normals[nearest]
     offset = points - b.cloud.points[nearest]
     before = (offset * normals_b).sum(axis=1)
-    beside = np.linalg.norm(offset - before[:, None] * normals_b, axis=1)
+    beside = offset - before[:, None] * normals_b
+    normals = a.cloud.normals[a.asking[asking]] @ b_from_a[:3, :3].T
     same_way = (normals * normals_b).sum(axis=1) > np.cos(SAME_WAY_RAD)
-    kept = np.flatnonzero(near & same_way & (beside < BESIDE_M) & ~b.rim[nearest])
-    return Matches(kept, nearest[kept].astype(np.int64), points[kept], before[kept])
+    kept = same_way & ((beside**2).sum(axis=1) < BESIDE_M**2)
+    return Matches(asking[kept], nearest[kept], points[kept], before[kept])
 
 
 def print_differences(a: SceneSurface, b: SceneSurface, matches: Matches) -> Float64[np.ndarray, "m c"]:

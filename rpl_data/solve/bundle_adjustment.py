@@ -28,7 +28,8 @@ from rpl_data.solve.click_rays import (
     robust,
     squared_errors,
 )
-from rpl_data.solve.straying import without_straying
+from rpl_data.solve.sparse_normal import columns_of, put_together, solved_by_scenes
+from rpl_data.solve.straying import shared_by_frames, without_straying
 
 COARSE = Noise(click_px=5.0)
 """While positions may be a few centimetres off."""
@@ -55,6 +56,14 @@ class System(NamedTuple):
     jacobian: Float64[np.ndarray, "m 3 u"]
     residual: Float64[np.ndarray, "m 3"]
     root_weight: Float64[np.ndarray, "m 3"]
+    cost: float
+
+
+class NormalEquations(NamedTuple):
+    """The normal matrix and the gradient by all unknowns, in the order of `System.jacobian`; the cost."""
+
+    normal: Float64[np.ndarray, "u u"]
+    gradient: Float64[np.ndarray, " u"]
     cost: float
 
 
@@ -91,23 +100,20 @@ def descend(
     """Levenberg-Marquardt, until a step lowers the cost by less than `tolerance` of it."""
     free = 6 * len(state.scene_from_model) + (0 if hold_points else state.points_model.size)
     damping = 1e-4
-    system = linearise(rays, state, noise=noise, scale=scale)
+    system = normal_equations(rays, state, noise=noise, scale=scale)
     for _ in range(steps):
-        jacobian = (system.root_weight[..., None] * system.jacobian).reshape(-1, system.jacobian.shape[2])
-        normal = jacobian[:, :free].T @ jacobian[:, :free]
+        normal = system.normal[:free, :free].copy()
         diagonal = np.diag(normal)
-        ridge = damping * diagonal + 1e-9 * diagonal.sum() / len(normal)
-        step = np.zeros(jacobian.shape[1])
-        step[:free] = np.linalg.solve(
-            normal + np.diag(ridge), -jacobian[:, :free].T @ (system.root_weight * system.residual).ravel()
-        )
+        np.fill_diagonal(normal, diagonal + damping * diagonal + 1e-9 * diagonal.sum() / free)
+        step = np.zeros(len(system.normal))
+        step[:free] = solved_by_scenes(normal, -system.gradient[:free], len(state.scene_from_model))
         tried = moved(state, step)
         cost = cost_of(rays, tried, noise, scale)
         if cost < system.cost:
             state = tried
             if system.cost - cost < tolerance * system.cost:
                 break
-            system, damping = linearise(rays, state, noise=noise, scale=scale), max(damping / 5, 1e-9)
+            system, damping = normal_equations(rays, state, noise=noise, scale=scale), max(damping / 5, 1e-9)
         else:
             damping *= 10
             if damping > 1e6:
@@ -140,23 +146,18 @@ def cost_of(
 ) -> float:
     """Robust cost of a state."""
     if rays.strayed_m.any():
-        return linearise(rays, state, noise=noise or Noise(), scale=scale).cost
+        return normal_equations(rays, state, noise=noise or Noise(), scale=scale).cost
     found = misfit(rays, points_in_cameras(rays, state))
     return float(click_costs(found, noise or Noise(), scale).sum())
 
 
 def linearise(rays: Rays, state: State, *, noise: Noise, scale: float = KERNEL_SCALE_SIGMAS) -> System:
     """Residuals, their derivatives and their robust weights; what straying frames share is eliminated."""
-    in_camera = points_in_cameras(rays, state)
-    found = misfit(rays, in_camera)
-    depth_sigma_m = noise.depth_ratio * found.depth_sigma_m
-    residual = np.column_stack([found.error_px / noise.click_px, found.depth_error_m / depth_sigma_m])
-    root_weight = (1 / (1 + np.column_stack(squared_errors(found, noise)) / scale**2))[:, [0, 0, 1]]
-
-    rows = camera_gradient(in_camera, found, rays.pixel_rad * noise.click_px, depth_sigma_m)
-    by_scene_point = rows @ rays.camera_from_scene[:, :3, :3]
-    jacobian = _by_unknowns(rays, state, by_scene_point)
-    cost = float(click_costs(found, noise, scale).sum())
+    rows, residual, root_weight, by_scene_point, cost = _linear(rays, state, noise, scale)
+    scenes = len(state.scene_from_model)
+    jacobian = np.zeros((len(rays.scene), 3, 6 * scenes + state.points_model.size))
+    click = np.arange(len(rays.scene))[:, None]
+    jacobian[click, :, columns_of(rays.scene, rays.keypoint, scenes)] = rows.swapaxes(1, 2)
     if rays.strayed_m.any():
         weight = root_weight[..., None]
         freed = without_straying(
@@ -167,24 +168,53 @@ def linearise(rays: Rays, state: State, *, noise: Noise, scale: float = KERNEL_S
     return System(jacobian, residual, root_weight, cost)
 
 
-def _by_unknowns(
-    rays: Rays, state: State, by_scene_point: Float64[np.ndarray, "m 3 3"]
-) -> Float64[np.ndarray, "m 3 u"]:
-    """Derivatives by all unknowns, from those by the keypoint's position in the scene."""
-    poses = state.scene_from_model[rays.scene]
-    points = state.points_model[rays.keypoint]
-    in_scene = (poses[:, :3, :3] @ points[..., None] + poses[:, :3, 3:])[..., 0]
-    by_turn = -by_scene_point @ cross_matrices(in_scene)
-    by_point = by_scene_point @ poses[:, :3, :3]
-
+def normal_equations(
+    rays: Rays, state: State, *, noise: Noise, scale: float = KERNEL_SCALE_SIGMAS
+) -> NormalEquations:
+    """What `linearise` leads to, without ever holding its jacobian, which grows with scenes times clicks."""
+    rows, residual, root_weight, by_scene_point, cost = _linear(rays, state, noise, scale)
+    rows, residual = root_weight[..., None] * rows, root_weight * residual
     scenes = len(state.scene_from_model)
-    jacobian = np.zeros((len(rays.scene), 3, 6 * scenes + state.points_model.size))
-    click = np.arange(len(rays.scene))[:, None]
-    by_pose = np.concatenate([by_turn, by_scene_point], axis=2)
-    jacobian[click, :, 6 * rays.scene[:, None] + np.arange(6)] = by_pose.swapaxes(1, 2)
-    of_points = 6 * scenes + 3 * rays.keypoint[:, None] + np.arange(3)
-    jacobian[click, :, of_points] = by_point.swapaxes(1, 2)
-    return jacobian
+    columns = columns_of(rays.scene, rays.keypoint, scenes)
+    normal, gradient = put_together(rows, residual, columns, 6 * scenes + state.points_model.size)
+    by_shift = root_weight[..., None] * by_scene_point
+    for shared in shared_by_frames(by_shift, rays.strayed_m, rays.frame):
+        own = columns[shared.clicks]
+        along = shared.along.reshape(len(own), 3, 3)
+        used = np.unique(own)
+        by_unknowns = np.zeros((len(used), 3))
+        np.add.at(by_unknowns, np.searchsorted(used, own), rows[shared.clicks].swapaxes(1, 2) @ along)
+        errors = shared.along.T @ residual[shared.clicks].ravel()
+        normal[np.ix_(used, used)] -= by_unknowns * shared.relieved @ by_unknowns.T
+        gradient[used] -= by_unknowns @ (shared.relieved * errors)
+        cost -= float(shared.relieved @ errors**2)
+    return NormalEquations(normal, gradient, cost)
+
+
+class _Linear(NamedTuple):
+    """As `System`, but by the unknowns of each click's own scene and keypoint only."""
+
+    rows: Float64[np.ndarray, "m 3 9"]
+    residual: Float64[np.ndarray, "m 3"]
+    root_weight: Float64[np.ndarray, "m 3"]
+    by_scene_point: Float64[np.ndarray, "m 3 3"]
+    cost: float
+
+
+def _linear(rays: Rays, state: State, noise: Noise, scale: float) -> _Linear:
+    in_camera = points_in_cameras(rays, state)
+    found = misfit(rays, in_camera)
+    depth_sigma_m = noise.depth_ratio * found.depth_sigma_m
+    residual = np.column_stack([found.error_px / noise.click_px, found.depth_error_m / depth_sigma_m])
+    root_weight = (1 / (1 + np.column_stack(squared_errors(found, noise)) / scale**2))[:, [0, 0, 1]]
+
+    gradient = camera_gradient(in_camera, found, rays.pixel_rad * noise.click_px, depth_sigma_m)
+    by_scene_point = gradient @ rays.camera_from_scene[:, :3, :3]
+    poses, points = state.scene_from_model[rays.scene], state.points_model[rays.keypoint]
+    in_scene = (poses[:, :3, :3] @ points[..., None] + poses[:, :3, 3:])[..., 0]
+    by_turn, by_point = -by_scene_point @ cross_matrices(in_scene), by_scene_point @ poses[:, :3, :3]
+    rows = np.concatenate([by_turn, by_scene_point, by_point], axis=2)
+    return _Linear(rows, residual, root_weight, by_scene_point, float(click_costs(found, noise, scale).sum()))
 
 
 def camera_gradient(
@@ -222,17 +252,26 @@ def reassign_keypoints(rays: Rays, state: State, candidates_model: list[Float64[
 
     The adjustment only slides along a ray to the next candidate depth; this jumps over the hill between.
     """
-    camera_from_model = rays.camera_from_scene @ state.scene_from_model[rays.scene]
     points = state.points_model.copy()
     for k, candidates in enumerate(candidates_model):
         own = rays.keypoint == k
         if own.any() and len(candidates):
             tried = np.vstack([state.points_model[k][None], candidates])
-            turned = (camera_from_model[own, :3, :3] @ tried.T).transpose(2, 0, 1)
-            in_camera = turned + camera_from_model[own, :3, 3]
-            found = misfit(rays.of(own), in_camera)
-            lateral, depth = squared_errors(found, COARSE)
-            costs = robust(lateral, 2 * KERNEL_SCALE_SIGMAS) + robust(depth)
-            costs = costs + FARTHER_SURFACE_PENALTY * (found.surface > 0)
-            points[k] = tried[costs.sum(axis=1).argmin()]
+            points[k] = tried[costs_of_positions(rays.of(own), state, tried).sum(axis=1).argmin()]
     return State(state.scene_from_model, points)
+
+
+def costs_of_positions(
+    rays: Rays, state: State, positions_model: Float64[np.ndarray, "n 3"]
+) -> Float64[np.ndarray, "n m"]:
+    """What positions of a keypoint cost each of its clicks, scenes held fixed, coarsely."""
+    camera_from_model = rays.camera_from_scene @ state.scene_from_model[rays.scene]
+    turned = (camera_from_model[:, :3, :3] @ positions_model.T).transpose(2, 0, 1)
+    found = misfit(rays, turned + camera_from_model[:, :3, 3])
+    lateral, depth = squared_errors(found, COARSE)
+    costs: Float64[np.ndarray, "n m"] = (
+        robust(lateral, 2 * KERNEL_SCALE_SIGMAS)
+        + robust(depth)
+        + FARTHER_SURFACE_PENALTY * (found.surface > 0)
+    )
+    return costs

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from rpl_data.geometry import invert, rigid, transform
-from rpl_data.solve.bundle_adjustment import State, linearise, points_in_cameras
+from rpl_data.solve.bundle_adjustment import State, normal_equations, points_in_cameras
 from rpl_data.solve.click_rays import Noise, Rays, click_costs, misfit, rays_of
 from rpl_data.solve.noise import (
     USUAL,
@@ -69,10 +69,9 @@ class JointClicks:
 
         By 6 unknowns per scene (rotation and translation, applied on the left), then 3 per keypoint.
         """
-        system = linearise(self.rays, self._state(scene_from_object, points_object), noise=self.noise)
-        weighted = (system.root_weight[..., None] * system.jacobian).reshape(-1, system.jacobian.shape[2])
-        free = weighted[:, : 6 * len(self.scenes) + points_object.size]
-        return free.T @ free, free.T @ (system.root_weight * system.residual).ravel()
+        system = normal_equations(self.rays, self._state(scene_from_object, points_object), noise=self.noise)
+        free = 6 * len(self.scenes) + points_object.size
+        return system.normal[:free, :free].copy(), system.gradient[:free].copy()
 
     def costs(self, scene_from_object: Poses, points_object: Points) -> Float64[np.ndarray, " s"]:
         """The clicks' robust cost per scene, in squared standard deviations."""

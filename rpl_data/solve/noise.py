@@ -12,7 +12,7 @@ error, so it hardly shows in the residuals, and more clicks do not lower it: bot
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Bool, Float64, Int64
 
 from rpl_data.solve.bundle_adjustment import (
     State,
@@ -23,6 +23,7 @@ from rpl_data.solve.bundle_adjustment import (
 )
 from rpl_data.solve.click_rays import Noise, Rays
 from rpl_data.solve.shared_errors import shared_errors
+from rpl_data.solve.sparse_normal import Parts, normal_by_scenes, parts_by_scene
 
 USUAL = Noise(click_px=2.0, depth_ratio=1.5)
 """What is expected before anything is known: a hand that clicks to 2 px, and depths between those of
@@ -75,10 +76,14 @@ def estimate_noise(
     system = linearise(rays, state, noise=noise)
     weight = system.root_weight**2
     weighted = system.root_weight[..., None] * system.jacobian
-    inverse = _inverse(weighted, scenes=len(state.scene_from_model), hold_points=hold_points)
-    leverage = ((weighted @ inverse) * weighted).sum(axis=-1)
+    parts = _parts(rays, state)
+    inverse = _inverse(weighted, parts, state, hold_points=hold_points)
+    leverage = np.empty_like(weight)
+    for own, columns in parts:
+        rows = weighted[own][:, :, columns]
+        leverage[own] = ((rows @ inverse[np.ix_(columns, columns)]) * rows).sum(axis=-1)
     shared = system.root_weight[:, 2:] * _shared_beyond_stated(rays, state) * system.root_weight[:, 2]
-    redundancy = weight * (1 - leverage) + _left_of_shared(weighted, inverse, shared)
+    redundancy = weight * (1 - leverage) + _left_of_shared(weighted, inverse, shared, parts, rays.keypoint)
     measured = np.isfinite(rays.depths_m[:, 0])
     squares = weight * system.residual**2
     click = _variance(
@@ -135,28 +140,58 @@ def _directions_in_model(rays: Rays, state: State) -> Float64[np.ndarray, "m 3"]
     return unit
 
 
+def _parts(rays: Rays, state: State) -> Parts:
+    return parts_by_scene(rays.scene, len(state.scene_from_model), state.points_model.size)
+
+
+def _by_depths(
+    weighted: Float64[np.ndarray, "m 3 u"], inverse: Float64[np.ndarray, "u u"], parts: Parts
+) -> Float64[np.ndarray, "u m"]:
+    """By how much each depth moves the unknowns: N^-1 J', in the rows of the depths."""
+    moves = np.empty((len(inverse), len(weighted)))
+    for own, columns in parts:
+        moves[:, own] = inverse[:, columns] @ weighted[own, 2][:, columns].T
+    return moves
+
+
+def _times_shared(
+    left: Float64[np.ndarray, "u m"], shared: Float64[np.ndarray, "m m"], keypoint: Int64[np.ndarray, " m"]
+) -> Float64[np.ndarray, "u m"]:
+    """The product with a covariance of the depths, which is 0 between clicks of different keypoints."""
+    product = np.empty_like(left)
+    for k in np.unique(keypoint):
+        own = np.flatnonzero(keypoint == k)
+        product[:, own] = left[:, own] @ shared[np.ix_(own, own)]
+    return product
+
+
 def _left_of_shared(
     weighted: Float64[np.ndarray, "m 3 u"],
     inverse: Float64[np.ndarray, "u u"],
     shared: Float64[np.ndarray, "m m"],
+    parts: Parts,
+    keypoint: Int64[np.ndarray, " m"],
 ) -> Float64[np.ndarray, "m 3"]:
     """What a covariance of the depths adds to the expected squares of the residuals after the adjustment.
 
     The diagonal of M S M for the residual-forming M = 1 - J N^-1 J', with S in the rows of the depths only.
     """
-    pulled = inverse @ weighted[:, 2].T @ shared
-    spread = pulled @ weighted[:, 2] @ inverse
-    left: Float64[np.ndarray, "m 3"] = ((weighted @ spread) * weighted).sum(axis=-1)
+    moves = _by_depths(weighted, inverse, parts)
+    pulled = _times_shared(moves, shared, keypoint)
+    left = np.empty(weighted.shape[:2])
+    for own, columns in parts:
+        rows, spread = weighted[own][:, :, columns], pulled[columns] @ moves[columns].T
+        left[own] = ((rows @ spread) * rows).sum(axis=-1)
     left[:, 2] += np.diag(shared) - 2 * (weighted[:, 2] * pulled.T).sum(axis=1)
     return left
 
 
 def _inverse(
-    jacobian: Float64[np.ndarray, "m 3 u"], *, scenes: int, hold_points: bool
+    jacobian: Float64[np.ndarray, "m 3 u"], parts: Parts, state: State, *, hold_points: bool
 ) -> Float64[np.ndarray, "u u"]:
     """Inverse of the normal matrix, as `inverse_normal`."""
-    flat = jacobian.reshape(-1, jacobian.shape[2])
-    return inverse_normal(flat.T @ flat, scenes=scenes, hold_points=hold_points)
+    normal = normal_by_scenes(jacobian, parts)
+    return inverse_normal(normal, scenes=len(state.scene_from_model), hold_points=hold_points)
 
 
 def inverse_normal(
@@ -186,7 +221,7 @@ def joint_covariance(
     `shape_covariance`.
     """
     root = _root_information(linearise(rays, state, noise=noise))
-    inverse = _inverse(root, scenes=len(state.scene_from_model), hold_points=hold_points)
+    inverse = _inverse(root, _parts(rays, state), state, hold_points=hold_points)
     return with_shared_errors(inverse, rays, state, noise=noise)
 
 
@@ -201,10 +236,10 @@ def with_shared_errors(
     Args:
         inverse: of the normal matrix of the clicks, or of the clicks and more (`inverse_normal`).
     """
-    by_depths = inverse @ _root_information(linearise(rays, state, noise=noise))[:, 2].T
-    covariance: Float64[np.ndarray, "u u"] = (
-        inverse + by_depths @ _shared_beyond_stated(rays, state) @ by_depths.T
-    )
+    root = _root_information(linearise(rays, state, noise=noise))
+    moves = _by_depths(root, inverse, _parts(rays, state))
+    pulled = _times_shared(moves, _shared_beyond_stated(rays, state), rays.keypoint)
+    covariance: Float64[np.ndarray, "u u"] = inverse + pulled @ moves.T
     return covariance
 
 

@@ -22,6 +22,7 @@ from rpl_data.solve.bundle_adjustment import (
     points_in_cameras,
 )
 from rpl_data.solve.click_rays import FARTHER_SURFACE_PENALTY, Rays, misfit, robust
+from rpl_data.solve.sparse_normal import columns_of, put_together, solved_by_scenes
 
 HAND_SIGMA_PX = 2.0
 """Standard deviation of a careful click in each axis, believed until the clicks show another."""
@@ -106,7 +107,8 @@ def refit(
     damping = 1e-4
     for _ in range(most_steps):
         floor = 1e-9 * np.trace(normal) / len(normal) * np.eye(len(normal))
-        step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)) + floor, -gradient)
+        damped = normal + damping * np.diag(np.diag(normal)) + floor
+        step = solved_by_scenes(damped, -gradient, len(scene_from_model))
         there = moved(State(fit.scene_from_model, fit.points_model), step)
         tried = _evaluate(rays, reading, *there, sigma_px, hold_points)
         if tried.cost >= fit.cost:
@@ -124,12 +126,7 @@ def refit(
 
 def normal_matrix(fit: Fit) -> tuple[Float64[np.ndarray, "u u"], Float64[np.ndarray, " u"]]:
     """Normal matrix and gradient; the frame of the model is free, so the matrix has rank u - 6 at most."""
-    unknowns, turned = fit.unknowns, fit.rows.swapaxes(1, 2)
-    cells = unknowns * fit.columns[:, :, None] + fit.columns[:, None, :]
-    normal = np.bincount(cells.ravel(), (turned @ fit.rows).ravel(), unknowns**2)
-    by_click = turned @ fit.residuals[..., None]
-    gradient = np.bincount(fit.columns.ravel(), by_click.ravel(), unknowns)
-    return normal.reshape(unknowns, unknowns), gradient
+    return put_together(fit.rows, fit.residuals, fit.columns, fit.unknowns)
 
 
 def unknowns_covariance(fit: Fit) -> Float64[np.ndarray, "u u"]:
@@ -215,13 +212,7 @@ def _evaluate(
         click_cost=click_cost,
         rows=np.concatenate([by_turn, by_scene_point, by_point], axis=2),
         residuals=np.column_stack([lateral, depth]) * root_weight[:, :, 0],
-        columns=np.concatenate(
-            [
-                6 * rays.scene[:, None] + np.arange(6),
-                6 * len(scene_from_model) + 3 * reading.keypoint[:, None] + np.arange(3),
-            ],
-            axis=1,
-        ),
+        columns=columns_of(rays.scene, reading.keypoint, len(scene_from_model)),
         in_camera=in_camera,
         sigma_px=sigma_px,
         hold_points=hold_points,

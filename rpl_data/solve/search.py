@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float64, Int64
 
 from rpl_data.geometry import invert, transform
 from rpl_data.solve.bundle_adjustment import (
@@ -21,9 +21,10 @@ from rpl_data.solve.bundle_adjustment import (
     State,
     adjust,
     cost_of,
+    costs_of_positions,
     descend,
-    linearise,
     moved,
+    normal_equations,
     reassign_keypoints,
 )
 from rpl_data.solve.click_rays import Noise, Rays
@@ -85,17 +86,18 @@ def search(
         state: from `cheapest_of`; it comes back itself where nothing better is found.
         go_on: called before each scene; what it raises ends the search.
     """
-    cost = cost_of(rays, state)
+    cost, told = cost_of(rays, state), candidate_costs(rays, candidates, state)
     alternatives: dict[int, list[Alternative]] = {}
     waiting = list(range(len(state.scene_from_model))) * SWEEPS
     unchanged = 0
     for scene in waiting:
         go_on()
-        found = _other_poses(rays, candidates, state, cost, scene)
+        found = _other_poses(rays, candidates, state, cost, told, scene)
         alternatives[scene] = found
         unchanged += 1
         if found and found[0].excess < -1e-6:
             state, cost, unchanged = found[0].state, cost + found[0].excess, 0
+            told = candidate_costs(rays, candidates, state)
         if unchanged == len(state.scene_from_model):
             break
     near = [a for found in alternatives.values() for a in found if 0 <= a.excess < NEAR_TIE]
@@ -117,11 +119,55 @@ def settle(rays: Rays, candidates: Sequence[Hypotheses], state: State, *, rounds
 
 def candidates_in_model(candidates: Sequence[Hypotheses], state: State) -> list[Float64[np.ndarray, "_ 3"]]:
     """All candidate positions of each keypoint, brought to the model frame by the scenes as they stand."""
-    found: list[list[np.ndarray]] = [[] for _ in state.points_model]
-    for of_scene, model_from_scene in zip(candidates, invert(state.scene_from_model), strict=True):
-        for k, positions in of_scene.items():
-            found[k].extend(transform(model_from_scene, positions))
-    return [np.array(positions).reshape(-1, 3) for positions in found]
+    return [positions for positions, _ in _candidates_of_scenes(candidates, state)]
+
+
+def _candidates_of_scenes(
+    candidates: Sequence[Hypotheses], state: State
+) -> list[tuple[Float64[np.ndarray, "n 3"], Int64[np.ndarray, " n"]]]:
+    """Per keypoint: its candidate positions, model frame, and which scene each is of."""
+    found = []
+    for k in range(len(state.points_model)):
+        told = [(s, of_scene[k]) for s, of_scene in enumerate(candidates) if k in of_scene]
+        scene = np.repeat([s for s, _ in told], [len(positions) for _, positions in told]).astype(np.int64)
+        positions = np.concatenate([np.empty((0, 3)), *(positions for _, positions in told)])
+        model_from_scene = invert(state.scene_from_model[scene])
+        in_model = (model_from_scene[:, :3, :3] @ positions[..., None])[..., 0] + model_from_scene[:, :3, 3]
+        found.append((in_model, scene))
+    return found
+
+
+class CandidateCosts(NamedTuple):
+    """What each click of a keypoint says of each of its candidate positions, scenes held; the present first.
+
+    Attributes:
+        scene: which scene each candidate is of; -1 for the present position.
+        click_scene: which scene each click is of.
+        costs: per candidate and click.
+    """
+
+    positions: Float64[np.ndarray, "n 3"]
+    scene: Int64[np.ndarray, " n"]
+    click_scene: Int64[np.ndarray, " m"]
+    costs: Float64[np.ndarray, "n m"]
+
+    def without(self, scene: int) -> Float64[np.ndarray, "3"]:
+        """The cheapest for the clicks of the other scenes, of the candidates there."""
+        chosen, others = self.scene != scene, self.click_scene != scene
+        best = self.costs[chosen][:, others].sum(axis=1).argmin()
+        position: Float64[np.ndarray, "3"] = self.positions[chosen][best]
+        return position
+
+
+def candidate_costs(rays: Rays, candidates: Sequence[Hypotheses], state: State) -> list[CandidateCosts]:
+    """One per keypoint, so that leaving scenes out in turn need not begin anew each time."""
+    found = []
+    for k, (positions, scene) in enumerate(_candidates_of_scenes(candidates, state)):
+        tried = np.vstack([state.points_model[k][None], positions])
+        own = rays.keypoint == k
+        costs = costs_of_positions(rays.of(own), state, tried)
+        found.append(CandidateCosts(tried, np.concatenate([[-1], scene]), rays.scene[own], costs))
+    return found
 
 
 def _other_poses(
@@ -129,10 +175,11 @@ def _other_poses(
     candidates: Sequence[Hypotheses],
     state: State,
     cost: float,
+    costs: Sequence[CandidateCosts],
     scene: int,
 ) -> list[Alternative]:
     """Answers in which one scene stands elsewhere, cheapest first; better ones have a negative excess."""
-    points, told = points_without(rays, candidates, state, scene)
+    points, told = points_without(rays, costs, state, scene)
     own = (rays.scene == scene) & told[rays.keypoint]
     if len(np.unique(rays.keypoint[own])) < 3:
         return []
@@ -165,22 +212,21 @@ def _apart_m(
 
 
 def points_without(
-    rays: Rays, candidates: Sequence[Hypotheses], state: State, scene: int
+    rays: Rays, costs: Sequence[CandidateCosts], state: State, scene: int
 ) -> tuple[Float64[np.ndarray, "k 3"], np.ndarray]:
     """Keypoints as the clicks of all other scenes have them, poses held; and which they tell anything of."""
     others = rays.of(rays.scene != scene)
-    elsewhere = [{} if s == scene else of_scene for s, of_scene in enumerate(candidates)]
-    told = np.array([any(k in of_scene for of_scene in elsewhere) for k in range(len(state.points_model))])
-    found = reassign_keypoints(others, state, candidates_in_model(elsewhere, state))
+    told = np.array([bool((of_keypoint.scene[1:] != scene).any()) for of_keypoint in costs])
+    seen = np.isin(np.arange(len(costs)), others.keypoint)
+    points = state.points_model.copy()
+    for k in np.flatnonzero(told & seen).tolist():
+        points[k] = costs[k].without(scene)
+    found = State(state.scene_from_model, points)
     poses = 6 * len(state.scene_from_model)
     for _ in range(3):
-        system = linearise(others, found, noise=COARSE)
-        jacobian = (system.root_weight[..., None] * system.jacobian[..., poses:]).reshape(
-            -1, found.points_model.size
-        )
-        normal = jacobian.T @ jacobian
+        system = normal_equations(others, found, noise=COARSE)
+        normal = system.normal[poses:, poses:]
         ridge = 1e-6 * np.diag(normal) + 1e-3
-        right = jacobian.T @ (system.root_weight * system.residual).ravel()
-        step = np.concatenate([np.zeros(poses), np.linalg.solve(normal + np.diag(ridge), -right)])
-        found = moved(found, step)
+        points_step = np.linalg.solve(normal + np.diag(ridge), -system.gradient[poses:])
+        found = moved(found, np.concatenate([np.zeros(poses), points_step]))
     return found.points_model, told

@@ -8,6 +8,7 @@ keypoint.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -26,6 +27,20 @@ class Whitened(NamedTuple):
     relief: float
 
 
+class Shared(NamedTuple):
+    """What the clicks of a frame share.
+
+    Attributes:
+        clicks: their numbers.
+        along: orthonormal columns of their residuals, three per click one after another.
+        relieved: what share of the squares along each column the frame's shift explains.
+    """
+
+    clicks: Int64[np.ndarray, " n"]
+    along: Float64[np.ndarray, "r 3"]
+    relieved: Float64[np.ndarray, "3"]
+
+
 def without_straying(
     residual: Float64[np.ndarray, "m 3"],
     jacobian: Float64[np.ndarray, "m 3 u"],
@@ -41,17 +56,29 @@ def without_straying(
         frame: numbers that tell the frames of all scenes apart.
     """
     residual, jacobian, relief = residual.copy(), jacobian.copy(), 0.0
+    for own, along, relieved in shared_by_frames(by_shift, strayed_m, frame):
+        lost = 1 - np.sqrt(1 - relieved)
+        errors, slopes = residual[own].reshape(-1), jacobian[own].reshape(len(along), -1)
+        relief += float(relieved @ (along.T @ errors) ** 2)
+        residual[own] = (errors - along @ (lost * (along.T @ errors))).reshape(-1, 3)
+        jacobian[own] = (slopes - along @ (lost[:, None] * (along.T @ slopes))).reshape(jacobian[own].shape)
+    return Whitened(residual, jacobian, relief)
+
+
+def shared_by_frames(
+    by_shift: Float64[np.ndarray, "m 3 3"],
+    strayed_m: Float64[np.ndarray, " m"],
+    frame: Int64[np.ndarray, " m"],
+) -> Iterator[Shared]:
+    """What a shift of each straying frame would do to the weighted residuals of its clicks.
+
+    Args:
+        by_shift, strayed_m, frame: as for `without_straying`.
+    """
     for number in np.unique(frame[strayed_m > 0]):
         own = np.flatnonzero(frame == number)
         shift = by_shift[own].reshape(-1, 3)
         information, axes = np.linalg.eigh(shift.T @ shift)
         information = np.maximum(information, 1e-9)  # per m^2; a click alone tells nothing along its ray
-        along = shift @ axes / np.sqrt(information)  # orthonormal columns
-        kept = 1 / np.sqrt(1 + strayed_m[own[0]] ** 2 * information)
-        errors, slopes = residual[own].reshape(-1), jacobian[own].reshape(len(shift), -1)
-        relief += float((1 - kept**2) @ (along.T @ errors) ** 2)
-        residual[own] = (errors - along @ ((1 - kept) * (along.T @ errors))).reshape(-1, 3)
-        jacobian[own] = (slopes - along @ ((1 - kept)[:, None] * (along.T @ slopes))).reshape(
-            jacobian[own].shape
-        )
-    return Whitened(residual, jacobian, relief)
+        variance = strayed_m[own[0]] ** 2 * information
+        yield Shared(own, shift @ axes / np.sqrt(information), variance / (1 + variance))

@@ -10,6 +10,7 @@ from made_surfaces import SCENES, Made, egg_seen_from, made, moved, print_at
 
 from rpl_data.geometry import from_rotvec, invert, transform
 from rpl_data.refine.colour import texture_of
+from rpl_data.refine.overlap import PARTNERS, compared_pairs
 from rpl_data.refine.refine import Refined, refine_scenes
 from rpl_data.refine.registration import register_scenes
 from rpl_data.refine.scene_surfaces import scene_surface
@@ -73,6 +74,30 @@ def test_nothing_is_registered_where_only_one_scene_has_a_surface() -> None:
     assert {verdict.reason for verdict in found.verdicts} == {
         "it shares no surface of the object with another scene"
     }
+
+
+def test_each_of_many_scenes_is_compared_with_a_few_and_all_stay_tied() -> None:
+    """Scenes around two discs, which share one point of their rims."""
+    turns = np.linspace(0, 2 * np.pi, 60, endpoint=False)
+    rim = np.column_stack([np.cos(turns), np.sin(turns), np.zeros(60)])
+    surfaces = [
+        scene_surface(PointCloud(0.1 * rim[seen] + [shift, 0, 0], rim[seen]))
+        for shift in (0.0, 0.24)
+        for seen in [np.arange(first, first + 20) % 60 for first in range(0, 60, 5)]
+    ]
+    bridge = scene_surface(
+        PointCloud(np.array([[0.1, 0, 0], [0.14, 0, 0]]), np.array([[1.0, 0, 0], [-1, 0, 0]]))
+    )
+    poses = np.tile(np.eye(4), (25, 1, 1))
+    pairs = compared_pairs([*surfaces, bridge], poses)
+    assert set(pairs) == {(b, a) for a, b in pairs} and len(pairs) <= 2 * PARTNERS * 25
+    reached = {0}
+    for _ in range(25):
+        reached |= {b for a, b in pairs if a in reached}
+    assert reached == set(range(25))
+    assert (0, 6) not in pairs, "opposite sides of a disc have nothing in common"
+    few = compared_pairs([*surfaces[:PARTNERS], None, bridge], poses[: PARTNERS + 2])
+    assert len(few) == PARTNERS * (PARTNERS + 1), "few scenes are all compared"
 
 
 def test_a_common_motion_of_the_world_changes_nothing() -> None:

@@ -6,6 +6,8 @@ from clicked_scenes import CUBE, NAMES, cameras, click_scene, pose
 from scipy.spatial.transform import Rotation
 
 from rpl_data.geometry import fit_rigid, invert, rotation_angle_rad, transform
+from rpl_data.solve.compiled_eq2 import adjusted_by_least_squares
+from rpl_data.solve.initial_guess import join_clean
 from rpl_data.solve.procrustes import Fragments, adjust_points, best_of_starts, eq2_cost
 from rpl_data.solve.solve import register, solve, solve_points
 from rpl_data.types import Click, DataError, KeypointModel, Observation
@@ -240,6 +242,31 @@ def test_points_l2_reaches_the_cost_of_the_papers_solver():
     assert eq2_cost(w, ours) <= eq2_cost(w, papers) * (1 + 1e-9)
     assert eq2_cost(w, papers) < eq2_cost(w, ours) * 1.05
     assert np.allclose(ours.scene_from_model[0], np.eye(4), atol=1e-12)
+
+
+@pytest.mark.parametrize("size", [(2, 3), (10, 12)])
+def test_points_l2_in_compiled_code_as_in_numpy(size):
+    for seed in range(3):
+        _, w = fragments(*size, seed) if size[1] > 3 else (None, tied_by_three(seed))
+        found = adjusted_by_least_squares(w)
+        numpys = adjust_points(w, np.stack(join_clean(w)), loss="l2")
+        assert np.allclose(found.points_model, numpys.points_model, rtol=0, atol=1e-10)
+        assert np.allclose(found.scene_from_model, numpys.scene_from_model, rtol=0, atol=1e-9)
+
+
+def tied_by_three(seed):
+    random = np.random.default_rng(seed)
+    return Fragments(
+        np.stack([transform(pose(random), CUBE[:3]) for _ in range(2)]) + random.normal(0, 0.002, (2, 3, 3)),
+        np.ones((2, 3)),
+    )
+
+
+def test_points_l2_in_compiled_code_leaves_scenes_that_share_a_line_to_others():
+    w = tied_by_three(0)
+    line = np.outer([0.0, 0.05, 0.1], [1.0, 0.5, 0.2])
+    assert adjusted_by_least_squares(w._replace(points_scene=np.stack([line, line + 0.1]))) is None
+    assert adjusted_by_least_squares(w._replace(clicked=np.array([[1.0, 1, 1], [1, 1, 0]]))) is None
 
 
 def test_points_robust_to_gross_errors():

@@ -17,7 +17,7 @@ from rpl_data.types import PointCloud, Solution
 from rpl_data.types.instances import scene_of
 from rpl_data.workspace.workspace import Workspace
 
-VERSION = 2
+VERSION = 3
 """Increase it when the stage writes something else for the same input: its steps then run again."""
 
 
