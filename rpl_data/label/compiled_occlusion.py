@@ -29,7 +29,7 @@ def mark_blocked(nearest_m: Any, measured_m: Any, least_m: float, least_sigmas: 
 def count_disagreeing(
     model_m: Any, visible: Any, measured_m: Any, nothing_m: float, least_m: float, least_sigmas: float
 ) -> Any:
-    """How many pixels of the object are visible, and how many of these have another depth than the model's."""
+    """How many pixels of the object are visible, and how many of them have another depth than the model."""
     shown, disagreeing = 0, 0
     for row in range(model_m.shape[0]):
         for column in range(model_m.shape[1]):

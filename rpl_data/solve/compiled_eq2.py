@@ -8,13 +8,12 @@ above, as Theobald has it (Acta Crystallographica A61, 2005).
 
 from __future__ import annotations
 
-from inspect import unwrap
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float64
-from numba import njit
 
+from rpl_data.compiled import compiled
 from rpl_data.solve.initial_guess import LINE_M
 from rpl_data.solve.procrustes import MOST_ALTERNATIONS, Adjusted, Fragments
 
@@ -24,12 +23,13 @@ def adjusted_by_least_squares(fragments: Fragments) -> Adjusted | None:
     scenes, keypoints = fragments.clicked.shape
     poses: Float64[np.ndarray, "s 4 4"] = np.zeros((scenes, 4, 4))
     points: Float64[np.ndarray, "k 3"] = np.zeros((keypoints, 3))
-    if not _joined(fragments.points_scene, fragments.clicked, poses, points):
+    if not _join(fragments.points_scene, fragments.clicked, poses, points):
         return None
-    _alternated(fragments.points_scene, fragments.clicked, poses, points)
+    _alternate(fragments.points_scene, fragments.clicked, poses, points)
     return Adjusted(poses, points, fragments.clicked)
 
 
+@compiled
 def _cofactor(matrix: Any, i: int, j: int) -> Any:
     """Of a 4x4 matrix; the other rows and columns in cyclic order, which keeps the sign."""
     a, b, c = (i + 1) % 4, (i + 2) % 4, (i + 3) % 4
@@ -42,9 +42,7 @@ def _cofactor(matrix: Any, i: int, j: int) -> Any:
     return minor if (i + j) % 2 == 0 else -minor
 
 
-_cofactor_compiled = njit(cache=True, error_model="numpy")(unwrap(_cofactor))
-
-
+@compiled
 def _fit(model: Any, scene: Any, weights: Any, pose: Any) -> None:
     """The rigid motion that takes weighted points of the model to those of a scene, into `pose`."""
     total, of_model, of_scene, s = 1e-300, np.zeros(3), np.zeros(3), np.zeros((3, 3))
@@ -80,8 +78,8 @@ def _fit(model: Any, scene: Any, weights: Any, pose: Any) -> None:
     # The characteristic polynomial x^4 + c2 x^2 + c1 x + c0 falls towards its largest root from above.
     c2, c1, c0 = -2 * squares, 0.0, 0.0
     for j in range(4):
-        c0 += n[0, j] * _cofactor_compiled(n, 0, j)
-        c1 -= _cofactor_compiled(n, j, j)
+        c0 += n[0, j] * _cofactor(n, 0, j)
+        c1 -= _cofactor(n, j, j)
     largest = bound
     for _ in range(50):
         value = ((largest * largest + c2) * largest + c1) * largest + c0
@@ -96,12 +94,12 @@ def _fit(model: Any, scene: Any, weights: Any, pose: Any) -> None:
         n[j, j] -= largest
     column, most = 0, 0.0  # every column of the adjugate is the eigenvector; the longest is the most exact
     for j in range(4):
-        if abs(_cofactor_compiled(n, j, j)) > most:
-            column, most = j, abs(_cofactor_compiled(n, j, j))
+        if abs(_cofactor(n, j, j)) > most:
+            column, most = j, abs(_cofactor(n, j, j))
     w, x, y, z = 1.0, 0.0, 0.0, 0.0
     if most > 0:
-        w, x = _cofactor_compiled(n, 0, column), _cofactor_compiled(n, 1, column)
-        y, z = _cofactor_compiled(n, 2, column), _cofactor_compiled(n, 3, column)
+        w, x = _cofactor(n, 0, column), _cofactor(n, 1, column)
+        y, z = _cofactor(n, 2, column), _cofactor(n, 3, column)
         length = np.sqrt(w * w + x * x + y * y + z * z)
         w, x, y, z = w / length, x / length, y / length, z / length
     pose[0, 0], pose[0, 1], pose[0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
@@ -114,9 +112,7 @@ def _fit(model: Any, scene: Any, weights: Any, pose: Any) -> None:
     pose[3, 3] = 1.0
 
 
-_fit_compiled = njit(cache=True, error_model="numpy")(unwrap(_fit))
-
-
+@compiled
 def _on_a_line(points: Any, chosen: Any, count: float) -> bool:
     """Whether the second of the principal deviations of the chosen points is too small."""
     m, mean = np.zeros((3, 3)), np.zeros(3)
@@ -139,9 +135,7 @@ def _on_a_line(points: Any, chosen: Any, count: float) -> bool:
     return bool((one < 0) + ((one < 0) != (two < 0)) + ((two < 0) != (three < 0)) >= 2)
 
 
-_on_a_line_compiled = njit(cache=True, error_model="numpy")(unwrap(_on_a_line))
-
-
+@compiled
 def _join(scenes: Any, clicked: Any, poses: Any, points: Any) -> bool:
     """Poses and keypoints to start from; False where a scene shares no three keypoints off a line."""
     count, keypoints = clicked.shape
@@ -166,10 +160,10 @@ def _join(scenes: Any, clicked: Any, poses: Any, points: Any) -> bool:
         if number == 0:
             for i in range(4):
                 pose[i, i] = 1.0
-        elif most < 3 or _on_a_line_compiled(scenes[chosen], both, most):
+        elif most < 3 or _on_a_line(scenes[chosen], both, most):
             return False
         else:
-            _fit_compiled(points, scenes[chosen], both, pose)
+            _fit(points, scenes[chosen], both, pose)
         for k in range(keypoints):
             if clicked[chosen, k] > 0 and not known[k]:
                 known[k] = 1
@@ -180,9 +174,7 @@ def _join(scenes: Any, clicked: Any, poses: Any, points: Any) -> bool:
     return True
 
 
-_joined = njit(cache=True, error_model="numpy")(unwrap(_join))
-
-
+@compiled
 def _alternate(scenes: Any, clicked: Any, poses: Any, points: Any) -> None:
     """Gower's alternation to convergence, from the poses."""
     count, keypoints = clicked.shape
@@ -193,7 +185,7 @@ def _alternate(scenes: Any, clicked: Any, poses: Any, points: Any) -> None:
     for turn in range(MOST_ALTERNATIONS + 1):
         if turn:
             for s in range(count):
-                _fit_compiled(points, scenes[s], clicked[s], poses[s])
+                _fit(points, scenes[s], clicked[s], poses[s])
         for k in range(keypoints):
             for i in range(3):
                 mean = 0.0
@@ -214,6 +206,3 @@ def _alternate(scenes: Any, clicked: Any, poses: Any, points: Any) -> None:
         if previous - cost <= 1e-9 * cost + 1e-18:
             return
         previous = cost
-
-
-_alternated = njit(cache=True, error_model="numpy")(unwrap(_alternate))
