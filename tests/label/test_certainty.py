@@ -13,7 +13,7 @@ from rpl_data.geometry import from_rotvec
 from rpl_data.label.alone import Body, ObjectAlone, SceneObject, object_alone
 from rpl_data.label.certainty import EDGE_NOISE_PX, quality, sigma_px
 from rpl_data.label.motion import Motion
-from rpl_data.label.occlusion import Tolerances
+from rpl_data.label.occlusion import Tolerances, depth_disagreement
 from rpl_data.label.outline import REACH_PX, color_edges, depth_edges, outline_of
 from rpl_data.raycast import PixelTable
 from rpl_data.types import Frame, Intrinsics, KeypointModel, Mesh, Scene, Trajectory
@@ -146,3 +146,12 @@ def test_of_edges_and_print_the_smaller_counts() -> None:
     assert largest(found, 0.0) < largest(found, None)
     assert largest(found, 100.0) == largest(found, None)
     assert largest(quiet, 100.0) == largest(quiet, None)
+
+
+def test_pixels_without_depth_do_not_disagree() -> None:
+    """A dark object: of its 100 pixels five have depth, four of them that of the table behind its edges."""
+    model_m, measured_m = np.ones((10, 10), np.float32), np.zeros((10, 10), np.float32)
+    visible = np.ones((10, 10), bool)
+    measured_m[0, :5] = [1.0, 1.5, 1.5, 1.5, 1.5]
+    assert depth_disagreement(model_m, visible, measured_m, Tolerances()) == pytest.approx(0.04)
+    assert depth_disagreement(model_m, ~visible, measured_m, Tolerances()) == 0.0
