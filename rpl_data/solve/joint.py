@@ -144,7 +144,7 @@ class JointClicks:
         stated, known = self.solution.covariance_in_scene, self.solution.model.known
         strayed_m = self.solution.trajectory_sigma_m
         return {
-            name: strayed_m.get(name, 0.0) ** 2 * np.eye(3)
+            name: strayed_m.get(name, 0.0) ** 2 * np.tile(np.eye(3), (len(known), 1, 1))
             if name in settled
             else stated[name] - points_in_scene_covariance(joint, start, s, known)
             for s, name in enumerate(self.scenes)

@@ -31,7 +31,8 @@ def put_together(
     normal = np.bincount(cells.ravel(), (turned @ rows).ravel(), unknowns**2)
     by_click = turned @ residual[..., None]
     gradient = np.bincount(columns.ravel(), by_click.ravel(), unknowns)
-    return normal.reshape(unknowns, unknowns), gradient
+    # Without any click numpy counts in whole numbers.
+    return normal.reshape(unknowns, unknowns).astype(np.float64), gradient.astype(np.float64)
 
 
 def solved_by_scenes(

@@ -54,7 +54,7 @@ def test_the_dense_model_comes_with_few_triangles_and_its_place(root: Path, clie
     for low_or_high in ("min", "max"):
         limits = [getattr(vertices, low_or_high)(axis=0) for vertices in (points, mesh.vertices)]
         np.testing.assert_allclose(*limits, atol=0.004)
-    solution = Workspace(root).load_solution("carton")
+    solution = Workspace(root).load_placed("carton")
     for name, place in solution.scene_from_object.items():
         np.testing.assert_allclose(np.reshape(found["places"][name], (4, 4)), place)
     Workspace(root).mesh_file("carton").unlink()

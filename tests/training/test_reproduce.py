@@ -147,13 +147,14 @@ def test_a_recording_that_was_cut_is_judged_like_the_whole(tiny_workspace: Works
     frames = [frame.index for frame in changed.load_scene(video).frames]
     middle = len(frames) // 2
     changed.cut_scene(video, [(frames[0], frames[middle]), (frames[middle + 1], frames[-1])])
-    solution = changed.load_solution("carton")
+    solution = changed.load_placed("carton")
     places = dict(solution.scene_from_object)
     standing = places.pop(video)
     for part in changed.parts().scenes_of(video):
         places[part] = standing
         shutil.copyfile(changed.surface_file(video), changed.surface_file(part))
     changed.save_solution(replace(solution, scene_from_object=places))
+    changed.remove_refined("carton")
     cads = true_cads(Workspace(tiny_workspace.truth), ["carton"], seed=0)
     whole, cut = (by_cad(place, cads)["carton"].row for place in (tiny_workspace, changed))
     assert cut.frames == whole.frames  # none is left out
