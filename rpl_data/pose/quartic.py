@@ -34,7 +34,7 @@ def _cubic_root(b: float, c: float, d: float) -> complex:
     inner = complex(second * second - first**3) ** 0.5
     larger = second - inner if second < 0 else second + inner
     u: complex = larger ** (1 / 3)
-    if u == 0:  # the three roots are one; compiled code raises an error where complex numbers are divided by 0
+    if u == 0:  # the three roots are one; dividing a complex number by 0 is an error in compiled code, too
         return complex(-b / 3)
     largest = 0j
     for _ in range(3):
