@@ -83,9 +83,7 @@ def unpack_into(packed: bytes, image: DepthUnits | DepthImage, window: Window, *
             return False
         bands.append(content)
     limits = (rows.start, rows.stop), (columns.start, columns.stop)
-    fill_window(
-        np.frombuffer(b"".join(bands), np.uint8), BAND_ROWS, first * BAND_ROWS, *limits, unit, image
-    )
+    fill_window(np.frombuffer(b"".join(bands), np.uint8), BAND_ROWS, first * BAND_ROWS, *limits, unit, image)
     return True
 
 
