@@ -55,9 +55,17 @@ def hidden_pixels(
 
     Measured depth is compared with the nearest depth of the object in the neighbourhood, so that the object
     does not hide itself where its edges are a pixel off. Specks of wrong depth are dropped, gaps are filled.
+
+    Raises:
+        ValueError: the patches have different shapes, as where a depth image is not of the camera's size.
     """
     from rpl_data.label.compiled_occlusion import mark_blocked
 
+    if not model_m.shape == others_m.shape == measured_m.shape:  # compiled code would read past the end
+        raise ValueError(
+            f"depth of an object, of others and of the sensor in one window have the shapes {model_m.shape}, "
+            f"{others_m.shape} and {measured_m.shape}; depth images must be of the camera's size"
+        )
     size = 2 * tolerances.neighbourhood_px + 1
     nearest = cv2.erode(model_m, np.ones((size, size), np.uint8))
     blocked: MaskPatch = np.empty(model_m.shape, np.bool_)
