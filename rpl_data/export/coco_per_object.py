@@ -44,12 +44,16 @@ def only(split: Split, category: int) -> Json:
     shown = {one["image_id"] for one in mine}
     scenes = {image["scene"] for image in split.images if image["id"] in shown}
     objects = [item for item in split.data["rpl"]["objects"] if item["category_id"] == category]
+    images = [image for image in split.images if image["scene"] in scenes]
+    kept = {image["id"] for image in images}
+    ignored = [one for one in split.data.get("crowds", ()) if one.get("category_id") == category]
     return {
         **split.data,
         "categories": [c | {"id": 1} for c in split.data["categories"] if c["id"] == category],
         "rpl": split.data["rpl"] | {"objects": [item | {"category_id": 1} for item in objects]},
-        "images": [image for image in split.images if image["scene"] in scenes],
+        "images": images,
         "annotations": [one | {"category_id": 1} for one in mine],
+        "crowds": [one | {"category_id": 1} for one in ignored if one["image_id"] in kept],
     }
 
 

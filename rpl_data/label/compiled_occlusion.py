@@ -26,19 +26,27 @@ def mark_blocked(nearest_m: Any, measured_m: Any, least_m: float, least_sigmas: 
 
 
 @compiled
-def count_disagreeing(
+def count_pixels(
     model_m: Any, visible: Any, measured_m: Any, nothing_m: float, least_m: float, least_sigmas: float
 ) -> Any:
-    """How many pixels of the object are visible, and how many of them have another depth than the model."""
-    shown, disagreeing = 0, 0
+    """Count pixels of the object that are visible, that have a depth, and that have another than the model.
+
+    Returns:
+        These three, then pixels beside the object, and those of them that have a depth.
+    """
+    shown, measured, disagreeing, beside, measured_beside = 0, 0, 0, 0, 0
     for row in range(model_m.shape[0]):
         for column in range(model_m.shape[1]):
             expected_m, sensor_m = model_m[row, column], measured_m[row, column]
-            if visible[row, column] and expected_m < nothing_m:
+            if expected_m >= nothing_m:
+                beside += 1
+                measured_beside += sensor_m > 0
+            elif visible[row, column]:
                 tolerance_m = max(least_m, least_sigmas * sensor_sigma_m(expected_m))
                 shown += 1
+                measured += sensor_m > 0
                 disagreeing += sensor_m > 0 and abs(sensor_m - expected_m) > tolerance_m
-    return shown, disagreeing
+    return shown, measured, disagreeing, beside, measured_beside
 
 
 @compiled

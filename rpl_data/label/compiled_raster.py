@@ -13,13 +13,17 @@ import numpy as np
 from jaxtyping import Float32, Float64, UInt32
 
 from rpl_data.compiled import compiled
-from rpl_data.geometry import NEAREST_M, Transform
+from rpl_data.geometry import NEAREST_M, Transform, rigid
 from rpl_data.types import DataError, Intrinsics, Mesh
 
 EDGE = 1e-9
 """A pixel centre this far outside a triangle, in shares of its height, is on the edge: no gap between two."""
 NARROWEST_PX2 = 1e-12
 """A triangle of a smaller area is seen from the side: its area is what rounding leaves."""
+SIDE_PX = 96
+"""Of the images in which a mesh is compared with its front."""
+UNLIKE = 0.02
+"""Depths that differ by more than this share of half the size of a mesh are of different surfaces."""
 
 
 @dataclass(frozen=True)
@@ -49,12 +53,36 @@ class DrawnMesh:
             )
         vertices = np.ascontiguousarray(mesh.vertices, np.float64)
         triangles = np.ascontiguousarray(triangles, np.uint32)
-        return DrawnMesh(vertices, triangles, faces_outwards(vertices, triangles))
+        both = DrawnMesh(vertices, triangles, closed=False)
+        front = DrawnMesh(vertices, triangles, closed=True)
+        return front if faces_outwards(vertices, triangles) and _looks_alike(both, front) else both
+
+
+def _looks_alike(both: DrawnMesh, front: DrawnMesh) -> bool:
+    """Whether a mesh has the same depth from six sides when only its front is drawn.
+
+    It has not where it goes through itself, or is joined in a point, and some of it is inside out.
+    """
+    low, high = both.vertices.min(axis=0), both.vertices.max(axis=0)
+    radius_m = float(np.linalg.norm(high - low)) / 2
+    focal_px = 1.4 * SIDE_PX  # a ball at three times its radius fills the image
+    camera = Intrinsics(focal_px, focal_px, SIDE_PX / 2, SIDE_PX / 2, SIDE_PX, SIDE_PX)
+    whole = (slice(0, SIDE_PX), slice(0, SIDE_PX))
+    for turned in (np.roll(np.eye(3), axis, axis=1) for axis in range(3)):
+        for rotation in (turned, np.diag([1.0, -1.0, -1.0]) @ turned):
+            pose = rigid(rotation, np.array([0.0, 0.0, 3 * radius_m]) - rotation @ (low + high) / 2)
+            one = drawn_depth_m(both, camera, pose, whole, nothing_m=9 * radius_m)
+            other = drawn_depth_m(front, camera, pose, whole, nothing_m=9 * radius_m)
+            if one is None or other is None or np.abs(one - other).max() > UNLIKE * radius_m:
+                return False
+    return True
 
 
 @compiled
 def faces_outwards(vertices: Any, triangles: Any) -> bool:
     """Whether every part of a mesh is closed and has its triangles counter-clockwise seen from outside.
+
+    A part faces outwards by the sign of its volume. One that goes through itself may do so only for the most.
 
     In a closed mesh each side of a triangle is passed as often one way as the other. So the sides, mixed to
     64 bits (splitmix64) and signed by their way, add up to 0; others do by a chance of 1 in 2^64.

@@ -55,9 +55,17 @@ def hidden_pixels(
 
     Measured depth is compared with the nearest depth of the object in the neighbourhood, so that the object
     does not hide itself where its edges are a pixel off. Specks of wrong depth are dropped, gaps are filled.
+
+    Raises:
+        ValueError: the patches have different shapes, as where a depth image is not of the camera's size.
     """
     from rpl_data.label.compiled_occlusion import mark_blocked
 
+    if not model_m.shape == others_m.shape == measured_m.shape:  # compiled code would read past the end
+        raise ValueError(
+            f"depth of an object, of others and of the sensor in one window have the shapes {model_m.shape}, "
+            f"{others_m.shape} and {measured_m.shape}; depth images must be of the camera's size"
+        )
     size = 2 * tolerances.neighbourhood_px + 1
     nearest = cv2.erode(model_m, np.ones((size, size), np.uint8))
     blocked: MaskPatch = np.empty(model_m.shape, np.bool_)
@@ -99,11 +107,18 @@ def depth_disagreement(
 ) -> float:
     """Share of the visible pixels whose measured depth is not the model's; 0 when there are none.
 
-    Pixels without depth agree: where an object is dark or shiny, the few that have some are its edges.
+    Pixels without depth are not counted, unless the object is why they have none, being dark or shiny. Those
+    agree, since the few pixels of it that have depth are its edges. They are as many as the object has more
+    pixels without depth than its surroundings let expect: a wrong pose over a hole does not pass for right.
     """
-    from rpl_data.label.compiled_occlusion import count_disagreeing
+    from rpl_data.label.compiled_occlusion import count_pixels
 
-    shown, disagreeing = count_disagreeing(
+    shown, measured, disagreeing, beside, measured_beside = count_pixels(
         model_m, visible, measured_m, FAR_M, tolerances.depth_m, tolerances.depth_sigmas
     )
-    return float(disagreeing / max(shown, 1))
+    if not measured:
+        return 0.0
+    # A pixel of the object has a depth where neither the surroundings nor the object prevent it.
+    usual = shown * (measured_beside / beside if beside else 1.0)
+    by_object = shown * max(1 - measured / usual, 0.0) if usual else 0.0
+    return float(disagreeing / (measured + by_object))

@@ -19,7 +19,9 @@ def quartic_roots(
     r = e + b * (b * (c / 16 - 3 / 256 * b * b) - 0.25 * d)
     m = _cubic_root(p, 0.25 * p * p - r, -0.125 * q * q)
     s = (2 * m) ** 0.5
-    rest, tilt = -2 * p - 2 * m, 2 * q / s
+    rest, tilt = -2 * p - 2 * m, 0j
+    if s != 0:  # else the four roots are one
+        tilt = 2 * q / s
     half_s, plus, minus = 0.5 * s.real, 0.5 * ((rest - tilt) ** 0.5).real, 0.5 * ((rest + tilt) ** 0.5).real
     shift = 0.25 * b
     return half_s + plus - shift, half_s - plus - shift, minus - half_s - shift, -minus - half_s - shift
@@ -32,6 +34,8 @@ def _cubic_root(b: float, c: float, d: float) -> complex:
     inner = complex(second * second - first**3) ** 0.5
     larger = second - inner if second < 0 else second + inner
     u: complex = larger ** (1 / 3)
+    if u == 0:  # the three roots are one; dividing a complex number by 0 is an error in compiled code, too
+        return complex(-b / 3)
     largest = 0j
     for _ in range(3):
         root = -(b + u + first / u) / 3

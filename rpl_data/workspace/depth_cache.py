@@ -73,17 +73,17 @@ def unpack_into(packed: bytes, image: DepthUnits | DepthImage, window: Window, *
     ends = _band_ends(packed, height=height, width=width)
     if ends is None:
         return False
-    (rows, columns), unpacker = window, zstandard.ZstdDecompressor()
+    rows, columns = window
     first, end = rows.start // BAND_ROWS, -(-rows.stop // BAND_ROWS)
-    try:
-        bands = b"".join([unpacker.decompress(packed[a:b]) for a, b in pairwise(ends[first : end + 1])])
-    except zstandard.ZstdError:
-        return False
-    top = first * BAND_ROWS
-    if len(bands) != 2 * width * (min(end * BAND_ROWS, height) - top):
-        return False
+    bands = []
+    for band, (low, high) in enumerate(pairwise(ends[first : end + 1]), start=first):
+        band_rows = min(BAND_ROWS, height - band * BAND_ROWS)
+        content = _decompressed(packed[low:high], size=2 * width * band_rows)
+        if content is None:
+            return False
+        bands.append(content)
     limits = (rows.start, rows.stop), (columns.start, columns.stop)
-    fill_window(np.frombuffer(bands, np.uint8), BAND_ROWS, top, *limits, unit, image)
+    fill_window(np.frombuffer(b"".join(bands), np.uint8), BAND_ROWS, first * BAND_ROWS, *limits, unit, image)
     return True
 
 
@@ -100,16 +100,27 @@ def _band_ends(packed: bytes, *, height: int, width: int) -> list[int] | None:
 
 def _unpacked_steps(packed: bytes, *, height: int, width: int) -> DepthUnits | None:
     """Unpack a file of an older version, 16-bit steps along all rows in one frame."""
+    content = _decompressed(packed, size=2 * height * width)
+    if content is None:
+        return None
+    steps = np.frombuffer(content, np.uint16).reshape(height, width)
+    units: DepthUnits = np.cumsum(steps, axis=1, dtype=np.uint16)
+    return units
+
+
+def _decompressed(frame: bytes, *, size: int) -> bytes | None:
+    """The content of a zstd frame; None where it is damaged or does not say that it has that size.
+
+    The size is looked at first: memory is taken for what a frame says, and a damaged one may say anything.
+    """
     import zstandard
 
     try:
-        steps = np.frombuffer(zstandard.ZstdDecompressor().decompress(packed), np.uint16)
+        if zstandard.frame_content_size(frame) != size:
+            return None
+        return zstandard.ZstdDecompressor().decompress(frame)
     except zstandard.ZstdError:
         return None
-    if steps.size != height * width:
-        return None
-    units: DepthUnits = np.cumsum(steps.reshape(height, width), axis=1, dtype=np.uint16)
-    return units
 
 
 def cached_reader(folder: Path, scene: Scene, *, keep: bool) -> ReadDepth:

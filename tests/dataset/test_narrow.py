@@ -70,6 +70,11 @@ def test_hidden_instances_are_ignored_not_forgotten(three_scenes: Path, tmp_path
     kept = json.loads((tmp_path / "out/train.json").read_text())["annotations"]
     assert all(a["iscrowd"] == int(a["visib_fract"] < 0.51) for a in kept)
     read_coco(tmp_path / "out/train.json")  # our own reader takes it, crowds apart
+    convert_dataset(tmp_path / "each", tmp_path / "out", "coco_per_object")
+    for number, name in enumerate(("box", "can"), start=1):
+        mine = [a | {"category_id": 1} for a in kept if a["category_id"] == number]
+        alone = json.loads((tmp_path / "each" / name / "train.json").read_text())["annotations"]
+        assert sorted(alone, key=lambda a: a["id"]) == mine
 
 
 def test_quality_leaves_out_whole_images(three_scenes: Path, tmp_path: Path) -> None:

@@ -251,6 +251,10 @@ def test_a_packed_file_is_the_same_dataset(data, tmp_path, monkeypatch):
     (tmp_path / "cut.json").write_text(text[:-200])
     with pytest.raises(DataError, match="not valid JSON"):
         read_packed(tmp_path / "cut.json", {})
+    data["annotations"][0]["note"] = "\ud800"
+    (tmp_path / "half.json").write_text(json.dumps(data))
+    with pytest.raises(DataError, match="half.json"):
+        read_packed(tmp_path / "half.json")
 
 
 def edited(data, tmp_path, change):

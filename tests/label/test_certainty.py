@@ -123,6 +123,17 @@ def test_a_gap_in_depth_and_what_hides_the_object_are_no_edges_of_it() -> None:
     assert half.uv_px[:, 0].min() >= 159 and len(half.uv_px) > 30
 
 
+def test_holes_in_depth_make_no_wrong_label_certain_and_no_dark_object_uncertain() -> None:
+    wrong = labelled(80.0)  # wholly beside the ball
+    holes = np.where(np.random.default_rng(0).random(DEPTH.shape) < 0.75, 0, DEPTH).astype(np.float32)
+    assert sigmas(wrong, DEPTH, None).min() > 30
+    np.testing.assert_allclose(sigmas(wrong, holes, None), sigmas(wrong, DEPTH, None), rtol=0.1)
+    rim = (drawn(1, 0) > 0) & (np.roll(drawn(1, 0), 2, axis=1) == 0)
+    dark = np.where(drawn(1, 0) > 0, np.where(rim, 0.8, 0), DEPTH).astype(np.float32)
+    assert sigmas(labelled(), dark, None).max() < EDGE_NOISE_PX
+    assert sigmas(wrong, dark, None).min() > 30
+
+
 def test_outlines_near_the_border_of_the_image_are_not_judged() -> None:
     found = labelled(159.5 - RADIUS_PX - REACH_PX / 2)
     outline = outline_of(found.mask, found.mask, found.depth_m, found.window)

@@ -72,7 +72,13 @@ def test_triangles_seen_from_behind_are_left_out_only_where_others_hide_them() -
     assert not DrawnMesh.of(inside_out).closed and not DrawnMesh.of(torn).closed
     assert not DrawnMesh.of(beside(TETRAHEDRON, inside_out)).closed
     assert not DrawnMesh.of(beside(TETRAHEDRON, torn)).closed
-    for mesh in (TETRAHEDRON, inside_out, torn):
+    mirrored = TETRAHEDRON.vertices[0] - 0.7 * (TETRAHEDRON.vertices - TETRAHEDRON.vertices[0])
+    bow_tie = Mesh(  # joined in a vertex; the smaller one is inside out
+        np.concatenate([TETRAHEDRON.vertices, mirrored[1:]]),
+        np.concatenate([TETRAHEDRON.triangles, np.array([0, 4, 5, 6])[TETRAHEDRON.triangles]]),
+    )
+    assert not DrawnMesh.of(bow_tie).closed
+    for mesh in (TETRAHEDRON, inside_out, torn, bow_tie):
         pose = from_rotvec(np.array([0.4, 0.9, -0.2]), np.array([0.0, 0.0, 0.4]))
         drawn_m = drawn_depth_m(DrawnMesh.of(mesh), CAMERA, pose, WHOLE, nothing_m=1e3)
         cast_m = render_depth_m(RayScene([mesh]), CAMERA, pose, left_px=0, top_px=0, width=160, height=120)

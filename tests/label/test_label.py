@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
+from inspect import unwrap
 from pathlib import Path
 
 import cv2
@@ -17,6 +18,7 @@ from rpl_data.keypoint_surface import KeypointSurface
 from rpl_data.label.alone import SceneObject
 from rpl_data.label.compiled_masks import encoded
 from rpl_data.label.label import label_frames, sample_frames
+from rpl_data.label.occlusion import Tolerances, hidden_pixels
 from rpl_data.raycast import RayScene
 from rpl_data.types import (
     DataError,
@@ -282,6 +284,13 @@ def test_unregistered_depth_is_refused() -> None:
     scene = Scene("kitchen", CAMERA, 0.001, (), registered=False)
     with pytest.raises(DataError, match="kitchen.*not registered"):
         label_frames(scene, Trajectory(np.zeros(0, int), np.zeros((0, 4, 4))), [cube()], [], no_depth)
+
+
+def test_depth_of_another_size_than_the_camera_is_an_error() -> None:
+    """Also without the check of types that tests have: compiled code would read past the end."""
+    model_m = np.full((4, 6), 0.5, np.float32)
+    with pytest.raises(ValueError, match="of the camera's size"):
+        unwrap(hidden_pixels)(model_m, model_m, model_m[:2], Tolerances())
 
 
 def test_labels_are_lazy_and_frames_independent() -> None:

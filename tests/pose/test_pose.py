@@ -259,6 +259,11 @@ def test_quartics_against_numpy():
         np.testing.assert_allclose(found, np.sort(np.roots(column[::-1]).real), atol=1e-6)
 
 
+@pytest.mark.parametrize("roots", [(0, 0, 0, 0), (1, 1, 1, 1), (0, 0, 0, 4), (-1, -1, 3, 3), (-2, 0, 0, 2)])
+def test_quartics_whose_roots_coincide(roots):
+    assert np.sort(quartic_roots(*np.poly(roots)[::-1].tolist())) == pytest.approx(roots, abs=1e-4)
+
+
 @pytest.mark.parametrize("robust", [False, True])
 def test_the_slope_is_that_of_the_cost(robust):
     """By differences, along each of the six directions of a step, with and without depth."""

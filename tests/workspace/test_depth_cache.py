@@ -10,7 +10,14 @@ import pytest
 import zstandard
 
 from rpl_data.types import Frame, Intrinsics, Scene
-from rpl_data.workspace.depth_cache import cached_reader, cached_window_reader, pack, unpack, unpack_into
+from rpl_data.workspace.depth_cache import (
+    MAGIC,
+    cached_reader,
+    cached_window_reader,
+    pack,
+    unpack,
+    unpack_into,
+)
 
 IMAGES = {
     "noise": np.random.default_rng(0).integers(0, 65536, (48, 64)).astype(np.uint16),
@@ -65,6 +72,21 @@ def test_broken_bytes_and_other_sizes_are_nothing() -> None:
     assert unpack(packed, height=24, width=64) is None
     assert unpack(packed, height=47, width=64) is None  # as many bands
     assert unpack(b"", height=48, width=64) is None
+
+
+def test_a_damaged_frame_that_says_it_is_huge_is_nothing() -> None:
+    huge = zstandard.FRAME_HEADER + b"\xc0\x80" + (2**62).to_bytes(8, "little") + b"\x01\x00\x00"
+    assert zstandard.frame_content_size(huge) == 2**62
+    assert unpack(huge, height=16, width=64) is None
+    header = np.array([MAGIC, 16, 64, len(huge)], "<u4").tobytes()
+    assert unpack(header + huge, height=16, width=64) is None
+
+
+def test_a_band_of_another_height_is_nothing() -> None:
+    """Even where all bands together have the rows of the image."""
+    bands = [zstandard.ZstdCompressor().compress(bytes(2 * 64 * rows)) for rows in (10, 22)]
+    header = np.array([MAGIC, 32, 64, *np.cumsum([len(band) for band in bands])], "<u4").tobytes()
+    assert unpack(header + b"".join(bands), height=32, width=64) is None
 
 
 def test_smooth_depth_takes_a_fraction_of_its_size() -> None:

@@ -224,10 +224,15 @@ def writing_coco(path: Path, objects: Sequence[CocoObject]) -> Iterator[CocoWrit
 
 
 def write_coco(path: Path, data: Json) -> None:
-    """Write a file from its parts in memory; `data` is what `read_coco` returns."""
+    """Write a file from its parts in memory; `data` is what `read_coco` returns.
+
+    Crowds go back among the annotations, where COCO has them.
+    """
     validate_coco(data, source=str(path))
+    whole = {key: value for key, value in data.items() if key != "crowds"}
+    whole["annotations"] = [*data["annotations"], *data.get("crowds", ())]
     with writing(path) as file:
-        json.dump(data, file, allow_nan=False)
+        json.dump(whole, file, allow_nan=False)
 
 
 def read_coco(path: Path) -> Json:

@@ -118,10 +118,11 @@ def read_packed(path: Path, keys: Mapping[str, Sequence[str]] | None = None) -> 
         except _OtherLinesError:
             data = as_exported(read_fast(path), source=source)
         validate_coco(data, source=source)
-    for name in (*LISTS, "crowds"):
-        if name in data:
-            entries, data[name] = data[name], Packed()
-            data[name].add(entries, keys.get(name))
+    with decoding(source, REMEDY):  # half of a surrogate pair, "\ud800", is JSON but no text
+        for name in (*LISTS, "crowds"):
+            if name in data:
+                entries, data[name] = data[name], Packed()
+                data[name].add(entries, keys.get(name))
     return data
 
 
