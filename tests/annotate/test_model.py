@@ -155,7 +155,7 @@ def test_a_grasp_is_in_the_result_in_both_files_and_in_the_export(
     export_labels(context_of(Workspace(root)))
     exported = json.loads(next(Workspace(root).export("coco").glob("*.json")).read_text())
     (described,) = exported["rpl"]["objects"]
-    placed = Workspace(root).load_placed("carton")  # the export's object frame is that of the refined keypoints
+    placed = Workspace(root).load_placed("carton")  # with the frame of the refined keypoints
     np.testing.assert_allclose(
         placed.scene_from_object["00"] @ np.reshape(described["object_from_grasp"], (4, 4)),
         solution.scene_from_object["00"] @ object_from_grasp,
