@@ -6,16 +6,23 @@ import json
 import multiprocessing
 import os
 import socket
+from collections.abc import Iterator
+from dataclasses import asdict
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 import torch
 from labelled_scenes import exported
+from torch import distributed
 
 import rpl_data.torch.datamodule  # noqa: F401 (here, or each process would import them for itself)
 import training.keypoints.module  # noqa: F401
 import training.runs.trainer  # noqa: F401
-from training.runs.options import Learning, Machine, Network
+from training.detection.module import DetectorTraining
+from training.runs.options import DetectorNetwork, Learning, Machine, Network
+from training.runs.together import SharedBatchNorm2d, SharedStatistics, nothing_read
 from training.train_keypoints import train_keypoints
 
 PROCESSES = 2
@@ -78,3 +85,40 @@ def test_two_processes_learn_what_one_learns_with_twice_the_batch(
     for weights in ("trained_state_dict", "state_dict"):  # with the statistics of batch normalisation
         torch.testing.assert_close(two[weights], one[weights], rtol=1e-3, atol=1e-5)
     assert _loss(tmp_path / "two") == pytest.approx(_loss(tmp_path / "one"), rel=1e-5)
+
+
+@pytest.fixture()
+def alone(tmp_path: Path) -> Iterator[None]:
+    """A group of one process."""
+    distributed.init_process_group("gloo", init_method=f"file://{tmp_path}/group", rank=0, world_size=1)
+    yield
+    distributed.destroy_process_group()
+
+
+def test_a_detector_that_could_read_nothing_takes_part_backwards_too(alone: None) -> None:
+    """Else the other processes would wait for its share of each normalisation's gradient."""
+    network = DetectorNetwork(architecture="small_fcos", features=32, width_px=64)
+    module = DetectorTraining(["background", "box"], asdict(network), asdict(Learning()))
+    module.trainer = SimpleNamespace(world_size=2)  # type: ignore[assignment]
+    SharedStatistics(on_gpus=False).apply(module)
+    shared = [layer for layer in module.modules() if isinstance(layer, SharedBatchNorm2d)]
+    loss = nothing_read(module)
+    assert loss is not None
+    reached, waiting = set[Any](), [loss.grad_fn]
+    while waiting:
+        node = waiting.pop()
+        if node is not None and node not in reached:
+            reached.add(node)
+            waiting += [before for before, _ in node.next_functions]
+    assert sum(node.name() == "_SummedBackward" for node in reached) == len(shared) > 2
+    loss.backward()  # type: ignore[no-untyped-call]
+    assert all((layer.running_var == 1).all() for layer in shared), "no image, no statistics"  # type: ignore[union-attr]
+    assert all(not parameter.grad.any() for parameter in module.parameters() if parameter.grad is not None)
+
+
+def test_shared_normalisation_of_short_numbers_is_exact(alone: None) -> None:
+    """Under autocast images come as bfloat16, whose squares would be."""
+    images = (30 + torch.randn(2, 3, 16, 16, generator=torch.Generator().manual_seed(0))).bfloat16()
+    shared, usual = SharedBatchNorm2d(3), torch.nn.BatchNorm2d(3)
+    torch.testing.assert_close(shared(images), usual(images))
+    torch.testing.assert_close(shared.running_var, usual.running_var)

@@ -6,6 +6,7 @@ batch normalisation sees all of them, and where a loss that is a mean is one ove
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TypeGuard
 
 import torch
@@ -29,20 +30,23 @@ class SharedBatchNorm2d(nn.BatchNorm2d):
         """Normalise `x` (batch x channels x rows x columns); all processes have to call it together."""
         if not self.training:
             return super().forward(x)
-        sums = [x.sum((0, 2, 3), dtype=torch.float64), x.square().sum((0, 2, 3), dtype=torch.float64)]
+        exact = x.float()  # under autocast, squares of bfloat16 have three digits
+        sums = [values.sum((0, 2, 3), dtype=torch.float64) for values in (exact, exact.square())]
         count = x.new_full((1,), x.numel() // x.shape[1], dtype=torch.float64)
         total: Tensor = _Summed.apply(torch.cat([*sums, count]))
         pixels = total[-1].clamp_min(1)
         mean, mean_square = (total[:-1] / pixels).chunk(2)
         variance = (mean_square - mean.square()).clamp_min(0)
         self._remember(mean.detach(), variance.detach(), float(total[-1].detach()))
-        gain = self.weight * torch.rsqrt(variance + self.eps).to(x.dtype)
-        shift = self.bias - mean.to(x.dtype) * gain
-        return x * gain[:, None, None] + shift[:, None, None]
+        gain = self.weight * torch.rsqrt(variance + self.eps).float()
+        shift = self.bias - mean.float() * gain
+        return (exact * gain[:, None, None] + shift[:, None, None]).to(x.dtype)
 
     @torch.no_grad()
     def _remember(self, mean: Tensor, variance: Tensor, pixels: float) -> None:
         """Move the running statistics, as nn.BatchNorm2d does: by the unbiased variance."""
+        if pixels == 0:
+            return
         assert self.running_mean is not None and self.running_var is not None
         assert self.num_batches_tracked is not None and self.momentum is not None
         self.num_batches_tracked.add_(1)
@@ -52,15 +56,16 @@ class SharedBatchNorm2d(nn.BatchNorm2d):
 
 
 def nothing_read(module: NetworkModule) -> Tensor | None:
-    """What a training step returns when no image of its batch could be read.
+    """What the training step of a network with a backbone returns when no image of its batch could be read.
 
     One process alone skips the step. Among several, which all have to take it, the step teaches nothing:
-    what normalises by all batches is run with a batch of no images.
+    what normalises by all batches is run with a batch of no images, forwards and backwards.
     """
     if module.trainer.world_size == 1:
         return None
-    module.compiled_part()(torch.zeros(0, 3, EMPTY_SIDE_PX, EMPTY_SIDE_PX, device=module.device))
-    return torch.stack([parameter.sum() for parameter in module.parameters()]).sum() * 0.0
+    nothing = torch.zeros(0, 3, EMPTY_SIDE_PX, EMPTY_SIDE_PX, device=module.device)
+    maps: Mapping[str, Tensor] = module.compiled_part()(nothing)
+    return torch.stack([values.sum() for values in (*maps.values(), *module.parameters())]).sum() * 0.0
 
 
 def share_of_mean(count: Tensor) -> Tensor:
@@ -129,7 +134,7 @@ def _is(layer: nn.Module, kind: type[_BatchNorm]) -> TypeGuard[_BatchNorm]:
 
 
 def _taken_over(new: nn.Module, old: nn.Module) -> nn.Module:
-    """`new` with the very parameters and running statistics of `old`."""
+    """`new` with the same parameters and running statistics of `old`."""
     for name, parameter in old.named_parameters(recurse=False):
         new.register_parameter(name, parameter)
     for name, buffer in old.named_buffers(recurse=False):
