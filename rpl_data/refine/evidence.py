@@ -179,6 +179,14 @@ def without_surface(compared_with: str = "another scene") -> Verdict:
     return Verdict(False, 0.0, 0.0, f"it shares no surface of the object with {compared_with}")
 
 
+def left_alone() -> Verdict:
+    """Of a scene when all that it could be registered with were turned down."""
+    reason = (
+        "every other scene that shows the object's surface was turned down, so it has nothing to agree with"
+    )
+    return Verdict(False, 0.0, 0.0, reason)
+
+
 def _why_not(gain_sigmas: float, click_cost: float, compared_with: str) -> str:
     if gain_sigmas < GAIN_SIGMAS:
         return (

@@ -13,6 +13,7 @@ from rpl_data.refine.evidence import (
     Verdict,
     cross_validated,
     gains_sigmas,
+    left_alone,
     verdicts,
     without_surface,
 )
@@ -29,7 +30,7 @@ from rpl_data.refine.scene_surfaces import SceneSurface, scene_surface
 from rpl_data.types import PointCloud
 
 WORST_SHARE = 0.25
-"""Of the scenes with evidence against them, this share is turned down in each round."""
+"""Of many scenes with evidence against them, this share is turned down in each round."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +78,7 @@ def refine_scenes(
         scene_surface(regions[name]) if name in regions else None for name in scenes
     ]
     rejected = {n: without_surface() for n, surface in enumerate(surfaces) if surface is None}
+    unseen = len(rejected)
     while len(scenes) - len(rejected) >= 2:
         pairs = compared_pairs(surfaces, start)
         tests = cross_validated(surfaces, start, points_object, clicks, pairs=pairs)
@@ -90,7 +92,8 @@ def refine_scenes(
         for worst in _turned_down_now(against, judged, pairs):
             rejected[worst] = judged[worst]
             surfaces[worst] = None
-    left = tuple(rejected.get(n, without_surface()) for n in range(len(scenes)))
+    alone = without_surface() if len(rejected) == unseen else left_alone()
+    left = tuple(rejected.get(n, alone) for n in range(len(scenes)))
     return Refined(start, points_object, clicks(start, points_object)[0], left)
 
 
@@ -106,9 +109,9 @@ def _registered(
 def _turned_down_now(against: Sequence[int], judged: Sequence[Verdict], pairs: Pairs) -> list[int]:
     """The scenes to be turned down before the others are judged again.
 
-    A wrong one spoils the agreement of those it is compared with, so one at a time of these. Of many, the
-    worst quarter at once: that the rounds do not become as many as the scenes.
+    A wrong scene spoils the agreement of those that it is compared with, so of these only the worst is turned
+    down. Of eight and more the worst quarter is, so that there are not as many rounds as scenes.
     """
     rank = {n: place for place, n in enumerate(sorted(against, key=lambda n: judged[n].gain_sigmas))}
     spared = {a for a, b in pairs if a in rank and b in rank and rank[b] < rank[a]}
-    return [n for n in against if n not in spared or WORST_SHARE * len(against) > rank[n]]
+    return [n for n in against if n not in spared or rank[n] + 1 <= WORST_SHARE * len(against)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import permutations
 
 import numpy as np
 import pytest
@@ -10,8 +11,9 @@ from made_surfaces import SCENES, Made, egg_seen_from, made, moved, print_at
 
 from rpl_data.geometry import from_rotvec, invert, transform
 from rpl_data.refine.colour import texture_of
+from rpl_data.refine.evidence import Verdict
 from rpl_data.refine.overlap import PARTNERS, compared_pairs
-from rpl_data.refine.refine import Refined, refine_scenes
+from rpl_data.refine.refine import Refined, _turned_down_now, refine_scenes
 from rpl_data.refine.registration import register_scenes
 from rpl_data.refine.scene_surfaces import scene_surface
 from rpl_data.types import PointCloud
@@ -63,6 +65,23 @@ def test_a_scene_whose_surface_is_another_thing_stays_where_its_clicks_put_it() 
     assert "do not agree better" in found.verdicts[2].reason or "fit much worse" in found.verdicts[2].reason
     own = case.clicks.costs(found.scene_from_object, found.points_object)[2]
     assert own < 4, "held by its clicks alone, it fits them"
+
+
+def test_a_wrong_scene_takes_no_other_along_unless_there_are_many() -> None:
+    for many, turned_down in {5: [0], 8: [0, 1]}.items():
+        judged = [Verdict(False, gain, 0.0, "wrong") for gain in np.arange(many) - 9.0]
+        pairs = list(permutations(range(many), 2))
+        assert _turned_down_now(range(many), judged, pairs) == turned_down
+    apart = [(0, 1), (1, 0), (2, 3), (3, 2)]
+    assert _turned_down_now(range(4), judged[:4], apart) == [0, 2], "the worst of each group"
+
+
+def test_the_last_scene_is_told_why_it_is_alone() -> None:
+    case = made(printed=False)
+    far = moved(case.regions["1"], from_rotvec(np.zeros(3), np.array([0.5, 0, 0])))
+    found = refined(replace(case, regions={"0": case.regions["0"], "1": far}))
+    assert not found.registered
+    assert [verdict.reason.split()[0] for verdict in found.verdicts] == ["the", "every", "it"]
 
 
 def test_nothing_is_registered_where_only_one_scene_has_a_surface() -> None:
