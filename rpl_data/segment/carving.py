@@ -52,9 +52,12 @@ def carved(
         crop_m: lowest and highest corner of a box; everything outside is cut.
 
     Returns:
-        Points with normals that point out of the object; None where that space is no object: where keypoints
-        do not lie on it, where it has no end near them, or where depth was measured on it.
+        Points with normals that point out of the object; None without depth images, and where that space is
+        no object: where keypoints do not lie on it, where it has no end near them, or where depth was
+        measured on it.
     """
+    if not views:
+        return None
     low, high = box_around_keypoints(keypoints)
     cell_m = max(voxel_m, float((high - low).max()) / MOST_CELLS)
     size = np.ceil((high - low) / cell_m).astype(np.int64) + 1

@@ -106,7 +106,7 @@ def segment_object(
         planes = [plane for around in surroundings.values() for plane in around.planes]
         border = carved(keypoints, planes, depth_views, voxel_m=voxel_m, crop_m=crop_m)
         if border is not None:
-            return _unseen_model(border, voxel_m)
+            return _unseen_model(border, voxel_m, masks_given=bool(mask_views))
     if cloud is None:
         refuse_without_surface(surfaces, solution, crop_m)
     anchors = np.concatenate([keypoints, _contact_points(cloud, surroundings)])
@@ -137,15 +137,17 @@ def _covered_share(cloud: PointCloud, keypoints: Points) -> float:
     return float((cKDTree(cloud.points).query(keypoints)[0] < NEAR_M).mean())
 
 
-def _unseen_model(border: PointCloud, voxel_m: float) -> DenseModel:
+def _unseen_model(border: PointCloud, voxel_m: float, *, masks_given: bool) -> DenseModel:
     """The dense model of an object of which no surface was measured: what no depth image saw through."""
     closed = mesh_of_border(border, voxel_m=voxel_m)
-    warning = (
+    warnings = [
         "hardly any depth is measured on it, so its dense model is the space that no depth image saw "
-        "through: without colours, and too large where it is hollow; more scenes, in which it lies on other "
-        "sides, help"
-    )
-    return DenseModel(closed.mesh, border, closed.seen, closed.open_edges, float("nan"), (warning,))
+        "through: without colours, and too large where it is hollow or where no camera looked past it; more "
+        "scenes, in which it lies on other sides, help"
+    ]
+    if masks_given:
+        warnings.append("given masks vote on measured surface, of which it has none: they are not used")
+    return DenseModel(closed.mesh, border, closed.seen, closed.open_edges, float("nan"), tuple(warnings))
 
 
 def grown_regions(

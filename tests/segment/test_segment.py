@@ -211,7 +211,7 @@ def test_masks_part_what_no_edge_parts() -> None:
 def test_what_depth_does_not_show_is_carved() -> None:
     surfaces, solution = two_scenes()
     wide = Intrinsics(240.0, 240.0, 159.5, 119.5, 320, 240)
-    measured, holes = [], []
+    measured, holes, masks = [], [], []
     for scene, up in {"00": np.array([0.0, 0, 1]), "01": np.array([-1.0, 0, 0])}.items():
         points = transform(invert(solution.scene_from_object[scene]), surfaces[scene].vertices)
         whole = Mesh(points, surfaces[scene].triangles)
@@ -222,16 +222,17 @@ def test_what_depth_does_not_show_is_carved() -> None:
             shot = seen_from(scene, n, joined_meshes([whole, table]), up, empty=False, camera=wide)
             measured.append(shot.view)
             holes.append(replace(shot.view, depth_m=np.where(shot.mask, 0, shot.view.depth_m)))
+            masks.append(replace(shot, view=holes[-1]))
         on_table = ((np.abs(points) - SIZE_M / 2).max(axis=1) > 0.004)[whole.triangles].all(axis=1)
         surfaces[scene] = replace(surfaces[scene], triangles=whole.triangles[on_table])
 
-    dense = segment_object(surfaces, solution, depth_views=holes, voxel_m=0.006)
+    dense = segment_object(surfaces, solution, depth_views=holes, mask_views=masks, voxel_m=0.006)
     axes = [np.arange(-0.6 * size - 0.02, 0.6 * size + 0.02, 0.004) for size in SIZE_M]
     points = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 3)
     true, found = (np.abs(points) < SIZE_M / 2).all(axis=1), inside(dense.mesh, points)
     assert (found & true).sum() > 0.95 * true.sum() and found.sum() < 1.7 * true.sum()
     assert not dense.seen.any() and dense.open_edges == 0
-    assert "hardly any depth is measured on it" in dense.warnings[0]
+    assert "hardly any depth is measured on it" in dense.warnings[0] and "not used" in dense.warnings[1]
 
     risen = replace(solution.model, points_object=CORNERS + [0.1, 0, 0.1])  # where the cameras saw through
     for placed, views in ((solution, measured), (replace(solution, model=risen), holes)):
