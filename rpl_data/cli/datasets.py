@@ -101,7 +101,8 @@ def dataset_convert(
     """Write a dataset in another format: what `rpl export --format` does for a workspace, for any dataset.
 
     It takes rendered datasets (`rpl synthesize`), merged, filtered and split ones. The splits stay; images
-    are linked. A YOLO dataset without val is validated on its training images.
+    are linked, or copied into the shards of webdataset. A YOLO dataset without val is validated on its
+    training images.
 
     Example: rpl dataset convert mixed-yolo mixed --format yolo
 

@@ -28,7 +28,9 @@ FORMATS: dict[str, Callable[[Path, Path], DialectSummary]] = {
 
 
 def convert_dataset(out: Path, source: Path, name: str) -> DialectSummary:
-    """Write a dataset as the new folder `out` in another format, with the same splits; images are linked.
+    """Write a dataset as the new folder `out` in another format, with the same splits.
+
+    Images are linked, or copied into the shards of `webdataset`.
 
     Raises:
         DataError: the format needs a workspace, the dataset is missing or damaged, or `out` holds files.

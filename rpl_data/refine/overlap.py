@@ -1,8 +1,8 @@
 """Which scenes are compared with which: each with a few, so that the cost grows with their number.
 
-All pairs would be better by little: what more partners would say of a part of the surface is what the first
-few have said. Partners are chosen one after another, each for the parts that those before it do not show
-(the greedy choice of Nemhauser, Wolsey and Fisher, 1978, for a value that more of the same adds less to).
+Comparing all pairs would gain little, since further partners repeat what the first few say of a part of the
+surface. Partners are chosen one after another, each for the parts that those before it do not show (the
+greedy choice for submodular functions of Nemhauser, Wolsey and Fisher, 1978).
 """
 
 from __future__ import annotations
@@ -45,15 +45,15 @@ def compared_pairs(
         surfaces: the object's surface per scene; None where it takes no part.
         scene_from_object: right to about a centimetre.
     """
-    there = [n for n, surface in enumerate(surfaces) if surface is not None]
-    if len(there) <= PARTNERS + 1:
+    present = [n for n, surface in enumerate(surfaces) if surface is not None]
+    if len(present) <= PARTNERS + 1:
         return all_pairs(surfaces)
-    seen = _cells_seen([s for s in surfaces if s is not None], scene_from_object[there])
-    linked = np.zeros((len(there), len(there)), dtype=bool)
-    for scene in range(len(there)):
+    seen = _cells_seen([s for s in surfaces if s is not None], scene_from_object[present])
+    linked = np.zeros((len(present), len(present)), dtype=bool)
+    for scene in range(len(present)):
         linked[scene, _partners(seen, scene)] = True
     linked = _tied(linked | linked.T, seen)
-    return [(there[a], there[b]) for a, b in np.argwhere(linked)]
+    return [(present[a], present[b]) for a, b in np.argwhere(linked)]
 
 
 def _cells_seen(
