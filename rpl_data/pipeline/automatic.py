@@ -8,6 +8,7 @@ import numpy as np
 
 from rpl_data.geometry import Transform
 from rpl_data.images import read_color
+from rpl_data.pipeline.carved import is_carved
 from rpl_data.pipeline.context import Context, path_key, posed_frames
 from rpl_data.pipeline.ledger import Advance, Step
 from rpl_data.pipeline.lifted_clicks import observe
@@ -28,6 +29,7 @@ from rpl_data.place.verify import Candidate
 from rpl_data.solve.expected import covariance_by_pose
 from rpl_data.types import ClickResidual, DataError, Observation, Placement, PointCloud, Solution, UnsureError
 from rpl_data.types.instances import instance_of
+from rpl_data.workspace.workspace import Workspace
 
 
 def find_step(
@@ -59,10 +61,7 @@ def find_step(
     solution = workspace.load_placed(object_name)
     model = dense_model(context, item, solution)
     if model is None or model.colors is None:
-        raise DataError(
-            f"object {object_name} has no coloured dense model of its present solution, by which it could be "
-            f"found; run `rpl build` on {workspace.root} first"
-        )
+        raise _without_colors(workspace, object_name, scene)
     clicks = [o for o in _clicks(context, item, scene) if solution.model.known[o.click.keypoint]]
     there = _looked_at(context, scene, advance)
     candidates = candidates_in(
@@ -79,6 +78,20 @@ def find_step(
         raise _asking(context, item, scene, model, solution, decision, candidates)
     found = _placed(context, item, scene, solution, clicks, decision.chosen, decision.words)
     return adding_step(context, item, scene, found)
+
+
+def _without_colors(workspace: Workspace, object_name: str, scene: str) -> DataError:
+    """Why an object without a coloured dense model is not looked for."""
+    if is_carved(workspace, object_name):
+        return UnsureError(
+            f"object {object_name} is not looked for in scene {scene}: hardly any depth is measured on it, "
+            "so its dense model has no colours by which it could be found; place it by clicks on three "
+            "of its keypoints"
+        )
+    return DataError(
+        f"object {object_name} has no coloured dense model of its present solution, by which it could be "
+        f"found; run `rpl build` on {workspace.root} first"
+    )
 
 
 def _clicks(context: Context, item: ObjectRecipe, scene: str) -> list[Observation]:

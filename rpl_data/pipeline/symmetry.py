@@ -9,6 +9,7 @@ import numpy as np
 
 from rpl_data.geometry import Points, Transform, fit_rigid
 from rpl_data.meshes import load_cloud
+from rpl_data.pipeline.carved import is_carved
 from rpl_data.pipeline.context import Context
 from rpl_data.pipeline.recipe import AxisRecipe, ObjectRecipe
 from rpl_data.symmetries import moved_axis, moved_turns
@@ -94,6 +95,8 @@ def find_object_symmetry(context: Context, name: str) -> SymmetryRecord:
     if workspace.cloud_file(name).exists():
         cloud = load_cloud(workspace.cloud_file(name))
     found, seen = find_symmetry(mesh, cloud)
+    if is_carved(workspace, name):
+        seen = 0.0
     before = workspace.load_symmetry(name)
     points: Points = workspace.load_placed(name).model.points_object
     record = SymmetryRecord(points, found, seen)

@@ -10,7 +10,10 @@ from built_once import moved_copy
 
 from rpl_data.formats.datasets.coco import objects_from_coco, read_coco
 from rpl_data.geometry import from_rotvec, invert, transform
+from rpl_data.pipeline.automatic import _without_colors
 from rpl_data.pipeline.build import context_of
+from rpl_data.pipeline.carved import is_carved
+from rpl_data.pipeline.ledger import Ledger, Outcome, Step
 from rpl_data.pipeline.recipe import AxisRecipe, ObjectRecipe
 from rpl_data.pipeline.stages.export import EXPORTS
 from rpl_data.pipeline.symmetry import (
@@ -21,7 +24,15 @@ from rpl_data.pipeline.symmetry import (
     symmetry_turns,
 )
 from rpl_data.symmetries import symmetries_of
-from rpl_data.types import DataError, FoundAxis, KeypointModel, SymmetryAxis, SymmetryRecord, Turns
+from rpl_data.types import (
+    DataError,
+    FoundAxis,
+    KeypointModel,
+    SymmetryAxis,
+    SymmetryRecord,
+    Turns,
+    UnsureError,
+)
 from rpl_data.workspace.workspace import Workspace
 
 UPRIGHT = SymmetryAxis((0.0, 0.0, 1.0), (0.01, 0.0, 0.0))
@@ -104,6 +115,18 @@ def test_only_what_was_looked_at_well_enough_is_called_asymmetric():
     assert "not confirmed, so not used" in proposed
     printed = "\n".join(symmetry_lines(CUP, SymmetryRecord(POINTS, (LABELLED,), 0.9)))
     assert "the shape has some, the print does not" in printed and "colours differ on 60%" in printed
+
+
+@pytest.mark.parametrize(
+    ("unseen", "carved"), [({"unseen_triangles": 9}, True), ({"unseen_triangles": 4}, False), ({}, False)]
+)
+def test_what_was_carved_was_not_seen(tmp_path, unseen, carved):
+    place = Workspace(tmp_path)
+    step = Step("segment", "cup", 1, {}, {}, (), (), lambda advance: Outcome())
+    Ledger(place.stages_file).record(step, Outcome(details={"triangles": 9} | unseen), 0.0)
+    assert is_carved(place, "cup") is carved
+    refused = _without_colors(place, "cup", "00")
+    assert isinstance(refused, UnsureError) is carved and ("rpl build" in str(refused)) is not carved
 
 
 def test_confirmed_axes_follow_the_object_frame_into_the_export(tiny_workspace, tmp_path):
