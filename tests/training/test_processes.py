@@ -17,9 +17,6 @@ import torch
 from labelled_scenes import exported
 from torch import distributed
 
-import rpl_data.torch.datamodule  # noqa: F401 (here, or each process would import them for itself)
-import training.keypoints.module  # noqa: F401
-import training.runs.trainer  # noqa: F401
 from training.detection.module import DetectorTraining
 from training.runs.options import DetectorNetwork, Learning, Machine, Network
 from training.runs.together import SharedBatchNorm2d, SharedStatistics, nothing_read
@@ -53,7 +50,11 @@ def _train_together(coco: Path, out: Path) -> None:
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
-    context = multiprocessing.get_context("fork")
+    # A fork of this process would wait for threads of OpenMP that other tests have left here.
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(
+        ["rpl_data.torch.datamodule", "training.keypoints.module", "training.runs.trainer"]
+    )
     started = [context.Process(target=_train, args=(rank, port, coco, out)) for rank in range(PROCESSES)]
     for process in started:
         process.start()
@@ -68,7 +69,6 @@ def _loss(run: Path) -> float:
     return float(dict(zip(lines[0].split(","), lines[-1].split(","), strict=True))["train_loss"])
 
 
-@pytest.mark.skipif(torch.cuda.is_available(), reason="processes cannot be forked beside a GPU")
 def test_two_processes_learn_what_one_learns_with_twice_the_batch(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
