@@ -109,7 +109,20 @@ def _costs_of_each(fragments: Fragments, transforms: np.ndarray, points: np.ndar
 def _alternate(
     fragments: Fragments, weights: Float64[np.ndarray, "s k"], scene_from_model: Float64[np.ndarray, "s 4 4"]
 ) -> Adjusted:
-    """Gower's alternation to convergence."""
+    """Gower's alternation to convergence, in compiled code where every scene's points determine its pose."""
+    from rpl_data.solve.compiled_eq2 import alternate
+
+    poses: Float64[np.ndarray, "s 4 4"] = scene_from_model.copy()
+    points: Float64[np.ndarray, "k 3"] = np.zeros((weights.shape[1], 3))
+    if alternate(*fragments, weights, poses, points, MOST_ALTERNATIONS):
+        return Adjusted(poses, points, weights)
+    return alternate_by_svd(fragments, weights, scene_from_model)
+
+
+def alternate_by_svd(
+    fragments: Fragments, weights: Float64[np.ndarray, "s k"], scene_from_model: Float64[np.ndarray, "s 4 4"]
+) -> Adjusted:
+    """The same where points of a scene may lie on a line: any turn about it is as good."""
     previous = np.inf
     points = mean_points(fragments.points_scene, weights, scene_from_model)
     for _ in range(MOST_ALTERNATIONS):

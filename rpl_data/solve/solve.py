@@ -147,12 +147,6 @@ def solve_points(fragments: Fragments, *, method: Method = "robust", loss: Loss 
     """
     if method == "slsqp":
         return adjust_points_slsqp(fragments)
-    if loss == "l2":
-        from rpl_data.solve.compiled_eq2 import adjusted_by_least_squares
-
-        compiled = adjusted_by_least_squares(fragments)
-        if compiled is not None:
-            return _in_first_scene(compiled)
     groups = [
         {int(k): points[k][None] for k in np.flatnonzero(clicked)}
         for points, clicked in zip(fragments.points_scene, fragments.clicked, strict=True)

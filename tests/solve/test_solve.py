@@ -6,9 +6,16 @@ from clicked_scenes import CUBE, NAMES, cameras, click_scene, pose
 from scipy.spatial.transform import Rotation
 
 from rpl_data.geometry import fit_rigid, invert, rotation_angle_rad, transform
-from rpl_data.solve.compiled_eq2 import adjusted_by_least_squares
+from rpl_data.solve.compiled_eq2 import alternate
 from rpl_data.solve.initial_guess import join_clean
-from rpl_data.solve.procrustes import Fragments, adjust_points, best_of_starts, eq2_cost
+from rpl_data.solve.procrustes import (
+    MOST_ALTERNATIONS,
+    Fragments,
+    adjust_points,
+    alternate_by_svd,
+    best_of_starts,
+    eq2_cost,
+)
 from rpl_data.solve.solve import register, solve, solve_points
 from rpl_data.types import Click, DataError, KeypointModel, Observation
 
@@ -245,13 +252,16 @@ def test_points_l2_reaches_the_cost_of_the_papers_solver():
 
 
 @pytest.mark.parametrize("size", [(2, 3), (10, 12)])
-def test_points_l2_in_compiled_code_as_in_numpy(size):
+def test_points_in_compiled_code_as_by_svd(size):
     for seed in range(3):
         _, w = fragments(*size, seed) if size[1] > 3 else (None, tied_by_three(seed))
-        found = adjusted_by_least_squares(w)
-        numpys = adjust_points(w, np.stack(join_clean(w)), loss="l2")
-        assert np.allclose(found.points_model, numpys.points_model, rtol=0, atol=1e-10)
-        assert np.allclose(found.scene_from_model, numpys.scene_from_model, rtol=0, atol=1e-9)
+        weights = w.clicked * np.random.default_rng(seed).uniform(0.01, 1, w.clicked.shape)
+        start = np.stack(join_clean(w))
+        poses, points = start.copy(), np.zeros((size[1], 3))
+        assert alternate(*w, weights, poses, points, MOST_ALTERNATIONS)
+        by_svd = alternate_by_svd(w, weights, start)
+        assert np.allclose(points, by_svd.points_model, rtol=0, atol=1e-10)
+        assert np.allclose(poses, by_svd.scene_from_model, rtol=0, atol=1e-9)
 
 
 def tied_by_three(seed):
@@ -262,11 +272,14 @@ def tied_by_three(seed):
     )
 
 
-def test_points_l2_in_compiled_code_leaves_scenes_that_share_a_line_to_others():
-    w = tied_by_three(0)
-    line = np.outer([0.0, 0.05, 0.1], [1.0, 0.5, 0.2])
-    assert adjusted_by_least_squares(w._replace(points_scene=np.stack([line, line + 0.1]))) is None
-    assert adjusted_by_least_squares(w._replace(clicked=np.array([[1.0, 1, 1], [1, 1, 0]]))) is None
+@pytest.mark.parametrize("off_line_m", [0.0, 1e-8])
+def test_points_on_a_line_are_left_to_the_svd(off_line_m):
+    line = np.outer([0.0, 0.05, 0.1], [1.0, 0.5, 0.2]) + [[0, 0, 0], [0, off_line_m, 0], [0, 0, 0]]
+    w = Fragments(np.stack([line, line + 0.1]), np.ones((2, 3)))
+    start = np.stack([np.eye(4)] * 2)
+    assert not alternate(*w, w.clicked, start.copy(), np.zeros((3, 3)), MOST_ALTERNATIONS)
+    adjusted = adjust_points(w, start)
+    assert eq2_cost(w, adjusted) < 1e-15
 
 
 def test_points_robust_to_gross_errors():
