@@ -13,10 +13,9 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Bool, Float64, Int64
 
-from rpl_data.geometry import Transform, from_rotvec, invert, project, transform
-from rpl_data.label.outline import image_motion
+from rpl_data.geometry import Pixels, Points, Transform, from_rotvec, invert, project, transform
 from rpl_data.label.prints import BLURS_PX, FEWEST_POINTS, Look, Print
 from rpl_data.raycast import PixelTable
 
@@ -80,10 +79,10 @@ def disagreements(
     """
     seen = np.ones(len(found.points), bool)
     differences = np.zeros((len(poses), len(found.points)))
-    compared = [_compare(camera, look, found, pose, len(BLURS_PX) - 1) for pose in poses]
-    for row, one in enumerate(compared):
-        seen &= one.seen
-        differences[row] = one.difference
+    for row, pose in enumerate(poses):
+        compared, difference = _compare(look, found, *_projected(camera, found, pose), len(BLURS_PX) - 1)
+        differences[row, compared] = difference
+        seen &= np.bincount(compared, minlength=len(seen)) > 0
     if not seen.any():
         return np.ones_like(differences), seen
     noise = min(_noise(row[seen]) for row in differences)
@@ -93,8 +92,7 @@ def disagreements(
 
 def likeness(camera: PixelTable, look: Look, found: Print, pose: Transform) -> float:
     """Correlation of a print with the frame at a pose, -1 to 1; NaN where too little of it is seen."""
-    points = transform(pose, found.points)
-    uv_px = project(camera.intrinsics, points)
+    points, uv_px = _projected(camera, found, pose)
     seen = look.sees(uv_px, points[:, 2])
     if np.count_nonzero(seen) < FEWEST_POINTS // 2:
         return float("nan")
@@ -102,34 +100,6 @@ def likeness(camera: PixelTable, look: Look, found: Print, pose: Transform) -> f
     if min(here.std(), there.std()) < LEAST_SPREAD:
         return float("nan")
     return float(np.corrcoef(here, there)[0, 1])
-
-
-@dataclass(frozen=True)
-class _Compared:
-    """A print beside a frame: its points there, where they project, and how much brightness differs."""
-
-    points_camera: Float64[np.ndarray, "n 3"]
-    uv_px: Float64[np.ndarray, "n 2"]
-    seen: Bool[np.ndarray, " n"]
-    difference: Float64[np.ndarray, " n"]
-
-
-def _compare(camera: PixelTable, look: Look, found: Print, pose: Transform, level: int) -> _Compared:
-    points = transform(pose, found.points)
-    uv_px = project(camera.intrinsics, points)
-    seen = look.sees(uv_px, points[:, 2])
-    difference = np.zeros(len(points))
-    if np.count_nonzero(seen) >= FEWEST_POINTS // 2:
-        here, there = look.at(look.levels[level][0], uv_px[seen]), found.brightness[level][seen]
-        here, there = here - np.median(here), there - np.median(there)
-        if min(here.std(), there.std()) < LEAST_SPREAD:
-            seen = np.zeros_like(seen)
-        else:
-            gain = np.median(np.abs(here)) / max(float(np.median(np.abs(there))), 1e-3)
-            difference[seen] = np.clip(gain, 1 / MOST_GAIN, MOST_GAIN) * there - here
-    else:
-        seen = np.zeros_like(seen)
-    return _Compared(points, uv_px, seen, difference)
 
 
 def print_equations(
@@ -141,22 +111,44 @@ def print_equations(
     level: int,
 ) -> tuple[Float64[np.ndarray, "6 6"], Float64[np.ndarray, "6"]]:
     """Information and pull of a print on the pose; the common offset of brightness is eliminated."""
-    compared = _compare(camera, look, found, pose, level)
-    seen = compared.seen
-    if not seen.any():
-        return np.zeros((6, 6)), np.zeros(6)
-    difference, uv_px = compared.difference[seen], compared.uv_px[seen]
+    from rpl_data.label.compiled_prints import print_information
+
+    points, uv_px = _projected(camera, found, pose)
+    rows, difference = _compare(look, found, points, uv_px, level)
     _, right, down = look.levels[level]
-    slopes = np.column_stack([look.at(right, uv_px), look.at(down, uv_px)])
-    motion = image_motion(camera, compared.points_camera[seen], centre)
-    rows = np.einsum("ni,nij->nj", slopes, motion)
-    noise = _noise(difference)
-    weight = 1 / (1 + (difference / (KERNEL_SCALE_SIGMAS * noise)) ** 2) ** 2 / noise**2
-    weighted = rows * weight[:, None]
-    common = weighted.sum(axis=0) / weight.sum()
-    information = weighted.T @ rows - weight.sum() * np.outer(common, common)
-    pull = weighted.T @ difference - common * float(weight @ difference)
+    lens, robust = (camera.intrinsics.fx, camera.intrinsics.fy), (KERNEL_SCALE_SIGMAS, LEAST_NOISE)
+    information, pull = print_information(
+        points, uv_px, rows, difference, right, down, look.corner, centre, *lens, *robust
+    )
     return INDEPENDENT * information, INDEPENDENT * pull
+
+
+def _projected(camera: PixelTable, found: Print, pose: Transform) -> tuple[Points, Pixels]:
+    """A print's points in the camera frame, and their pixels."""
+    from rpl_data.label.compiled_prints import projected
+
+    seen_by = camera.intrinsics
+    if seen_by.distortion:
+        points = transform(pose, found.points)
+        return points, project(seen_by, points)
+    moved: tuple[Points, Pixels] = projected(
+        pose, found.points, seen_by.fx, seen_by.fy, seen_by.cx, seen_by.cy
+    )
+    return moved
+
+
+def _compare(
+    look: Look, found: Print, points_camera: Points, uv_px: Pixels, level: int
+) -> tuple[Int64[np.ndarray, " m"], Float64[np.ndarray, " m"]]:
+    """Which points of a print are compared with a frame, and by how much the brightness of each differs."""
+    from rpl_data.label.compiled_prints import compare
+
+    seen = look.sees(uv_px, points_camera[:, 2])
+    grey, there = look.levels[level][0], np.ascontiguousarray(found.brightness[level])
+    compared: tuple[Int64[np.ndarray, " m"], Float64[np.ndarray, " m"]] = compare(
+        uv_px, there, grey, look.corner, seen, FEWEST_POINTS // 2, LEAST_SPREAD, MOST_GAIN
+    )
+    return compared
 
 
 def _noise(difference: Float64[np.ndarray, " n"]) -> float:

@@ -31,8 +31,6 @@ shines in, and the mesh is least exact."""
 CELL_PX = 3
 """A print has at most one point per square of this edge: that of the steepest brightness."""
 MOST_POINTS, FEWEST_POINTS = 500, 60
-REMAP_COLUMNS = 1024
-"""Pixels are read in rows of so many, as `cv2.remap` takes no image with a side over 32,767."""
 SAME_SURFACE_M = 0.006
 """A point lies on the surface that a frame sees where its depth is that of the label's mesh within this."""
 
@@ -58,23 +56,16 @@ class Look:
 
     def sees(self, uv_px: Pixels, depth_m: Float64[np.ndarray, " n"]) -> Any:
         """Whether points of the object, given by pixel and depth, are seen in this frame."""
-        height, width = self.inner.shape
-        known = np.isfinite(uv_px).all(axis=1)
-        column, row = np.rint(np.where(known[:, None], uv_px, -1)).astype(int).T
-        column, row = column - self.window[1].start, row - self.window[0].start
-        inside = known & (column >= 0) & (row >= 0) & (column < width) & (row < height)
-        column, row = column.clip(0, width - 1), row.clip(0, height - 1)
-        same = np.abs(self.depth_m[row, column] - depth_m) < SAME_SURFACE_M
-        return inside & self.inner[row, column] & same
+        from rpl_data.label.compiled_prints import seen_points
+
+        top, left = self.window[0].start, self.window[1].start
+        return seen_points(uv_px, depth_m, top, left, self.depth_m, self.inner, SAME_SURFACE_M)
 
     def at(self, patch: Patch, uv_px: Pixels) -> Float64[np.ndarray, " n"]:
-        """Values of a level's patch at pixels of the image, between pixels too."""
-        if not len(uv_px):
-            return np.zeros(0)
-        rows = -(-len(uv_px) // REMAP_COLUMNS)
-        u, v = (np.resize(axis, (rows, REMAP_COLUMNS)) for axis in (uv_px - self.corner).astype(np.float32).T)
-        found = cv2.remap(patch, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        values: Float64[np.ndarray, " n"] = np.asarray(found).ravel()[: len(uv_px)].astype(np.float64)
+        """Values of a level's patch at finite pixels of the image, between pixels too (bilinear)."""
+        from rpl_data.label.compiled_prints import values_at
+
+        values: Float64[np.ndarray, " n"] = values_at(patch, uv_px, self.corner)
         return values
 
 

@@ -125,7 +125,7 @@ def test_small_corrections_are_left_unless_all_are_wanted() -> None:
 
 
 def test_a_print_of_a_large_object_is_read_and_one_of_a_thin_object_is_empty() -> None:
-    rows, columns = 200, 200  # 40,000 pixels: more than `cv2.remap` takes along a side
+    rows, columns = 200, 200
     camera = PixelTable.of(CAMERA)
     grey = np.random.default_rng(0).integers(0, 255, (240, 320)).astype(np.uint8)
     window = np.s_[10 : 10 + rows, 20 : 20 + columns]
