@@ -29,7 +29,7 @@ from rpl_data.types.instances import instance_of, places_in
 from rpl_data.wording import counted
 from rpl_data.workspace.workspace import Workspace
 
-VERSION = 7
+VERSION = 8
 """Increase it when the stage writes something else for the same input: its steps then run again."""
 
 
