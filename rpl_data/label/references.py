@@ -99,9 +99,10 @@ def choose_references(sight: Sight, frames: Sequence[Frame]) -> list[Reference]:
 def settled(sight: Sight, references: Sequence[Reference], frames: Sequence[Frame]) -> list[Reference]:
     """The references as their neighbours would have them: moved by the median of what these are moved."""
     middle = np.nanmean(sight.body.item.model.points_object, axis=0)
+    views = [view_direction(sight.pose(frame)) for frame in frames]
     found = []
     for one in references:
-        near = [frame for frame in frames if _are_near(view_direction(sight.pose(frame)), one.view)]
+        near = [frame for frame, view in zip(frames, views, strict=True) if _are_near(view, one.view)]
         near = [f for f in sorted(near, key=sight.speed_px_s) if f.index != one.frame][:NEIGHBOURS]
         steps = [np.zeros(6)]
         for frame in near:
