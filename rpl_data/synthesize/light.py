@@ -51,13 +51,6 @@ class Light:
     coefficients: Coefficients
 
 
-def even_light() -> Light:
-    """A light that leaves colours as they are."""
-    coefficients = np.zeros((TERMS, 3))
-    coefficients[0] = 1
-    return Light(np.eye(3), coefficients)
-
-
 def harmonics(normals: Float[np.ndarray, "n 3"]) -> Float32[np.ndarray, "n 9"]:
     """The real spherical harmonics up to degree 2 at unit vectors, each scaled to at most about 1."""
     x, y, z = normals.astype(np.float32).T

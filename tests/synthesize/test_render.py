@@ -11,10 +11,10 @@ from rpl_data.geometry import from_rotvec, rigid
 from rpl_data.raycast import PixelTable
 from rpl_data.synthesize.compose import depth_over, laid_over, shadowed
 from rpl_data.synthesize.light import (
+    TERMS,
     Light,
     SceneLight,
     draw_lights,
-    even_light,
     harmonics,
     shade,
 )
@@ -30,6 +30,15 @@ TABLE, FINER = PixelTable.of(CAMERA), finer_table(CAMERA)
 FACING = rigid(np.diag([1.0, -1, -1]), np.array([0.0, 0.0, 0.5]))
 """Shows the face towards z, 0.45 m away: 2 x 50 mm are 33.33 px."""
 SIDE_PX = 2 * HALF_M * 150 / 0.45
+
+
+def even_light() -> Light:
+    """A light that leaves colours as they are."""
+    coefficients = np.zeros((TERMS, 3))
+    coefficients[0] = 1
+    return Light(np.eye(3), coefficients)
+
+
 EVEN = {"cube": even_light()}
 QUIET = Noise(0.0, 0.0, 0.0, 0.0)
 
