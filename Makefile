@@ -15,8 +15,7 @@ test: $(STAMP)
 
 # All benchmarks, one after the other, then `make attack`; the figures are printed once more at the end and kept with
 # machine, versions and commit in runs/bench/, a file per run. SHARE is the share of their repetitions that those
-# take that have many: with a fifth estimated at 35 to 40 minutes on two idle cores, all in all far over an hour. BENCH
-# names some.
+# take that have many: with a fifth 27 minutes on two idle cores, without the attack. BENCH names some.
 SHARE ?= 0.2
 BENCH ?=
 bench: demo

@@ -101,7 +101,7 @@ def measure(coco: Path, preset: str, little: Little, folder: Path) -> None:
         raise SystemExit(f"{preset} failed")
     marks = np.array(Timed.marks[2:]).reshape(-1, 2, 3)  # without the first epoch
     wall_s, waiting_s, steps = (marks[:, 1] - marks[:, 0]).sum(axis=0)
-    record("bench_loading", f"{preset}: share of a step spent loading", 100 * waiting_s / wall_s, "%")
+    record("loading", f"{preset}: share of a step spent loading", 100 * waiting_s / wall_s, "%")
     print(
         f"{preset}: {waiting_s / wall_s:.1%} of a step of {1e3 * wall_s / steps:.0f} ms spent loading "
         f"({1e3 * waiting_s / steps:.1f} ms)"

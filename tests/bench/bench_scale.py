@@ -129,7 +129,7 @@ class Cost:
 
 
 class Watch:
-    """Adds up CPU time and memory of processes and their children, as long as they live."""
+    """Adds up CPU time from now on, and memory, of processes and their children, as long as they live."""
 
     def __init__(self, roots: Sequence[int]) -> None:
         self._roots, self._cpu_s, self.peak_mb, self._ended = (
@@ -138,20 +138,25 @@ class Watch:
             0.0,
             threading.Event(),
         )
-        self._thread = threading.Thread(target=self._look, daemon=True)
+        self._look()
+        self._before_s = sum(self._cpu_s.values())  # workers that have served another build
+        self._thread = threading.Thread(target=self._look_on, daemon=True)
         self._thread.start()
 
-    def _look(self) -> None:
+    def _look_on(self) -> None:
         while not self._ended.wait(LOOK_EVERY_S):
-            total = 0.0
-            for process in self._processes():
-                try:
-                    times = process.cpu_times()
-                    self._cpu_s[process.pid] = times.user + times.system
-                    total += process.memory_full_info().pss / 2**20
-                except psutil.Error:
-                    continue
-            self.peak_mb = max(self.peak_mb, total)
+            self._look()
+
+    def _look(self) -> None:
+        total = 0.0
+        for process in self._processes():
+            try:
+                times = process.cpu_times()
+                self._cpu_s[process.pid] = times.user + times.system
+                total += process.memory_full_info().pss / 2**20
+            except psutil.Error:
+                continue
+        self.peak_mb = max(self.peak_mb, total)
 
     def _processes(self) -> Iterator[psutil.Process]:
         for root in self._roots:
@@ -162,10 +167,10 @@ class Watch:
                 continue
 
     def close(self) -> float:
-        """CPU seconds since the processes started."""
+        """CPU seconds since this began to watch."""
         self._ended.set()
         self._thread.join()
-        return sum(self._cpu_s.values())
+        return sum(self._cpu_s.values()) - self._before_s
 
 
 def steps_done(workspace: Path) -> int:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import signal
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from resource import RUSAGE_SELF, getrusage
 
 import fsspec
 import numpy as np
@@ -18,7 +20,7 @@ from distributed import LocalCluster
 from rpl_data.meshes import in_order
 from rpl_data.pipeline import build as module
 from rpl_data.pipeline.build import build, recipe_of, stale_steps
-from rpl_data.pipeline.cluster import Cluster
+from rpl_data.pipeline.cluster import M_MMAP_THRESHOLD, M_TRIM_THRESHOLD, Cluster, keep_freed_memory
 from rpl_data.pipeline.context import Context
 from rpl_data.pipeline.graph import TOGETHER, Graph
 from rpl_data.pipeline.ledger import Advance, Ledger, Outcome, Step
@@ -127,6 +129,22 @@ def test_a_step_of_a_killed_build_ends_when_another_build_begins(scheduler: str,
     late = cluster.submit(a_step("label", "01", run=endless))
     assert isinstance(late.exception(timeout=60), Stopped)
     cluster.close(at_once=False)
+
+
+def test_a_worker_keeps_memory_that_dask_has_it_give_back() -> None:
+    def faults() -> int:
+        before = getrusage(RUSAGE_SELF).ru_minflt
+        for _ in range(20):
+            np.ones(1 << 20)  # 8 MB
+        return getrusage(RUSAGE_SELF).ru_minflt - before
+
+    mallopt = ctypes.CDLL(None).mallopt
+    mallopt(M_MMAP_THRESHOLD, 128 << 10)  # fixed, as whoever sets MALLOC_TRIM_THRESHOLD_ has it
+    mallopt(M_TRIM_THRESHOLD, 64 << 10)
+    given_back = faults()
+    keep_freed_memory()
+    faults()
+    assert faults() < given_back / 10, given_back
 
 
 def test_dask_makes_the_same_bytes(scheduler: str, built: Workspace) -> None:
