@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
+from contextlib import suppress
 from functools import cache
 from inspect import unwrap
 from pathlib import Path
@@ -17,33 +19,27 @@ def compiled(function: Function) -> Function:
     """Compile a function at its first call, without bounds checks.
 
     Real numbers divided by zero are infinite or NaN; complex ones still raise ZeroDivisionError.
-    The compiled code is kept for the next process, beside the source or in the user's cache folder. Where
-    neither can be written, as in a read-only installation, every process compiles anew: seconds, not a fault.
+    The compiled code is kept for the next process, beside the source or in the user's cache folder, and made
+    anew once any file of the package has changed. Where neither folder can be written, as in a read-only
+    installation, every process compiles anew: seconds, not a fault.
     """
     plain = unwrap(function)  # the tests check the types of arguments
-    forget_older(Path(plain.__code__.co_filename), newest_source_s())
     try:
         kept = njit(plain, cache=True, error_model="numpy")
-    except RuntimeError:  # numba finds no folder to write to
+        # Numba asks whether the function's own file is the one that was compiled, while compiled code holds
+        # functions and constants of other files, too.
+        index = kept._cache._cache_file
+        index._source_stamp = (index._source_stamp, digest_of(Path(__file__).parent))
+    except (RuntimeError, AttributeError):  # numba finds no folder to write to, or keeps code in another way
         kept = njit(plain, error_model="numpy")
     return cast(Function, kept)
 
 
 @cache
-def newest_source_s() -> float:
-    """When the newest file of the package was written."""
-    return max(path.stat().st_mtime for path in Path(__file__).parent.rglob("*.py"))
-
-
-@cache
-def forget_older(source: Path, newest_s: float) -> None:
-    """Remove what was compiled from a file before any file of the package was changed.
-
-    Numba looks at the function's own file only, while compiled code holds functions and constants of others.
-    """
-    for index in (source.parent / "__pycache__").glob(f"{source.stem}.*.nbi"):
-        try:
-            if index.stat().st_mtime < newest_s:
-                index.unlink()
-        except OSError:  # another process was faster, or the folder is not ours to write
-            continue
+def digest_of(package: Path) -> str:
+    """SHA-256 of all source files in a folder."""
+    digest = hashlib.sha256()
+    for path in sorted(package.rglob("*.py")):
+        with suppress(OSError):  # the lock of an editor, or a file that has just been removed
+            digest.update(path.read_bytes())
+    return digest.hexdigest()
