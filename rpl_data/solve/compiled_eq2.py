@@ -13,13 +13,15 @@ import numpy as np
 
 from rpl_data.compiled import compiled
 
-LEAST_GAP = 1e-5
-"""From the largest eigenvalue to the next, as a share of it: with less, rounding decides on the rotation."""
+LEAST_SLOPE = 1e-5
+"""Slope of the characteristic polynomial at the largest eigenvalue, as a share of the eigenvalue's cube. On
+points near a line, that is four times the share by which the next eigenvalue is smaller. With less, rounding
+decides on the rotation."""
 
 
 @compiled
 def _cofactor(matrix: Any, i: int, j: int) -> Any:
-    """Of a 4x4 matrix; the other rows and columns in cyclic order, which keeps the sign."""
+    """Cofactor of a 4x4 matrix; the other rows and columns in cyclic order, which keeps the sign."""
     a, b, c = (i + 1) % 4, (i + 2) % 4, (i + 3) % 4
     x, y, z = (j + 1) % 4, (j + 2) % 4, (j + 3) % 4
     minor = (
@@ -72,11 +74,11 @@ def _fit(model: Any, scene: Any, weights: Any, pose: Any) -> bool:
     for j in range(4):
         c0 += n[0, j] * _cofactor(n, 0, j)
         c1 -= _cofactor(n, j, j)
-    largest = bound
+    largest = min(bound, np.sqrt(3 * squares))  # neither is less; the first is far off where the fit is poor
     for _ in range(50):
         value = ((largest * largest + c2) * largest + c1) * largest + c0
         slope = (4 * largest * largest + 2 * c2) * largest + c1
-        if slope <= LEAST_GAP * largest**3:  # it only falls on the way to the root
+        if not slope > LEAST_SLOPE * largest**3:  # it only falls on the way to the root; or it is no number
             return False
         step = value / slope
         largest -= step
@@ -105,16 +107,18 @@ def _fit(model: Any, scene: Any, weights: Any, pose: Any) -> bool:
 
 @compiled
 def alternate(scenes: Any, clicked: Any, weights: Any, poses: Any, points: Any, most: int) -> bool:
-    """Gower's alternation to convergence, or so many turns at most, from the poses; see `procrustes`.
+    """Gower's alternation to convergence, from the poses; see `procrustes`.
 
     Args:
-        scenes: a point per scene and keypoint, scene frame.
-        clicked: 1 for those that are there.
-        weights: what each counts.
-        poses, points: get the answer.
+        scenes, clicked: as in `Fragments`.
+        weights: what each fragment counts.
+        poses: `scene_from_model` to start from; the answer is written into them.
+        points: the answer's keypoints are written into it.
+        most: turns after which it ends without having converged.
 
     Returns:
-        False where the points of some scene do not determine its pose; the answer is of no use then.
+        False where the points of some scene do not determine its pose, or are no numbers; the answer is of no
+        use then.
     """
     count, keypoints = clicked.shape
     previous, total = np.inf, np.zeros(keypoints)

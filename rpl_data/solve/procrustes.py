@@ -22,7 +22,10 @@ MOST_ALTERNATIONS = 2000
 
 
 class Fragments(NamedTuple):
-    """The paper's W: a point per scene and keypoint, scene frame, and whether it was clicked."""
+    """The paper's W: a point per scene and keypoint, scene frame, and 1 where it was clicked.
+
+    Where it was not, `clicked` is 0, and the point is any finite one.
+    """
 
     points_scene: Float64[np.ndarray, "s k 3"]
     clicked: Float64[np.ndarray, "s k"]
@@ -122,7 +125,7 @@ def _alternate(
 def alternate_by_svd(
     fragments: Fragments, weights: Float64[np.ndarray, "s k"], scene_from_model: Float64[np.ndarray, "s 4 4"]
 ) -> Adjusted:
-    """The same where points of a scene may lie on a line: any turn about it is as good."""
+    """Gower's alternation by SVD, which takes any turn about the line where a scene's points lie on one."""
     previous = np.inf
     points = mean_points(fragments.points_scene, weights, scene_from_model)
     for _ in range(MOST_ALTERNATIONS):

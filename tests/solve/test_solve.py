@@ -6,7 +6,7 @@ from clicked_scenes import CUBE, NAMES, cameras, click_scene, pose
 from scipy.spatial.transform import Rotation
 
 from rpl_data.geometry import fit_rigid, invert, rotation_angle_rad, transform
-from rpl_data.solve.compiled_eq2 import alternate
+from rpl_data.solve.compiled_eq2 import _fit, alternate
 from rpl_data.solve.initial_guess import join_clean
 from rpl_data.solve.procrustes import (
     MOST_ALTERNATIONS,
@@ -15,6 +15,7 @@ from rpl_data.solve.procrustes import (
     alternate_by_svd,
     best_of_starts,
     eq2_cost,
+    kabsch_stack,
 )
 from rpl_data.solve.solve import register, solve, solve_points
 from rpl_data.types import Click, DataError, KeypointModel, Observation
@@ -280,6 +281,23 @@ def test_points_on_a_line_are_left_to_the_svd(off_line_m):
     assert not alternate(*w, w.clicked, start.copy(), np.zeros((3, 3)), MOST_ALTERNATIONS)
     adjusted = adjust_points(w, start)
     assert eq2_cost(w, adjusted) < 1e-15
+
+
+def test_points_that_are_no_numbers_are_refused_not_solved():
+    w, start = tied_by_three(0), np.stack([np.eye(4)] * 2)
+    w.points_scene[1, 2, 0] = np.nan
+    assert not alternate(*w, w.clicked, start.copy(), np.zeros((3, 3)), MOST_ALTERNATIONS)
+    with pytest.raises(np.linalg.LinAlgError):
+        adjust_points(w, start)
+
+
+@pytest.mark.parametrize("size", [1.0, 1e-3, 1e-9])
+def test_a_compiled_pose_is_that_of_kabsch_however_small_the_model(size):
+    random = np.random.default_rng(3)
+    model, scene, weights = CUBE * size, transform(pose(random), CUBE), random.uniform(0.1, 1, len(CUBE))
+    found = np.zeros((4, 4))
+    assert _fit(model, scene, weights, found)
+    np.testing.assert_allclose(found, kabsch_stack(model, scene[None], weights[None])[0], atol=1e-12)
 
 
 def test_points_robust_to_gross_errors():
