@@ -25,9 +25,9 @@ from rpl_data.geometry import (
     box_around,
     inside_image,
     project,
-    square_box,
     transform,
 )
+from rpl_data.label.instance import square_around
 from rpl_data.meshes import load_mesh, save_mesh
 from rpl_data.raycast import RayScene, render_depth_m
 from rpl_data.types import (
@@ -183,7 +183,7 @@ def true_instance(
         keypoints_px=pixels,
         visibility=visibility,
         sigma_px=np.where(visibility > 0, 0.0, np.nan),
-        square_box=square_box(pixels[np.isfinite(pixels).all(axis=1)]),
+        square_box=square_around(pixels, box),
         box=box,
         box_full=box,
         mask=mask,

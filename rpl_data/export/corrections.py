@@ -125,5 +125,5 @@ def _with_keypoints(
         pixels[row] = (u, v) if visible else np.nan
         seen[row], sigma[row] = visible, np.nan
     known = pixels[np.isfinite(pixels).all(axis=1)]
-    square = square_box(known) if len(known) else instance.square_box
+    square = square_box(known) if len(known) > 1 else instance.square_box
     return replace(instance, keypoints_px=pixels, visibility=seen, sigma_px=sigma, square_box=square)

@@ -52,7 +52,7 @@ def instance_label(
         keypoints_px=keypoints_px,
         visibility=visibility,
         sigma_px=np.where(visibility > 0, sigma_px, np.nan),
-        square_box=_square_box(keypoints_px, full.box),
+        square_box=square_around(keypoints_px, full.box),
         box=seen.box,
         box_full=full.box,
         mask=seen.rle,
@@ -103,9 +103,9 @@ def nearest_other_m(window: Window, others: Iterable[tuple[Window, OtherPatch]])
     return nearest
 
 
-def _square_box(keypoints_px: Pixels, box_full: Box) -> SquareBox:
-    """The paper's square box around the keypoints; around the mask where no keypoint projects."""
+def square_around(keypoints_px: Pixels, box_full: Box) -> SquareBox:
+    """The paper's square box around the keypoints; around the mask where fewer than two of them project."""
     known = keypoints_px[np.isfinite(keypoints_px).all(axis=1)]
-    if not len(known):
+    if len(known) < 2:
         known = np.array(box_full).reshape(2, 2) - 0.5
     return square_box(known)
