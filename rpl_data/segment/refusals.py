@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NoReturn
 
 from scipy.spatial import cKDTree
@@ -41,6 +41,16 @@ def refuse_without_surface(
     raise DataError(
         f"object {solution.model.name}: no dense model grows from its {known}. Surface was measured within "
         f"{1e3 * NEAR_M:.0f} mm {there}; {todo}"
+    )
+
+
+def refuse_seen_through(name: str, scenes: Sequence[str]) -> NoReturn:
+    """DataError: nothing is left of what grew, since other scenes saw through all of it."""
+    raise DataError(
+        f"object {name}: other scenes see through all of its surface in {counted(len(scenes), 'scene')} "
+        f"({', '.join(scenes)}), so no dense model is left: the scenes do not agree on where it is, or depth "
+        "is measured through it; check its clicks and the camera poses, or leave out the scenes that see "
+        "through it"
     )
 
 

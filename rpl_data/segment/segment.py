@@ -15,7 +15,7 @@ from rpl_data.segment.carving import carved
 from rpl_data.segment.completion import closed_mesh, mesh_of_border
 from rpl_data.segment.free_space import DepthView, free_share, witnesses
 from rpl_data.segment.mask_votes import MaskView, regions_by_masks
-from rpl_data.segment.refusals import NEAR_M, CropBox, refuse_without_surface
+from rpl_data.segment.refusals import NEAR_M, CropBox, refuse_seen_through, refuse_without_surface
 from rpl_data.segment.region_growing import (
     Plane,
     beyond_support_halo,
@@ -94,7 +94,7 @@ def segment_object(
         mask_views: masks that another program made of the object, which vote on the surface of their scene.
 
     Raises:
-        DataError: no scene is placed, or no surface is found at the keypoints.
+        DataError: no scene is placed, or no surface is found at the keypoints that others do not see through.
     """
     keypoints = solution.model.points_object[solution.model.known]
     surroundings = _all_surroundings(surfaces, solution, voxel_m, crop_m)
@@ -109,6 +109,8 @@ def segment_object(
             return _unseen_model(border, voxel_m, masks_given=bool(mask_views))
     if cloud is None:
         refuse_without_surface(surfaces, solution, crop_m)
+    if not len(cloud.points):
+        refuse_seen_through(solution.model.name, list(grown))
     anchors = np.concatenate([keypoints, _contact_points(cloud, surroundings)])
     lacking = [f"scene {scene} has no surface at the keypoints" for scene in surfaces if scene not in grown]
     warnings = (*lacking, *said)

@@ -139,6 +139,18 @@ def test_a_scene_without_a_surface_at_the_keypoints_is_named() -> None:
         segment_object({"01": far}, solution)
 
 
+def test_an_object_that_other_scenes_see_through_is_refused() -> None:
+    surfaces, solution = two_scenes()
+    poses = {"00": solution.scene_from_object["00"], "01": np.eye(4), "02": np.eye(4)}
+    corner, x, y = np.array([-0.15, -0.15, 0]), np.array([0.3, 0, 0]), np.array([0, 0.3, 0])
+    for scene, height_m in {"01": -0.037, "02": 0.0}.items():  # no box stands there
+        surfaces[scene] = sheet(corner + [0, 0, height_m], x, y)
+    away = np.full((CAMERA.height, CAMERA.width), 3.0, np.float32)
+    views = [DepthView("01", CAMERA, rigid(np.eye(3), np.array([0, 0, z])), away) for z in (0.45, 0.5)]
+    with pytest.raises(DataError, match=r"other scenes see through all of its surface in 1 scene \(00\)"):
+        segment_object(surfaces, replace(solution, scene_from_object=poses), depth_views=views)
+
+
 def test_height_is_known_only_straight_above_the_surface() -> None:
     from scipy.spatial import cKDTree
 
