@@ -32,7 +32,14 @@ def projected(a_from_b: Any, points: Any, fx: float, fy: float, cx: float, cy: f
 
 @compiled
 def seen_points(uv_px: Any, depth_m: Any, top: int, left: int, mesh_m: Any, inner: Any, most_m: float) -> Any:
-    """Whether points are seen: at the inner pixels of a window, and at most so far from its mesh."""
+    """Whether points are seen in a frame, as `Look.sees` has it.
+
+    Args:
+        depth_m: depths of the points.
+        top, left: first row and column of the window.
+        mesh_m, inner: depth of the label's mesh in the window, and its pixels that count.
+        most_m: largest difference between the two depths.
+    """
     height, width = inner.shape
     seen = np.zeros(len(uv_px), np.bool_)
     for point in range(len(uv_px)):
@@ -78,9 +85,15 @@ def compare(
 ) -> Any:
     """By how much the brightness of a print differs from a frame's, up to a gain and an offset.
 
+    Args:
+        there: brightness of the points in the print.
+        grey, corner: the frame's brightness, and the column and row of the image where it begins.
+        seen: which points the frame shows.
+        fewest, least_spread: fewer points, or less standard deviation of either brightness, say nothing.
+        most_gain: largest gain; the smallest is its inverse.
+
     Returns:
-        Which points are compared and by how much each of them differs: none where fewer are seen than that,
-        or where either brightness has no spread.
+        Numbers of the points that are compared, and by how much each of them differs.
     """
     rows = np.flatnonzero(seen)
     nothing = rows[:0], np.empty(0)
@@ -115,6 +128,9 @@ def print_information(
     Args:
         points: in the camera frame.
         rows, difference: what `compare` returns.
+        right, down: slopes of the frame's brightness, which begins at that corner of the image.
+        scale_sigmas: scale of Geman-McClure's loss, in standard deviations of the differences.
+        least_noise: that standard deviation is never taken to be less.
 
     Returns:
         Both without what the common offset of brightness, which is unknown, takes away.
