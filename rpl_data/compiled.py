@@ -8,7 +8,7 @@ from contextlib import suppress
 from functools import cache
 from inspect import unwrap
 from pathlib import Path
-from typing import TypeVar, cast
+from typing import Any, TypeVar, cast
 
 from numba import njit
 
@@ -21,18 +21,40 @@ def compiled(function: Function) -> Function:
     Real numbers divided by zero are infinite or NaN; complex ones still raise ZeroDivisionError.
     The compiled code is kept for the next process, beside the source or in the user's cache folder, and made
     anew once any file of the package has changed. Where neither folder can be written, as in a read-only
-    installation, every process compiles anew: seconds, not a fault.
+    installation or on a full disk, every process compiles anew: seconds, not a fault.
     """
     plain = unwrap(function)  # the tests check the types of arguments
     try:
         kept = njit(plain, cache=True, error_model="numpy")
-        # Numba asks whether the function's own file is the one that was compiled, while compiled code holds
-        # functions and constants of other files, too.
-        index = kept._cache._cache_file
-        index._source_stamp = (index._source_stamp, digest_of(Path(__file__).parent))
+        _mistrust(kept._cache)
     except (RuntimeError, AttributeError):  # numba finds no folder to write to, or keeps code in another way
         kept = njit(plain, error_model="numpy")
     return cast(Function, kept)
+
+
+def _mistrust(kept: Any) -> None:
+    """Let numba use kept code only where it is surely that of the package as it is, for the types asked for.
+
+    Args:
+        kept: what numba keeps of a function, an index of types and a file of code for each of them.
+    """
+    index, load, save = kept._cache_file, kept.load_overload, kept.save_overload
+    # Numba looks whether the function's own file has changed, but the code holds constants of others, too.
+    index._source_stamp = (index._source_stamp, digest_of(Path(__file__).parent))
+
+    def load_checked(types: Any, target: Any) -> Any:
+        code = load(types, target)
+        # Of two processes that save into an empty index at once, one may name there what the other wrote.
+        return code if code is not None and code.signature.args == tuple(types) else None
+
+    def save_if_possible(types: Any, code: Any) -> None:
+        try:
+            save(types, code)
+        except OSError:  # a full disk; the index may already name what could not be written
+            with suppress(OSError):
+                Path(index._index_path).unlink()
+
+    kept.load_overload, kept.save_overload = load_checked, save_if_possible
 
 
 @cache
