@@ -87,7 +87,7 @@ def capture(
     next scene; three scenes or more give a test split. The recording is whole at every moment: when the
     camera is unplugged or the disk is full, everything before that is kept, and every lost frame is reported.
 
-    Then `rpl check OUT` says whether the recording is good; datasets/realsense.yaml makes a dataset of it.
+    Then `rpl check OUT` says whether the recording is good, and `rpl init` writes its recipe.
 
     Example: rpl capture my-recording --seconds 30 --preview browser
 

@@ -109,6 +109,7 @@ def print_diagnoses(recordings: Sequence[Recording], *, briefly: bool = False) -
             show = partial(_show, bar, task, lines, f"scene {recording.scene.name}")
             diagnosis = examine(recording, progress=show)
             bar.remove_task(task)
+            lines.end(f"scene {recording.scene.name}")
             console.print(summarize(diagnosis) if briefly else describe(diagnosis))
             found.append(diagnosis)
     return found

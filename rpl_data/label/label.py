@@ -92,7 +92,8 @@ def label_frames(
     if not scene.registered:
         raise DataError(
             f"scene {scene.name}: depth is not registered to colour, so masks and visibility would be "
-            "wrong; align depth to colour when recording, or warp the depth images to it first"
+            "wrong; write `registered: true` for it in the recipe if the camera aligned it, or the `mend:` "
+            "that `rpl check` names, or record again with depth aligned to colour"
         )
     return _label_frames(
         scene,

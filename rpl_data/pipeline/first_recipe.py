@@ -128,7 +128,8 @@ def _sources(path: str, told: HowStored, examined: Sequence[tuple[Recording, Dia
     for recording, diagnosis in examined:
         for finding in diagnosis.findings:
             said_by_build = finding.kind in ("left out", "unreadable")
-            if not said_by_build and (finding.mend is None or finding.sure < SURE):
+            halfway = finding.kind == "registration"  # its mend is right at one distance only
+            if not said_by_build and (halfway or finding.mend is None or finding.sure < SURE):
                 said = f"scene {recording.scene.name}: {finding.what}; {finding.todo}"
                 lines.append(f"  # {' '.join(said.split())}")  # a name may hold a line break
     return lines

@@ -50,7 +50,7 @@ class SceneSource:
         path: a folder of scenes, or one scene; or its address in an object store, such as
             `s3://bucket/recording`, from which it is copied into the workspace.
         format: how they are stored; `rpl` is a RapidPoseLabels tree (`camera.txt` and, per scene,
-            `rgb/`, `depth/`, `associations.txt`, `camera.poses`). The README lists the others.
+            `rgb/`, `depth/`, `associations.txt`, `camera.poses`). `docs/recordings.md` lists the others.
         names: the scenes of the folder to use; all when left out.
         metres_per_unit: metres per unit of the stored depth; the format's own when left out
             (0.001 for `rpl`: millimetres).

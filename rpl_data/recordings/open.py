@@ -110,7 +110,7 @@ def open_recordings(
 
     Args:
         path: a folder of scenes, one scene, or a file (.klg, .bag, .mkv, ...).
-        format: how they are stored, a name in the README's table such as rpl, tum, folders or record3d;
+        format: how they are stored, a name of `docs/recordings.md` such as rpl, tum, folders or record3d;
             found out from the files when left out.
         names: only these scenes; all of them when left out.
         metres_per_unit: metres of one unit of the stored depth; what the format says when left out.

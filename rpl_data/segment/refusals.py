@@ -33,10 +33,10 @@ def refuse_without_surface(
     )
     if crop_m is not None:
         todo = "the crop box cuts surface away, too: remove it, or make it larger"
-    elif any(near.values()):
+    elif any(2 * count >= solution.model.known.sum() for count in near.values()):
         todo = "there it does not stand out from what the object stands on: click keypoints above that"
     else:
-        todo = "so the keypoints are not where depth was measured: mend the clicks or the camera poses, or "
+        todo = "so most keypoints are not where depth was measured: mend the clicks or the camera poses, or "
         todo += "film the object from nearer, so that its depth is measured"
     raise DataError(
         f"object {solution.model.name}: no dense model grows from its {known}. Surface was measured within "

@@ -21,6 +21,13 @@ from rpl_data.workspace.workspace import Workspace
 VERSION = 2
 """Increase it when the stage writes something else for the same input: its steps then run again."""
 
+NOT_REGISTERED = (
+    "depth is not registered to colour, so this scene cannot be labelled; before you click, write "
+    "`registered: true` for it in the recipe if the camera aligned it, or the `mend:` that `rpl check` "
+    "names, or record again with depth aligned to colour"
+)
+"""Said at once: the stage that refuses it comes after all the clicking."""
+
 
 def import_steps(context: Context) -> list[Step]:
     """Stage `import`: read recordings into scenes of the workspace."""
@@ -83,7 +90,8 @@ def _certain_faults(recording: Recording) -> list[str]:
     scene, trajectory = recording.scene, recording.trajectory
     found = orientation_tags(scene) + odd_times(scene)
     found += [] if trajectory is None else pose_jumps(scene, trajectory)
-    return [f"WARNING: {finding.what}; {finding.todo}" for finding in found]
+    lines = [f"{finding.what}; {finding.todo}" for finding in found]
+    return [f"WARNING: {line}" for line in lines + ([] if scene.registered else [NOT_REGISTERED])]
 
 
 def _emptied(workspace: Workspace, scene: str) -> Path:
