@@ -12,6 +12,7 @@ from rpl_data.doctor.findings import Diagnosis, Finding
 from rpl_data.formats.recordings.ros.wanted import Topics
 from rpl_data.pipeline.first_recipe import HowStored, keypoints_from, path_from, recipe_text
 from rpl_data.pipeline.recipe_file import parse_recipe
+from rpl_data.pipeline.stages.import_ import _certain_faults
 from rpl_data.recordings.mend import Mend
 from rpl_data.types import Recording, Scene
 
@@ -44,6 +45,15 @@ def test_what_is_not_sure_is_a_comment() -> None:
     assert "# scene 00: poses are 3 late; do it" in text
 
 
+def test_a_mend_that_is_right_at_one_distance_only_keeps_its_remark() -> None:
+    beside = Finding("registration", "depth lies beside colour", 1.0, "record again", Mend(depth_zoom=0.9))
+    text = recipe_text(
+        "data", HowStored("frames"), [examined("00", beside)], name="n", objects=[("m", 4)], clicks=None
+    )
+    assert parse_recipe(yaml.safe_load(text), source="text").scenes[0].mend == Mend(depth_zoom=0.9)
+    assert "# scene 00: depth lies beside colour; record again" in text
+
+
 def test_a_line_break_in_a_name_does_not_end_its_comment() -> None:
     unread = Finding("blur", "rgb/1\nobjects: [] cannot be read", 0.5, "do it")
     text = recipe_text(
@@ -69,3 +79,10 @@ def test_paths_start_at_the_recipe(tmp_path: Path) -> None:
 def test_keypoints_as_they_are_told() -> None:
     assert keypoints_from(" 7 ", where="") == 7
     assert keypoints_from("[handle, rim,lid]", where="") == ("handle", "rim", "lid")
+
+
+def test_what_cannot_be_labelled_is_said_before_anybody_clicks() -> None:
+    beside = Recording(replace(SCENE, registered=False), None)
+    (line,) = _certain_faults(beside)
+    assert line.startswith("WARNING: depth is not registered to colour") and "`registered: true`" in line
+    assert _certain_faults(Recording(SCENE, None)) == []
