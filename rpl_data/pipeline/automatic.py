@@ -1,4 +1,4 @@
-"""A known object -> its place in one more scene, without clicks (`rpl register --auto`)."""
+"""Find a known object in one more scene without clicks (`rpl register --auto`)."""
 
 from __future__ import annotations
 

@@ -206,7 +206,7 @@ def crop_of(workspace: Workspace, item: ObjectRecipe) -> Box3 | None:
 
 
 def known_points(annotation: Annotation) -> Float64[np.ndarray, "k 3"]:
-    """The given model, a row a keypoint, NaN where it has none; DataError when it has fewer than three."""
+    """The given model, one row per keypoint, NaN where it has none; DataError with fewer than three."""
     given = annotation.known_points or ()
     rows = [given[k] if k < len(given) else None for k in range(len(annotation.keypoints))]
     points = np.array([(np.nan,) * 3 if row is None else row for row in rows], dtype=float).reshape(-1, 3)

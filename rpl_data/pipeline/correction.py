@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING
 
 from rpl_data.images import read_grey
 from rpl_data.pipeline.ledger import Advance
 from rpl_data.types import Scene, Trajectory
 from rpl_data.workspace.workspace import Workspace
 
+if TYPE_CHECKING:
+    from rpl_data.reconstruct.path_correction import CorrectedPath
+
 LEAST_TIED = 0.9
 """Share of the frames that must be joined by pairs whose images could be aligned, or tracked, for a path of
 ours to be one: between pieces it knows nothing."""
 
 
-def correct(workspace: Workspace, scene: Scene, trajectory: Trajectory, advance: Advance) -> Any:
-    """The path as pairs of frames correct it (`CorrectedPath`)."""
+def correct(workspace: Workspace, scene: Scene, trajectory: Trajectory, advance: Advance) -> CorrectedPath:
+    """The path as pairs of frames correct it."""
     from rpl_data.reconstruct.path_correction import correct_path
     from rpl_data.reconstruct.view import REDUCE, Viewer
 

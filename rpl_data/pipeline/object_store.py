@@ -10,15 +10,14 @@ import hashlib
 import json
 import os
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 from rpl_data.files import remove
+from rpl_data.pipeline.ledger import Advance
 from rpl_data.types import DataError
-
-Advance = Callable[[int, int], None]
 
 BATCH = 64
 """Files that are copied at once; after a kill, so many are copied again at most."""

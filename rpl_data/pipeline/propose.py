@@ -1,4 +1,4 @@
-"""Trained networks -> where objects stand in scenes that nobody clicked, and where labels disagree."""
+"""Place objects by trained networks in scenes that nobody clicked, and find labels that disagree."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A known object -> its place in one more scene; its model stays as it is (`rpl register`)."""
+"""Place a known object in one more scene from its clicks there; its model stays as it is (`rpl register`)."""
 
 from __future__ import annotations
 
@@ -29,8 +29,6 @@ from rpl_data.wording import counted
 
 FUSED_FRAMES = 60
 """Frames of a new scene that are fused to align an object, spread over it."""
-
-
 WORTH_MM = 0.1
 """A further click that should gain less is not mentioned."""
 

@@ -6,8 +6,8 @@ import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 
-from rpl_data.pipeline.ledger import Outcome
-from rpl_data.pipeline.object_store import Advance, copy_name, fetch, upload, url_of, without_secrets
+from rpl_data.pipeline.ledger import Advance, Outcome
+from rpl_data.pipeline.object_store import copy_name, fetch, upload, url_of, without_secrets
 from rpl_data.pipeline.progress import Progress, Tell
 from rpl_data.pipeline.recipe import Recipe
 from rpl_data.wording import counted

@@ -19,6 +19,7 @@ LEAST_SCORE, LEAST_SCORE_CLICKED = 0.35, 0.2
 LEAST_CLEAR = 0.12
 """By how much its score must exceed that of any other candidate."""
 MOST_FREE = 0.03
+"""Share of the model's surface that may lie where the cameras saw through."""
 LEAST_SEEN = 0.15
 """Share of the model's surface that must be found in the scene: little of it proves nothing."""
 AROUND = 12

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from rpl_data.geometry import Points, Transform, transform, transform_all
 from rpl_data.meshes import joined
@@ -154,7 +155,5 @@ def _diameter_m(cloud: PointCloud) -> float:
 
 def _asked_by(scene: SceneSurface, thing: PointCloud) -> SceneSurface:
     """The scene's surface, of which only a thing's points ask."""
-    from scipy.spatial import cKDTree
-
     distance, _ = cKDTree(thing.points).query(scene.cloud.points[scene.asking])
     return scene.asked_by(distance < 1e-6)

@@ -133,7 +133,7 @@ def _compared(
     points: Float64[np.ndarray, "p 3"],
     normals: Float64[np.ndarray, "p 3"],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Points in the object frame, the model's normals there, distances, and whether the normals agree."""
+    """Points in the object frame, the model's normals there, offsets from it, and whether normals agree."""
     there = transform_all(poses, points)
     nearest = field.at(there)
     slope = field.cloud.normals[nearest]

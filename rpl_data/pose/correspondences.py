@@ -75,11 +75,10 @@ def correspondences(
         depth_sigma_m: standard deviation of `depth_m`; must be given with it.
     """
     known = np.isfinite(points_object).all(axis=1) & np.isfinite(keypoints_px).all(axis=1)
-    if covariance_px is not None:
-        known[known] = _are_covariances(covariance_px[known])
     if covariance_px is None:
         whitening = np.tile(np.eye(2) / USUAL_SIGMA_PX, (int(known.sum()), 1, 1))
     else:
+        known[known] = _are_covariances(covariance_px[known])
         whitening = np.linalg.inv(np.linalg.cholesky(covariance_px[known]))
     nothing = np.full(len(points_object), np.nan)
     focal_px = np.array([intrinsics.fx, intrinsics.fy])

@@ -13,9 +13,8 @@ def depths_at(
 ) -> Float64[np.ndarray, " k"]:
     """Depth of the nearest surface around each keypoint, metres; NaN where nothing was measured.
 
-    Keypoints lie on corners and edges, where half of the surrounding pixels show what is behind: the result
-        is the
-    median of pixels within `layer_m` of the nearest depth, of which there must be at least three.
+    Keypoints lie on corners and edges, where half of the surrounding pixels show what is behind. So it is the
+    median of the pixels within `layer_m` of the nearest depth, of which there must be at least three.
     """
     height, width = depth.shape
     found = np.full(len(keypoints_px), np.nan)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
-from itertools import combinations, islice
+from itertools import combinations
 from math import comb
 
 import cv2
@@ -113,5 +113,6 @@ def _triples(count: int) -> Int64[np.ndarray, "m 3"]:
     if comb(count, 3) <= MOST_TRIPLES:
         return np.array(list(combinations(range(count), 3)), dtype=np.int64)
     shuffled = np.random.default_rng(count)
-    drawn = (tuple(sorted(shuffled.choice(count, 3, replace=False).tolist())) for _ in iter(int, 1))
-    return np.array(list(dict.fromkeys(islice(drawn, 4 * MOST_TRIPLES)))[:MOST_TRIPLES], dtype=np.int64)
+    draws = range(4 * MOST_TRIPLES)  # some are drawn twice
+    drawn = (tuple(sorted(shuffled.choice(count, 3, replace=False).tolist())) for _ in draws)
+    return np.array(list(dict.fromkeys(drawn))[:MOST_TRIPLES], dtype=np.int64)

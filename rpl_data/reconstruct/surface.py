@@ -12,8 +12,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from rpl_data.geometry import NEAREST_M, Sphere, cropped, invert, project, transform
-from rpl_data.reconstruct.fused_frames import MOST_FRAMES, frames_to_fuse
-from rpl_data.reconstruct.fused_frames import steady_frames as steady_frames
+from rpl_data.reconstruct.fused_frames import MOST_FRAMES, frames_to_fuse, steady_frames
 from rpl_data.reconstruct.tsdf import empty_grid, extract, integrate
 from rpl_data.types import (
     ColorImage,

@@ -140,10 +140,10 @@ def disagreement(
     if len(found.print_sigmas):
         normed += list((print_differences(one, other, matches) / found.print_sigmas).T)
     squared = np.square(np.column_stack(normed)) / 9
-    disagreement, seen = np.ones(len(one.asking)), np.zeros(len(one.asking), bool)
-    disagreement[matches.asking] = (squared / (1 + squared)).mean(axis=1)
+    disagrees, seen = np.ones(len(one.asking)), np.zeros(len(one.asking), bool)
+    disagrees[matches.asking] = (squared / (1 + squared)).mean(axis=1)
     seen[matches.asking] = True
-    return disagreement, seen
+    return disagrees, seen
 
 
 def _mean_in_sigmas(blocks: Int64[np.ndarray, "n 4"], values: Float64[np.ndarray, " n"]) -> float:

@@ -21,8 +21,6 @@ CLOSER, FARTHER = 0.85, 1.2
 """Distances may differ from the recorded ones by these factors."""
 APART = 0.5
 """Least distance of two objects, in lengths of the sum of their radii."""
-LEAST_SHARE = 0.3
-"""An object's centre stays this share of its radius within the image."""
 
 
 def draw_objects(

@@ -21,8 +21,6 @@ from rpl_data.workspace.workspace import Workspace
 VERSION = 1
 """Increase it when the stage writes something else for the same input: its steps then run again."""
 
-# Clicks -------------------------------------------------------------------------------------------
-
 
 def clicks_steps(context: Context) -> list[Step]:
     """Plan the steps that write keypoint names, and the clicks of a CSV file, to each object's log."""

@@ -30,7 +30,7 @@ NOT_REGISTERED = (
 
 
 def import_steps(context: Context) -> list[Step]:
-    """Stage `import`: read recordings into scenes of the workspace."""
+    """Plan the step that reads all recordings, and removes scenes that are in them no longer."""
     workspace, sources = context.workspace, context.scene_sources
 
     def run(advance: Advance) -> Outcome:
@@ -77,9 +77,9 @@ def import_steps(context: Context) -> list[Step]:
 
 def _options(source: SceneSource) -> Json:
     options: Json = asdict(source) | {"path": str(source.path)}
-    if source.topics is None:  # then as before there were any: what was imported stays
+    if source.topics is None:  # as ledgers had it before there were topics: old imports stay valid
         del options["topics"]
-    del options["masks"]  # which are not read with the recording
+    del options["masks"]  # they are not read with the recording
     if not source.moving:
         del options["moving"]
     return options

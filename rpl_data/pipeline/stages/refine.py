@@ -1,4 +1,4 @@
-"""Surfaces and clicks -> scenes registered on one another."""
+"""Stage `refine`: register the scenes of each object on one another, by their surfaces and the clicks."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ VERSION = 3
 
 
 def refine_steps(context: Context) -> list[Step]:
-    """The scenes of each object registered on one another; nothing when the recipe turns it off."""
+    """Plan the registration of the scenes, one step per object; nothing when the recipe turns it off."""
     if not context.recipe.refine.scenes:
         return []
     return [_refine_step(context, item) for item in context.objects]
 
 
 def forget_refined(context: Context) -> None:
-    """Where the recipe turns refinement off, the solution of the clicks is the one that counts again."""
+    """Remove refined solutions when the recipe turns refinement off, so that the clicks' own count again."""
     if not context.recipe.refine.scenes:
         for name in context.object_names:
             context.workspace.remove_refined(name)

@@ -1,4 +1,4 @@
-"""Everything -> one page a person looks at."""
+"""Stage `report`: write the page that shows what was built and how good it is."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ VERSION = 4
 
 
 def report_steps(context: Context) -> list[Step]:
-    """Everything -> one page a person looks at."""
+    """Plan the step that writes the page."""
     workspace = context.workspace
 
     def run(advance: Advance) -> Outcome:

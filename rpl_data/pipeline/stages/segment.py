@@ -106,7 +106,7 @@ def _segment_step(context: Context, item: ObjectRecipe) -> Step:
 
 def depth_views(workspace: Workspace, place: str, solution: Solution) -> list[DepthView]:
     """Read some depth images of a scene, spread over its steady frames, as views of an object."""
-    from rpl_data.reconstruct.surface import steady_frames
+    from rpl_data.reconstruct.fused_frames import steady_frames
     from rpl_data.segment.free_space import view_of
 
     scene = workspace.load_scene(scene_of(place))

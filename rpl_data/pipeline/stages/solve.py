@@ -1,4 +1,4 @@
-"""Clicks -> the sparse model and where the objects stand."""
+"""Stage `solve`: find the sparse model of each object, and where it stands in each scene, from clicks."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from rpl_data.types.instances import frame_of, scene_of
 from rpl_data.workspace.workspace import Workspace
 
 VERSION = 5
-"""Raised when the stage writes something else for the same input; its steps then run again."""
+"""Increase it when the stage writes something else for the same input: its steps then run again."""
 SAME_PLACE_SHARE = 0.05
 """Two solid objects cannot stand so close, as a share of the diagonal around their keypoints."""
 STRAYED_SHARE = 0.35
@@ -44,12 +44,12 @@ STRAYED_SHARE = 0.35
 
 
 def solve_steps(context: Context) -> list[Step]:
-    """Clicks -> sparse model and scene transforms, an object."""
+    """Plan the steps that solve the objects, one per object."""
     return [solve_step(context, item) for item in context.objects]
 
 
 def solve_step(context: Context, item: ObjectRecipe) -> Step:
-    """Clicks -> sparse model and scene transforms of one object; scenes that were registered follow it."""
+    """Plan the solve of one object; scenes that were registered follow its model."""
     workspace, options = context.workspace, asdict(context.recipe.solve)
 
     def run(advance: Advance) -> Outcome:
@@ -109,7 +109,7 @@ def instances_in_one_place(solution: Solution) -> list[str]:
 
 
 def clicks_without_pose(clicks: Sequence[Click], observations: Sequence[Observation]) -> list[str]:
-    """A line a scene about the clicks that were not lifted: in frames whose pose is not known."""
+    """One line per scene about the clicks that were not lifted: in frames whose pose is not known."""
     lifted = {observation.click for observation in observations}
     frames: dict[str, set[int]] = {}
     for click in clicks:
