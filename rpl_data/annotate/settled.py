@@ -77,8 +77,8 @@ def doubt(annotation: Annotation, live: Live, rough_px: Mapping[str, float]) -> 
     ]
     if rough_px:
         worst = max(rough_px, key=lambda scene: rough_px[scene])
-        more = f", {counted(len(rough_px) - 1, 'other scene')} less" if len(rough_px) > 1 else ""
-        found.append(f"scene {worst} should be {rough_px[worst]:.0f} px off{more}")
+        more = f", in {counted(len(rough_px) - 1, 'other scene')} less" if len(rough_px) > 1 else ""
+        found.append(f"in scene {worst} they are expected to be {rough_px[worst]:.0f} px off{more}")
     return "; ".join(found)
 
 

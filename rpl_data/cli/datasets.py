@@ -16,9 +16,10 @@ def dataset_merge(
 
     Each workspace has an object frame of its own. Where the keypoints of an object, by name, agree up to a
     rigid transform, the poses of later sources are converted into the frame of the first, and the residual is
-    said in mm; where they do not, nothing is written. An image that two sources share is taken once, with the
-    objects that either has labelled. Frames keep their split, but a scene that one source tests on is wholly
-    test. Beside the splits, dataset.json says what was merged, how, and the hash of the content.
+    printed in mm; where they do not, nothing is written. An image that two sources share is taken once, with
+    the objects that either has labelled. Frames keep their split, but a scene that any source tests on is a
+    test scene as a whole. Beside the splits, dataset.json says what was merged, how, and the hash of the
+    content.
 
     Example: rpl dataset merge both '[workspaces/monday, workspaces/tuesday]'
 
@@ -27,7 +28,7 @@ def dataset_merge(
         sources: workspaces, or folders that `rpl export` or `rpl dataset` wrote.
         images: link them where the file system can, or copy them.
         max_residual_mm: by how much the keypoints of an object may differ (root mean square); three times
-            what the labels state of themselves, when left out.
+            the error that the labels themselves state, when left out.
     """
     from rpl_data.dataset import merge_datasets
 

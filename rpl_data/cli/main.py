@@ -133,13 +133,13 @@ def build_recipe(
 def register(object: str, scene: str, workspace: Path = HERE, auto: bool = False) -> None:
     """Place a known object in one more scene, from three clicks there or more; its model stays as it is.
 
-    It says how far off the keypoints should be, in mm and px, and which further click would help most. Where
-    the object has a dense model, it is then aligned to the depth and colours of the scene; the clicks' own
-    pose stays where parts of the surface that were held out do not agree better afterwards.
+    It states the expected error of the keypoints, in mm and px, and which further click would help most.
+    Where the object has a dense model, it is then aligned to the depth and colours of the scene; the pose
+    from the clicks stays where held-out parts of the surface do not agree better afterwards.
 
-    With `--auto` no click is needed: shape proposes poses on what stands on the table, colours and free
-    space verify them. Where that is not sure, nothing is written, the exit status is 3, and the message names
-    the one click that would tell; with it, the same command goes on.
+    With `--auto` no click is needed: shape proposes poses for what stands on the table, and colours and free
+    space verify them. Where that leaves a doubt, nothing is written, the exit status is 3, and the message
+    names the one click that would settle it; make that click, and run the same command again.
 
     Example: rpl register cube 04 --workspace my-workspace
 

@@ -21,10 +21,10 @@ def propose(
 
     In each scene the networks look at some images. Where an object has no labels, the pose on which the
     images agree is one proposal; shape makes others, as for `rpl register --auto true`, and colours and free
-    space decide. What they do not support is not placed: the message names the one click that would tell.
-    Where it has labels, the distance between both is kept for the report, which marks labels that lie
-    farther off than the images are apart. Poses that look the same, by a symmetry that holds for the object
-    (`rpl symmetry`), count as one.
+    space decide. An object that they do not support is not placed: the message names the one click that would
+    settle it. Where an object has labels, the report shows how far they lie from the networks' pose, and
+    marks those that are farther off than the images disagree among themselves. Poses that look the same, by a
+    symmetry that holds for the object (`rpl symmetry`), count as one.
 
     New recordings come in by the recipe: add them to its scenes and `rpl build` once, then propose, then
     `rpl build` again for labels and exports.

@@ -79,8 +79,8 @@ def capture(
     """Record a scene with a camera: colour, and depth that belongs to its pixels. Ctrl-C ends the recording.
 
     RealSense, OAK (Luxonis), Orbbec, Azure Kinect (k4a), or an iPhone or iPad with LiDAR that streams over
-    USB by the app Record3D. All were tested against devices made of software only, which answer as the
-    makers' packages do; none against the hardware.
+    USB by the app Record3D. All were tested against simulated devices only, which answer as the makers'
+    packages do, and none with real hardware.
 
     Put the object on a table among other things (texture helps the tracking), 0.4 to 0.8 m away, and walk
     slowly around it for 20 to 40 seconds. Turn the object over or move it, run the same command again for the

@@ -10,7 +10,7 @@ from rpl_data.types import DataError
 
 
 def track(workspace: Path = HERE, again: bool = False) -> None:
-    """Compute camera poses from the images where there are none, and question those that there are.
+    """Compute camera poses from the images where a recording has none, and check those that it has.
 
     Frames are aligned to frames with a similar view by brightness and depth. Poses of the recording are kept
     where that moves the image by less than half a pixel; otherwise both paths are compared on corners and
@@ -111,8 +111,8 @@ def label(workspace: Path = HERE, again: bool = False, workers: int | None = Non
     """Compute poses, keypoints, boxes and masks of the objects in the chosen frames.
 
     The recipe's `label: {method: splat}` makes masks the paper's way: the dense model's points, gaps closed.
-    `refine: {frames: auto}` corrects the pose in single frames by what slower frames show printed on the
-    object, where parts of the print that were held out agree; true: without that evidence; false: never.
+    `refine: {frames: auto}` corrects the pose of single frames by the print on the object, as slower frames
+    show it, where held-out parts of the print agree. `true` corrects without that evidence, `false` never.
 
     Example: rpl label --workspace workspaces/demo
 
@@ -161,10 +161,10 @@ def export(
         labels: `own`, or `truth`: export/coco_truth with the same images, labelled by the truth where it is
             known.
         format: one more format, this time only; the recipe says which are written by every build.
-        object: of this format, only this object, in the scenes that have it.
-        min_quality: of this format, only frames whose labels have this quality, instead of the recipe's.
-        split: of this format, only this split.
-        color: of this format, colour images as they were recorded, or all as PNG or JPEG
+        object: in that format, only this object, in the scenes that have it.
+        min_quality: in that format, only frames whose labels have this quality, instead of the recipe's.
+        split: in that format, only this split.
+        color: in that format, colour images as they were recorded, or all as PNG or JPEG
             (bop, bop_onboarding).
         to: copy what is exported to this address in an object store, such as s3://bucket/cups, this time
             only: a folder per format, only what has changed. `export: {to: ...}` in the recipe says it for

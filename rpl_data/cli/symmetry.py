@@ -13,13 +13,13 @@ def symmetry(workspace: Path = HERE, object: str | None = None, confirm: str | N
     Shape and print of the dense model are compared with themselves after turns about many axes. What is found
     is only proposed: a small mark, or a side that no camera saw, can make the difference. Confirmed
     symmetries go into the exports from now on (COCO, BOP's models_info.json). MSSD and MSPD of
-    `rpl evaluate poses --bop` know them there, ADD, PCK and orientation with `--symmetric true`; ADD-S needs
-    none. Training uses them with `rpl train keypoints --canonical true` or `KeypointDataset(canonical=True)`
+    `rpl evaluate poses --bop` then allow for them, ADD, PCK and orientation with `--symmetric true`; ADD-S
+    needs none. Training uses them with `rpl train keypoints --canonical true` or `KeypointDataset(canonical=True)`
     only.
 
     In a recipe: `objects: [{name: cup, symmetry: none}]`, or, with the numbers that this command shows,
-    `symmetry: [{axis: [0, 0, 1], point_m: [0, 0, 0], turns: 2}]`; `turns: any` for a full rotation. The
-    recipe's word holds before that of this command.
+    `symmetry: [{axis: [0, 0, 1], point_m: [0, 0, 0], turns: 2}]`; `turns: any` for a full rotation. What
+    the recipe says takes precedence over this command.
 
     Example: rpl symmetry --workspace my-workspace --object bottle --confirm found
 

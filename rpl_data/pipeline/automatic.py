@@ -166,7 +166,7 @@ def _placed(
         strayed_m,
     )
     line = (
-        f"{item.name} was placed automatically in scene {scene}, checked by {checked}; its keypoints should "
-        f"be {expected_error(context, scene, placement)} off"
+        f"{item.name} was placed automatically in scene {scene}, checked by {checked}; its keypoints are "
+        f"expected to be {expected_error(context, scene, placement)} off"
     )
     return Found(placement, (line,))

@@ -152,7 +152,7 @@ def _said(
     mean_px = float(np.mean([residual.error_px for residual in used]))
     yield (
         f"stands in scene {scene}; its {counted(len(used), 'click')} fit to {mean_px:.1f} px, and its "
-        f"keypoints should be {expected_error(context, scene, placement)} off"
+        f"keypoints are expected to be {expected_error(context, scene, placement)} off"
     )
     yield from (statement.text for statement in found.statements)
     if found.next_clicks and found.next_clicks[0].gain_mm >= WORTH_MM:
@@ -235,7 +235,7 @@ def _aligned(
     )
     return aligned, (
         f"was aligned to the surface and colours of scene {scene}, checked by {checked}; its keypoints "
-        f"should now be {expected_error(context, scene, aligned)} off"
+        f"are now expected to be {expected_error(context, scene, aligned)} off"
     )
 
 

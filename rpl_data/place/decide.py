@@ -67,8 +67,8 @@ def decide(candidates: Sequence[Candidate], *, clicked: bool = False) -> Decisio
     needed = LEAST_SCORE_CLICKED if clicked else LEAST_SCORE
     words = (
         f"score {best.score:.2f} (at least {needed} needed): its colours agree to {best.likeness:.2f}, "
-        f"{best.free:.1%} of its surface lie where the cameras saw through, {1 - best.explained:.0%} of what "
-        f"stands there are not explained"
+        f"{best.free:.1%} of its surface lies where the cameras saw through, {1 - best.explained:.0%} of "
+        "what stands there is not explained"
     )
     if best.score < needed or best.free > MOST_FREE or best.seen < LEAST_SEEN:
         return Decision(best, False, f"the best pose is not good enough: {words}")

@@ -147,4 +147,5 @@ def test_scenes_whose_labels_will_be_rough_are_not_called_good():
     annotation = Annotation("it", tuple("abcd"), clicks=tuple(CLICKS))
     said = next_step(annotation, Live(solution_of()), SCENES, {"01": 7.0, "02": 12.0})
     assert said.action == "label"
-    assert "labels will be rough: scene 02 should be 12 px off, 1 other scene less" in said.text
+    assert "labels will be rough: in scene 02 they are expected to be 12 px off" in said.text
+    assert "in 1 other scene less" in said.text

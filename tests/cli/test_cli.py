@@ -240,7 +240,7 @@ def test_register_places_a_scene_and_keeps_the_model(
     capsys.readouterr()
     assert main(["register", "carton", "02", *at]) == 0
     said = capsys.readouterr().out
-    assert re.search(r"keypoints should be [\d.]+ mm \([\d.]+ px\) off", said)
+    assert re.search(r"keypoints are expected to be [\d.]+ mm \([\d.]+ px\) off", said)
     assert "was aligned to the surface and colours" in said or "stays where its clicks put it" in said
     placed = place.load_placements("carton")["02"]
     off = np.linalg.inv(placed.scene_from_object) @ found.scene_from_object

@@ -59,7 +59,7 @@ function ofScenes(result) {
   const rows = Object.entries(result.scenes).map(([name, s]) =>
     [name, s.clicked, digits(s.expected_mm, millimetres), digits(s.expected_px), digits(s.miss_px)]);
   const problem = result.problem ? [element("p", { className: "note bad", textContent: result.problem })] : [];
-  const note = "± says how far off labels should be. “Miss” says only how well the clicks agree; few clicks always do.";
+  const note = "± is how far off labels are expected to be. “Miss” says only how well the clicks agree; few clicks always do.";
   const path = app.fresh?.track === false ? [element("p", { id: "own-path", className: "small quiet", textContent: OWN_PATH })] : [];
   return [element("h2", { textContent: "Expected errors" }), ...problem,
     table(["scene", "clicked", "± mm", "± px", "miss, px"], rows, (i) => openScene(rows[i][0], null, { view: "mark" })),

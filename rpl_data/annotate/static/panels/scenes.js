@@ -134,7 +134,7 @@ export const millimetres = (mm) => (mm < 10 ? mm.toFixed(1) : mm.toFixed(0));
 
 function explained(found, done, skipped, off) {
   const lines = [`${counted(done, "keypoint")} clicked${skipped ? `, ${skipped} not visible here` : ""}`];
-  if (off) lines.push(`placed: its labels should be${off} (${found.expected_px?.toFixed(1) ?? "?"} px) off`);
+  if (off) lines.push(`placed: its labels are expected to be${off} (${found.expected_px?.toFixed(1) ?? "?"} px) off`);
   if (MEANINGS[found?.state]) lines.push(MEANINGS[found.state]);
   if (found?.text) lines.push(found.text);
   return lines.join("\n");

@@ -11,7 +11,7 @@ const STOPS = [
   ["#stage", "The picture", "Click exactly on the selected keypoint; the loupe shows the pixels. The wheel zooms, dragging pans. With a finger: tap, or hold for the loupe and lift."],
   ["#keypoints", "Keypoints", "The selected one is marked by your next click; then the next is selected. What cannot be seen in a scene is skipped there (S)."],
   ["#timeline", "Frames", "Any sharp frame will do, and each keypoint may be marked in another one. ★ goes to frames that are sharp and show a new side."],
-  ["#scenes", "Scenes", "Three keypoints place a scene, a fourth checks them. Then ± says how far off its labels should be."],
+  ["#scenes", "Scenes", "Three keypoints place a scene, a fourth checks them. Then ± is how far off its labels are expected to be."],
   ["#result", "Expected errors", "After every click: how good the labels will be, and which click is wrong, and why."],
   ["#views", "Look at it", "The object in 3D from all scenes, and the finished labels before they are exported (V)."],
   ["#jobs", "Build", "When the clicks are done: the dense model, the labels, the dataset and a report. It goes on when you close the page."],
