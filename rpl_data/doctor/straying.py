@@ -18,9 +18,19 @@ from jaxtyping import Float32
 from rpl_data.doctor.consistency import Geometry, choose_pairs, differences
 from rpl_data.doctor.findings import Finding
 from rpl_data.drift.drift import MAX_DRIFT_MM, Drift, cut, measure_drift
+from rpl_data.drift.reprojection import spread_rows
 from rpl_data.geometry import rays
 from rpl_data.images import read_grey
-from rpl_data.types import DataError, DepthImage, Frame, Intrinsics, ReadDepth, Scene, Trajectory
+from rpl_data.types import (
+    DataError,
+    DepthImage,
+    Frame,
+    Intrinsics,
+    ReadDepth,
+    Scene,
+    Trajectory,
+    posed_frames,
+)
 
 Depths = Float32[np.ndarray, "n height width"]
 
@@ -162,10 +172,9 @@ def _drift(
 ) -> tuple[Drift, Trajectory | None]:
     """Drift by depth and by the path that the images of `most` frames give, and that path."""
     read_depth = cache(read_depth)  # the same images serve the path and the measurement
-    posed = set(trajectory.frames.tolist())
-    frames = [frame for frame in scene.frames if frame.index in posed and frame.depth is not None]
-    rows = np.unique(np.linspace(0, len(frames) - 1, min(most, len(frames))).round().astype(int))
-    corrected = _path_by_images(scene, trajectory, [frames[row] for row in rows.tolist()], read_depth)
+    frames = posed_frames(scene, trajectory, with_depth=True)
+    chosen = [frames[row] for row in spread_rows(len(frames), most)]  # those that `measure_drift` reads
+    corrected = _path_by_images(scene, trajectory, chosen, read_depth)
     drift = measure_drift(
         scene, trajectory, read_depth, corrected=corrected, most_frames=most, advance=advance
     )

@@ -18,14 +18,14 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from rpl_data.drift.reprojection import error_of_points_m, sampled_points
+from rpl_data.drift.reprojection import error_of_points_m, sampled_points, spread_rows
 from rpl_data.geometry import (
     Transform,
     invert,
     rotation_angle_rad,
     transform,
 )
-from rpl_data.types import Frame, ReadDepth, Scene, Span, Trajectory
+from rpl_data.types import Frame, ReadDepth, Scene, Span, Trajectory, posed_frames
 
 MAX_DRIFT_MM = 15.0
 """Recordings that drift farther are cut, unless the recipe sets another limit."""
@@ -105,10 +105,9 @@ def measure_drift(
             and along a table.
         advance: called with the number of images read and of all images.
     """
-    posed = set(trajectory.frames.tolist())
-    frames = [frame for frame in scene.frames if frame.index in posed and frame.depth is not None]
-    rows = _spread(len(frames), most_frames)
-    beside = _spread(len(frames) - 1, most_neighbours)
+    frames = posed_frames(scene, trajectory, with_depth=True)
+    rows = spread_rows(len(frames), most_frames)
+    beside = spread_rows(len(frames) - 1, most_neighbours)
     wanted = sorted({*rows, *beside, *(row + 1 for row in beside)})
     depths_m, points, middles = {}, {}, {}
     for number, row in enumerate(wanted):
@@ -156,14 +155,6 @@ def _between(path: Trajectory, a: Frame, b: Frame) -> Transform:
 def _turn_rad(path: Trajectory, a: Frame, b: Frame) -> float:
     """Angle by which the camera turned between two frames."""
     return rotation_angle_rad(_between(path, a, b)[:3, :3])
-
-
-def _spread(count: int, most: int) -> list[int]:
-    """At most `most` of the numbers from 0 to count - 1, evenly spread."""
-    if count < 1:
-        return []
-    rows: list[int] = np.unique(np.linspace(0, count - 1, min(most, count)).round().astype(int)).tolist()
-    return rows
 
 
 def cut(

@@ -16,7 +16,7 @@ from rpl_data.geometry import (
     project,
     transform,
 )
-from rpl_data.types import DepthImage, Intrinsics, ReadDepth, Scene, Trajectory
+from rpl_data.types import DepthImage, Intrinsics, ReadDepth, Scene, Trajectory, posed_frames
 
 STEP_PX = 4
 """Every fourth pixel in both directions is used: 19,200 of an image of 640 x 480."""
@@ -62,10 +62,9 @@ def reprojection_over_gap(
         read_depth: reads the depth images of the scene.
         most_pairs: largest number of pairs, which are spread over the recording.
     """
-    posed = set(trajectory.frames.tolist())
-    frames = {f.index: f for f in scene.frames if f.index in posed and f.depth is not None}
+    frames = {frame.index: frame for frame in posed_frames(scene, trajectory, with_depth=True)}
     starts = [index for index in frames if index + gap in frames]
-    rows = np.unique(np.linspace(0, len(starts) - 1, min(most_pairs, len(starts))).round().astype(int))
+    rows = spread_rows(len(starts), most_pairs)
     pairs = np.array([(starts[row], starts[row] + gap) for row in rows], dtype=np.int64).reshape(-1, 2)
     errors_m = [
         depth_reprojection_error_m(
@@ -77,6 +76,14 @@ def reprojection_over_gap(
         for early, late in pairs.tolist()
     ]
     return GapErrors(gap, pairs, np.array(errors_m, dtype=float))
+
+
+def spread_rows(count: int, most: int) -> list[int]:
+    """At most `most` of the numbers from 0 to count - 1, evenly spread: the frames that are compared."""
+    if count < 1:
+        return []
+    rows: list[int] = np.unique(np.linspace(0, count - 1, min(most, count)).round().astype(int)).tolist()
+    return rows
 
 
 def depth_reprojection_error_m(

@@ -9,7 +9,7 @@ import numpy as np
 from rpl_data.geometry import Transform
 from rpl_data.images import read_color
 from rpl_data.pipeline.carved import is_carved
-from rpl_data.pipeline.context import Context, path_key, posed_frames
+from rpl_data.pipeline.context import Context, path_key
 from rpl_data.pipeline.ledger import Advance, Step
 from rpl_data.pipeline.lifted_clicks import observe
 from rpl_data.pipeline.recipe import ObjectRecipe
@@ -27,7 +27,16 @@ from rpl_data.place.looked_at import LookedAt, looked_at
 from rpl_data.place.place import candidates_in
 from rpl_data.place.verify import Candidate
 from rpl_data.solve.expected import covariance_by_pose
-from rpl_data.types import ClickResidual, DataError, Observation, Placement, PointCloud, Solution, UnsureError
+from rpl_data.types import (
+    ClickResidual,
+    DataError,
+    Observation,
+    Placement,
+    PointCloud,
+    Solution,
+    UnsureError,
+    posed_frames,
+)
 from rpl_data.types.instances import instance_of
 from rpl_data.workspace.workspace import Workspace
 
@@ -106,7 +115,7 @@ def _looked_at(context: Context, scene: str, advance: Advance) -> LookedAt:
     workspace = context.workspace
     recorded = workspace.load_scene(scene)
     trajectory = workspace.load_trajectory(recorded)
-    frames = [frame for frame in posed_frames(recorded, trajectory) if frame.depth is not None]
+    frames = posed_frames(recorded, trajectory, with_depth=True)
     if not frames:
         raise DataError(f"scene {scene} has no frame with a pose and a depth image; click the object there")
     return looked_at(

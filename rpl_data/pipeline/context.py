@@ -20,7 +20,7 @@ from rpl_data.pipeline.object_store import url_of
 from rpl_data.pipeline.pool import Pool
 from rpl_data.pipeline.recipe import ObjectRecipe, Recipe, SceneSource
 from rpl_data.pipeline.remotes import copy_of
-from rpl_data.types import DataError, Frame, KeypointModel, Scene, Solution, Trajectory
+from rpl_data.types import DataError, KeypointModel, Solution, Trajectory
 from rpl_data.types.instances import places_in, scene_of
 from rpl_data.workspace.workspace import Workspace
 
@@ -189,12 +189,6 @@ def truth_workspace(context: Context) -> Workspace | None:
         return Workspace(context.recipe.truth)
     known = context.recipe.truth is not None or context.recipe.twin is not None
     return Workspace(context.workspace.truth) if known else None
-
-
-def posed_frames(scene: Scene, trajectory: Trajectory) -> list[Frame]:
-    """The frames that have a pose."""
-    posed = set(trajectory.frames.tolist())
-    return [frame for frame in scene.frames if frame.index in posed]
 
 
 def crop_of(workspace: Workspace, item: ObjectRecipe) -> Box3 | None:

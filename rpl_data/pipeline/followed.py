@@ -14,7 +14,7 @@ from rpl_data.label.follow import Followed, follow
 from rpl_data.meshes import load_mesh
 from rpl_data.pipeline.ledger import Advance
 from rpl_data.raycast import PixelTable
-from rpl_data.types import Frame, Solution, Trajectory
+from rpl_data.types import Frame, Solution, Trajectory, posed_frames
 from rpl_data.types.instances import frame_of, instance_of, places_in, scene_of, without_frame
 from rpl_data.wording import counted
 from rpl_data.workspace.workspace import Workspace
@@ -120,7 +120,7 @@ def _tries(workspace: Workspace, body: Body, solution: Solution, place: str) -> 
     scene = workspace.load_scene(scene_of(place))
     trajectory = workspace.load_trajectory(scene)
     points = solution.model.points_object[solution.model.known]
-    posed = [frame for frame in scene.frames if frame.index in set(trajectory.frames.tolist())]
+    posed = posed_frames(scene, trajectory)
     for share in TRIED_AT:
         start = int(share * len(posed))
         frames = posed[start : start + TRIED_FRAMES]

@@ -12,7 +12,7 @@ from rpl_data.geometry import Transform
 from rpl_data.images import read_color
 from rpl_data.pipeline.automatic import find_step
 from rpl_data.pipeline.build import alone_in, context_of, recipe_of, run_step
-from rpl_data.pipeline.context import Context, posed_frames
+from rpl_data.pipeline.context import Context
 from rpl_data.pipeline.progress import Progress, Tell
 from rpl_data.pipeline.register import object_named
 from rpl_data.pipeline.symmetry import frame_change, symmetry_turns
@@ -26,6 +26,7 @@ from rpl_data.types import (
     KeypointModel,
     NetworkView,
     UnsureError,
+    posed_frames,
 )
 from rpl_data.types.instances import places_in
 from rpl_data.wording import counted

@@ -10,7 +10,7 @@ import numpy as np
 from rpl_data.geometry import transform
 from rpl_data.images import read_color
 from rpl_data.meshes import load_cloud
-from rpl_data.pipeline.context import Context, crop_of, model_key, path_key, posed_frames
+from rpl_data.pipeline.context import Context, crop_of, model_key, path_key
 from rpl_data.pipeline.ledger import Advance, Ledger, Outcome, Step
 from rpl_data.pipeline.lifted_clicks import observe
 from rpl_data.pipeline.placements import with_placements
@@ -23,7 +23,15 @@ from rpl_data.place.verify import free_share
 from rpl_data.solve.expected import covariance_by_pose, expected_px
 from rpl_data.solve.joint import joint_clicks
 from rpl_data.solve.register import Registration, register_scene
-from rpl_data.types import DataError, Observation, Placement, PointCloud, Solution, expected_mm
+from rpl_data.types import (
+    DataError,
+    Observation,
+    Placement,
+    PointCloud,
+    Solution,
+    expected_mm,
+    posed_frames,
+)
 from rpl_data.types.instances import scene_of
 from rpl_data.wording import counted
 
@@ -249,7 +257,7 @@ def _region(
     workspace, voxel_m = context.workspace, context.recipe.reconstruct.voxel_m
     recorded = workspace.load_scene(scene_of(scene))
     trajectory = workspace.load_trajectory(recorded)
-    frames = [frame for frame in posed_frames(recorded, trajectory) if frame.depth is not None]
+    frames = posed_frames(recorded, trajectory, with_depth=True)
     chosen = frames[:: max(1, -(-len(frames) // FUSED_FRAMES))]
     [sphere] = spheres_of(alone, scene_of(scene))
     mesh = fuse_surface(

@@ -25,7 +25,7 @@ from rpl_data.reconstruct.pose_graph import KERNEL_SCALE_SIGMAS, Edge, optimise
 from rpl_data.reconstruct.relocalise import keyframe_from_camera, landmarks_of
 from rpl_data.reconstruct.tracking import KEYFRAME_M, PREDICTED, UNREGISTERED_TRUST, holds
 from rpl_data.reconstruct.view import View
-from rpl_data.types import Frame, Intrinsics, Scene, Trajectory
+from rpl_data.types import Frame, Intrinsics, Scene, Trajectory, posed_frames
 
 NEAR_KEYFRAMES, NEAR_FRAME = 4, 3
 """Number of keyframes that a keyframe, and any other frame, is aligned to: those with the most similar
@@ -83,7 +83,7 @@ def correct_path(
         advance: called with the number of frames done and of all frames.
     """
     given = dict(zip(trajectory.frames.tolist(), trajectory.scene_from_camera, strict=True))
-    frames = [frame for frame in scene.frames if frame.index in given and frame.depth is not None]
+    frames = posed_frames(scene, trajectory, with_depth=True)
     trust = 1.0 if scene.registered else UNREGISTERED_TRUST
     keys = choose_keyframes([given[frame.index] for frame in frames])
     moved_px: dict[int, float] = {}

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float64
 
-from rpl_data.drift.reprojection import depth_reprojection_error_m
+from rpl_data.drift.reprojection import depth_reprojection_error_m, spread_rows
 from rpl_data.geometry import (
     Pixels,
     Points,
@@ -87,10 +87,9 @@ def compare_paths(
     """
     posed = set.intersection(*(set(path.frames.tolist()) for path in paths.values()))
     frames = [frame for frame in scene.frames if frame.index in posed and frame.depth is not None]
-    rows = np.unique(np.linspace(0, len(frames) - 1, min(most_frames, len(frames))).round().astype(int))
     first = next(iter(paths.values()))
     views = []
-    for row in rows:
+    for row in spread_rows(len(frames), most_frames):
         grey, depth_m = read(frames[row])
         pose = invert(first.at(frames[row].index))
         spheres = [(transform(pose, centre), radius_m) for centre, radius_m in regions]

@@ -24,6 +24,7 @@ from rpl_data.types.recording import (
     Scene,
     Span,
     Trajectory,
+    posed_frames,
 )
 from rpl_data.types.solution import (
     HINTS,
@@ -88,4 +89,5 @@ __all__ = [
     "UnsureError",
     "Window",
     "expected_mm",
+    "posed_frames",
 ]

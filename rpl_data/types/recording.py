@@ -174,6 +174,13 @@ class Trajectory:
         return pose
 
 
+def posed_frames(scene: Scene, trajectory: Trajectory, *, with_depth: bool = False) -> list[Frame]:
+    """The frames of a scene that have a pose, in their order; of these, all or only those with depth."""
+    posed = set(trajectory.frames.tolist())
+    found = [frame for frame in scene.frames if frame.index in posed]
+    return [frame for frame in found if frame.depth is not None] if with_depth else found
+
+
 @dataclass(frozen=True)
 class Recording:
     """What a reader returns: a scene, the trajectory it came with, and what was left out.

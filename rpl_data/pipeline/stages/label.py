@@ -20,11 +20,11 @@ from rpl_data.label.frame_correction import frame_corrector
 from rpl_data.label.label import label_frames, sample_frames
 from rpl_data.label.mask_check import MaskCheck
 from rpl_data.meshes import load_cloud, load_mesh
-from rpl_data.pipeline.context import Context, posed_frames, step
+from rpl_data.pipeline.context import Context, step
 from rpl_data.pipeline.followed import follow_objects, moved_objects
 from rpl_data.pipeline.given_masks import instances_in, mask_options, object_masks
 from rpl_data.pipeline.ledger import Advance, Outcome, Step
-from rpl_data.types import FrameLabel
+from rpl_data.types import FrameLabel, posed_frames
 from rpl_data.types.instances import instance_of, places_in
 from rpl_data.wording import counted
 from rpl_data.workspace.workspace import Workspace

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from rpl_data.meshes import load_mesh, oriented_points, save_cloud, save_mesh
-from rpl_data.pipeline.context import Context, crop_of, known_points, model_key, posed_frames, step
+from rpl_data.pipeline.context import Context, crop_of, known_points, model_key, step
 from rpl_data.pipeline.given_masks import mask_options, object_masks
 from rpl_data.pipeline.ledger import Advance, Outcome, Step, stamps
 from rpl_data.pipeline.placements import standing
 from rpl_data.pipeline.recipe import ObjectRecipe
-from rpl_data.types import DataError, Mesh, Solution
+from rpl_data.types import DataError, Frame, Mesh, Solution, posed_frames
 from rpl_data.types.instances import places_in, scene_of
 from rpl_data.workspace.workspace import Workspace
 
@@ -114,10 +115,9 @@ def depth_views(workspace: Workspace, place: str, solution: Solution) -> list[De
     pose = solution.scene_from_object[place]
     steady = steady_frames(scene, trajectory, centre_scene=pose[:3, 3])
     frames = [frame for frame in scene.frames if frame.index in steady and frame.depth is not None]
-    spread = np.linspace(0, len(frames) - 1, VIEWS_PER_SCENE).astype(int) if frames else np.empty(0, int)
-    chosen = [frames[n] for n in np.unique(spread)]
     return [
-        view_of(place, scene.intrinsics, trajectory.at(frame.index), pose, read(frame)) for frame in chosen
+        view_of(place, scene.intrinsics, trajectory.at(frame.index), pose, read(frame))
+        for frame in _spread(frames, VIEWS_PER_SCENE)
     ]
 
 
@@ -136,16 +136,21 @@ def mask_views(context: Context, scene_name: str, solution: Solution) -> list[Ma
     scene = workspace.load_scene(scene_of(scene_name))
     trajectory, read = workspace.load_trajectory(scene), workspace.depth_reader(scene)
     pose = solution.scene_from_object[scene_name]
-    posed = posed_frames(scene, trajectory)
-    frames = [frame for frame in posed if frame.depth is not None and frame.index in given.masks.readers]
-    spread = np.linspace(0, len(frames) - 1, MASKS_PER_SCENE).astype(int) if frames else np.empty(0, int)
+    posed = posed_frames(scene, trajectory, with_depth=True)
+    frames = [frame for frame in posed if frame.index in given.masks.readers]
     found = []
-    for frame in [frames[n] for n in np.unique(spread)]:
+    for frame in _spread(frames, MASKS_PER_SCENE):
         mask = given.mask(name, frame.index, scene)
         view = view_of(scene_name, scene.intrinsics, trajectory.at(frame.index), pose, read(frame))
         if mask is not None:
             found.append(MaskView(frame.index, view, mask))
     return found
+
+
+def _spread(frames: Sequence[Frame], most: int) -> list[Frame]:
+    """At most so many of the frames, evenly spread."""
+    rows = np.linspace(0, len(frames) - 1, most).astype(int) if frames else np.empty(0, int)
+    return [frames[row] for row in np.unique(rows)]
 
 
 def mesh_remarks(dense: DenseModel) -> list[str]:

@@ -9,9 +9,9 @@ import numpy as np
 from rpl_data.geometry import Sphere, sphere_around, transform
 from rpl_data.images import read_color
 from rpl_data.meshes import in_order, joined_meshes, save_mesh
-from rpl_data.pipeline.context import Context, posed_frames, step
+from rpl_data.pipeline.context import Context, step
 from rpl_data.pipeline.ledger import Advance, Outcome, Step
-from rpl_data.types import Solution
+from rpl_data.types import Solution, posed_frames
 from rpl_data.types.instances import places_in
 
 VERSION = 3
@@ -31,7 +31,7 @@ def _surface_step(context: Context, name: str) -> Step:
 
         scene = workspace.load_scene(name)
         trajectory = workspace.load_trajectory(scene)
-        frames = [frame for frame in posed_frames(scene, trajectory) if frame.depth is not None]
+        frames = posed_frames(scene, trajectory, with_depth=True)
         standing = context.solutions_in(name)
         spheres = joined_spheres([sphere for item in standing for sphere in spheres_of(item, name)])
         meshes = fuse_surfaces(

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import cv2
 import numpy as np
@@ -34,6 +35,7 @@ OTHERS = 5
 FILLED_PX = 5
 """Radius from which the last holes are filled."""
 
+Item = TypeVar("Item")
 Table = tuple[Float64[np.ndarray, "3"], float]
 """Normal and offset of a plane, scene frame."""
 
@@ -90,15 +92,15 @@ def make_plates(
     each = -(-MOST_PLATES // len(by_part))
     plates = []
     for part, entries in sorted(by_part.items()):
-        chosen = _spread(entries, each)
+        chosen = spread_over(entries, each)
         images = [_Image.of(entry, by_image.get(entry["id"], [])) for entry in chosen]
         for image in images:
-            others = _spread([other for other in images if other is not image], OTHERS)
+            others = spread_over([other for other in images if other is not image], OTHERS)
             plates.append(_plate(folder, training.folder, image, others, tables[part], ups[part]))
     return tuple(plates)
 
 
-def _spread(items: Sequence, count: int) -> list:  # type: ignore[type-arg]
+def spread_over(items: Sequence[Item], count: int) -> list[Item]:
     """So many of the items, evenly."""
     return [items[n] for n in np.unique(np.linspace(0, len(items) - 1, min(count, len(items))).astype(int))]
 
