@@ -19,7 +19,7 @@ from rpl_data.pipeline.stages.segment import depth_views
 from rpl_data.pipeline.stages.solve import solve_step, trajectory_sigmas_m
 from rpl_data.pipeline.stages.surface import spheres_of
 from rpl_data.place.decide import MOST_FREE
-from rpl_data.place.verify import free_share
+from rpl_data.segment.free_space import seen_through
 from rpl_data.solve.expected import covariance_by_pose, expected_px
 from rpl_data.solve.joint import joint_clicks
 from rpl_data.solve.register import Registration, register_scene
@@ -217,7 +217,7 @@ def _aligned(
         model, region, [clicked.scene_from_object, *clicked.alternatives], clicks.terms, clicks.costs
     )
     there = replace(alone, scene_from_object={scene: found.scene_from_object})
-    free = free_share(model.points, depth_views(context.workspace, scene, there))
+    free = float(seen_through(model.points, depth_views(context.workspace, scene, there)).mean())
     reason = found.verdict.reason
     if found.verdict.accepted and free > MOST_FREE:
         reason = f"aligned, {free:.0%} of its surface would lie where the cameras saw through"

@@ -14,7 +14,7 @@ from rpl_data.place.shape import Field, poses_by_shape
 from rpl_data.place.things import things_on_support, windows
 from rpl_data.place.verify import Candidate, checked, drawn, judged
 from rpl_data.refine.scene_surfaces import SceneSurface, scene_surface
-from rpl_data.segment.free_space import WITNESSES, DepthView, witnesses
+from rpl_data.segment.free_space import DepthView, seen_through
 from rpl_data.segment.region_growing import Plane
 from rpl_data.types import PointCloud
 
@@ -99,11 +99,8 @@ def _proposals(
     for number, thing in enumerate(things):
         poses, disagreement = poses_by_shape(field, thing, support)
         there = transform_all(poses, few)
-        free = (
-            (witnesses(there.reshape(-1, 3), views, margin_m=MARGIN_M) >= WITNESSES)
-            .reshape(there.shape[:2])
-            .mean(axis=1)
-        )
+        through = seen_through(there.reshape(-1, 3), views, margin_m=MARGIN_M)
+        free = through.reshape(there.shape[:2]).mean(axis=1)
         possible = (free < MOST_FREE) & (disagreement < WORST_SHAPE)
         proposals += [
             _Proposal(float(disagreement[n] + 2 * free[n]), number, poses[n])

@@ -10,14 +10,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Float64
 
 from rpl_data.geometry import Points, Transform, invert, transform
 from rpl_data.refine.align import HELD, beside_model
 from rpl_data.refine.evidence import cross_validated
 from rpl_data.refine.registration import Poses, Registration, register_scenes
 from rpl_data.refine.scene_surfaces import SceneSurface, match, print_differences
-from rpl_data.segment.free_space import MARGIN_M, WITNESSES, DepthView, witnesses
+from rpl_data.segment.free_space import DepthView, seen_through
 
 NEAR_M = 0.006
 """A point of the scene is explained by model surface this near."""
@@ -68,7 +68,7 @@ def judged(
     pose: Transform = found.scene_from_object[1]
     likeness, matched = _likeness(pose, model, scene)
     on_surface = max(int((~scene.rim[scene.asking]).sum()), 1)
-    free = free_share(transform(pose, model.cloud.points[model.asking]), views)
+    free = float(seen_through(transform(pose, model.cloud.points[model.asking]), views).mean())
     seen = len(match(model, scene, pose, gate_m=NEAR_M).asking) / max(len(model.asking), 1)
     return Candidate(thing, pose, matched / on_surface, free, seen, likeness, found.normal[6:, 6:])
 
@@ -82,12 +82,6 @@ def checked(candidate: Candidate, model: SceneSurface, scene: SceneSurface) -> C
         assert held_out is not None
         found.append(_likeness(registration.scene_from_object[1], model, held_out)[0])
     return replace(candidate, likeness=float(np.mean(found)))
-
-
-def free_share(points: Points, views: Sequence[DepthView]) -> float:
-    """Share of points that the cameras saw through; points and views are in one frame."""
-    through: Bool[np.ndarray, " n"] = witnesses(points, views, margin_m=MARGIN_M) >= WITNESSES
-    return float(through.mean())
 
 
 def _model_held(poses: Poses, points: Points) -> tuple[np.ndarray, np.ndarray]:

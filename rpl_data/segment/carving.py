@@ -17,8 +17,13 @@ from scipy.spatial import cKDTree
 
 from rpl_data.geometry import NEAREST_M, Points, project, transform
 from rpl_data.segment.free_space import MARGIN_M, WITNESSES, DepthView, border, witnesses
-from rpl_data.segment.refusals import CropBox
-from rpl_data.segment.region_growing import Plane, beyond_support_halo, box_around_keypoints
+from rpl_data.segment.region_growing import (
+    CropBox,
+    Plane,
+    beyond_support_halo,
+    box_around_keypoints,
+    inside,
+)
 from rpl_data.types import PointCloud
 
 MOST_CELLS = 160
@@ -64,7 +69,7 @@ def carved(
     cells = np.indices(size).reshape(3, -1).T * cell_m + low
     filled = np.ones(len(cells), bool)
     if crop_m is not None:
-        filled &= ((cells > crop_m[0]) & (cells < crop_m[1])).all(axis=1)
+        filled &= inside(cells, crop_m)
     for plane in planes:
         filled &= plane.height_m(cells) > -BELOW_M
     filled[filled] = _not_free(cells[filled], views)
@@ -111,7 +116,7 @@ def _unmeasured_share(cells: Points, views: Sequence[DepthView]) -> float:
         in_camera = transform(view.camera_from_object, cells)
         in_camera = in_camera[in_camera[:, 2] > NEAREST_M]
         u, v = np.unique(np.round(project(view.intrinsics, in_camera)).astype(np.int64), axis=0).T
-        inside = (u >= 0) & (u < view.intrinsics.width) & (v >= 0) & (v < view.intrinsics.height)
-        holes += int((view.depth_m[v[inside], u[inside]] == 0).sum())
-        pixels += int(inside.sum())
+        within = (u >= 0) & (u < view.intrinsics.width) & (v >= 0) & (v < view.intrinsics.height)
+        holes += int((view.depth_m[v[within], u[within]] == 0).sum())
+        pixels += int(within.sum())
     return holes / max(pixels, 1)

@@ -59,6 +59,14 @@ def witnesses(points: Points, views: Sequence[DepthView], *, margin_m: float) ->
     return count
 
 
+def seen_through(
+    points: Points, views: Sequence[DepthView], *, margin_m: float = MARGIN_M
+) -> Bool[np.ndarray, " n"]:
+    """Which points are free, as `WITNESSES` views see through them; points and views are in one frame."""
+    free: Bool[np.ndarray, " n"] = witnesses(points, views, margin_m=margin_m) >= WITNESSES
+    return free
+
+
 def _farthest_certain(depth_m: DepthImage) -> DepthImage:
     """The nearest depth within a pixel of each; 0 beside pixels without depth, where sensors smear edges."""
     nearest: DepthImage = cv2.erode(depth_m, np.ones((3, 3), np.uint8))
@@ -69,7 +77,7 @@ def free_share(mesh: Mesh, views: Sequence[DepthView]) -> float:
     """Share of a mesh's area that lies in free space, where the object cannot be."""
     corners = mesh.vertices[mesh.triangles]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    free = witnesses(corners.mean(axis=1), views, margin_m=MARGIN_M) >= WITNESSES
+    free = seen_through(corners.mean(axis=1), views)
     return float(area[free].sum() / max(area.sum(), 1e-12))
 
 
@@ -90,7 +98,7 @@ def unseen_border(
     size = np.ceil((points.max(axis=0) + 2 * CELL_M - low) / CELL_M).astype(np.int64) + 1
     cells = np.indices(size).reshape(3, -1).T * CELL_M + low
     filled = (cells @ facets[:, :3].T + facets[:, 3]).max(axis=1) < 1e-6
-    filled[filled] = witnesses(cells[filled], views, margin_m=MARGIN_M) < WITNESSES
+    filled[filled] = ~seen_through(cells[filled], views)
     return border(filled.reshape(size), low)
 
 

@@ -8,13 +8,9 @@ from typing import NoReturn
 from scipy.spatial import cKDTree
 
 from rpl_data.geometry import transform
+from rpl_data.segment.region_growing import NEAR_M, CropBox
 from rpl_data.types import DataError, Mesh, Solution
 from rpl_data.wording import counted
-
-CropBox = tuple[tuple[float, float, float], tuple[float, float, float]]
-"""Lowest and highest corner in the object frame, metres."""
-NEAR_M = 0.008
-"""A keypoint this near to a surface lies on it: regions grow from there."""
 
 
 def refuse_without_surface(

@@ -17,6 +17,12 @@ from rpl_data.geometry import Points
 from rpl_data.meshes import select, thinned
 from rpl_data.types import PointCloud
 
+NEAR_M = 0.008
+"""A keypoint this near to a surface lies on it: regions grow from there."""
+
+CropBox = tuple[tuple[float, float, float], tuple[float, float, float]]
+"""Lowest and highest corner, metres: what lies outside is cut off."""
+
 
 @dataclass(frozen=True)
 class Plane:
@@ -36,6 +42,12 @@ def box_around_keypoints(keypoints: Points) -> tuple[Float64[np.ndarray, "3"], F
     low, high = keypoints.min(axis=0), keypoints.max(axis=0)
     margin_m = max(0.6 * float(np.linalg.norm(high - low)), 0.06)
     return low - margin_m, high + margin_m
+
+
+def inside(points: Points, box: CropBox) -> Bool[np.ndarray, " n"]:
+    """Which points lie inside a box in their frame."""
+    low, high = box
+    return np.asarray(((points > low) & (points < high)).all(axis=1))
 
 
 def smooth_or_convex_pairs(

@@ -15,13 +15,16 @@ from rpl_data.segment.carving import carved
 from rpl_data.segment.completion import closed_mesh, mesh_of_border
 from rpl_data.segment.free_space import DepthView, free_share, witnesses
 from rpl_data.segment.mask_votes import MaskView, regions_by_masks
-from rpl_data.segment.refusals import NEAR_M, CropBox, refuse_seen_through, refuse_without_surface
+from rpl_data.segment.refusals import refuse_seen_through, refuse_without_surface
 from rpl_data.segment.region_growing import (
+    NEAR_M,
+    CropBox,
     Plane,
     beyond_support_halo,
     box_around_keypoints,
     components,
     height_above,
+    inside,
     planes_below,
     smooth_or_convex_pairs,
 )
@@ -208,10 +211,10 @@ def _near_object(
     moved = Mesh(transform(invert(scene_from_object), mesh.vertices), mesh.triangles, mesh.colors)
     cloud = oriented_points(moved)
     low, high = box_around_keypoints(keypoints)
-    inside = np.all((cloud.points > low) & (cloud.points < high), axis=1)
+    near = np.all((cloud.points > low) & (cloud.points < high), axis=1)
     if crop_m is not None:
-        inside &= ((cloud.points > crop_m[0]) & (cloud.points < crop_m[1])).all(axis=1)
-    return smoothed_normals(thinned(select(cloud, inside), voxel_m=voxel_m * 0.7), radius_m=2 * voxel_m)
+        near &= inside(cloud.points, crop_m)
+    return smoothed_normals(thinned(select(cloud, near), voxel_m=voxel_m * 0.7), radius_m=2 * voxel_m)
 
 
 def _without_planes(cloud: PointCloud, planes: list[Plane], *, band_m: float = 0.006) -> PointCloud:
@@ -223,15 +226,13 @@ def _without_planes(cloud: PointCloud, planes: list[Plane], *, band_m: float = 0
     return select(cloud, kept)
 
 
-def _grow(
-    cloud: PointCloud, keypoints: Points, voxel_m: float, *, seed_radius_m: float = 0.008
-) -> PointCloud:
+def _grow(cloud: PointCloud, keypoints: Points, voxel_m: float) -> PointCloud:
     """The regions of one scene that the keypoints lie on (the paper's modified region growing)."""
     if not len(cloud.points):
         return cloud
     pairs = smooth_or_convex_pairs(cloud, radius_m=2.0 * voxel_m, max_concave_rad=0.35)
     region = components(len(cloud.points), pairs)
-    seeds = np.unique(np.concatenate(cKDTree(cloud.points).query_ball_point(keypoints, seed_radius_m)))
+    seeds = np.unique(np.concatenate(cKDTree(cloud.points).query_ball_point(keypoints, NEAR_M)))
     seeded = np.bincount(region[seeds.astype(int)], minlength=region.max() + 1)
     size = np.bincount(region)
     return select(cloud, (seeded > 0)[region] & (size > 20)[region])
@@ -270,15 +271,13 @@ def _not_seen_through(
     return select(region, ~floating)
 
 
-def _around_keypoints(
-    cloud: PointCloud, keypoints: Points, voxel_m: float, *, seed_radius_m: float = 0.008
-) -> PointCloud:
+def _around_keypoints(cloud: PointCloud, keypoints: Points, voxel_m: float) -> PointCloud:
     """The pieces of the merged cloud that keypoints lie on, and other large ones; small ones are dropped."""
     tree = cKDTree(cloud.points)
     pairs = tree.query_pairs(3 * voxel_m, output_type="ndarray").astype(np.int64)
     piece = components(len(cloud.points), pairs)
     size = np.bincount(piece)
-    seeds = np.concatenate(tree.query_ball_point(keypoints, seed_radius_m)).astype(int)
+    seeds = np.concatenate(tree.query_ball_point(keypoints, NEAR_M)).astype(int)
     seeded = np.bincount(piece[seeds], minlength=len(size)) > 0
     kept: Bool[np.ndarray, " n"] = ((seeded & (size > 0.02 * len(piece))) | (size > 0.2 * len(piece)))[piece]
     return select(cloud, kept)

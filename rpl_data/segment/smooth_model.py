@@ -12,7 +12,8 @@ from rpl_data.geometry import Points, invert, transform
 from rpl_data.meshes import joined, joined_meshes, oriented_points, select, thinned
 from rpl_data.segment.completion import open_edges
 from rpl_data.segment.free_space import DepthView, free_share
-from rpl_data.segment.refusals import CropBox, refuse_without_surface
+from rpl_data.segment.refusals import refuse_without_surface
+from rpl_data.segment.region_growing import CropBox, inside
 from rpl_data.segment.segment import DenseModel
 from rpl_data.segment.smooth_regions import grow_from_seeds
 from rpl_data.types import Mesh, PointCloud, Solution
@@ -77,15 +78,15 @@ def _piece(
     cloud = thinned(cloud, voxel_m=voxel_m)
     kept = grow_from_seeds(cloud.points, keypoints)
     if crop_m is not None:
-        kept &= ((cloud.points > crop_m[0]) & (cloud.points < crop_m[1])).all(axis=1)
+        kept &= inside(cloud.points, crop_m)
     return select(cloud, kept), _triangles_at(moved, cloud.points, kept, voxel_m)
 
 
 def _triangles_at(mesh: Mesh, points: Points, kept: Bool[np.ndarray, " n"], voxel_m: float) -> Mesh:
     """The triangles whose corners all belong to kept points, each corner to the nearest point."""
     distance, nearest = cKDTree(points).query(mesh.vertices)
-    inside = kept[nearest] & (distance < 2 * voxel_m)
-    triangles = mesh.triangles[inside[mesh.triangles].all(axis=1)]
+    kept_vertices = kept[nearest] & (distance < 2 * voxel_m)
+    triangles = mesh.triangles[kept_vertices[mesh.triangles].all(axis=1)]
     used, corners = np.unique(triangles, return_inverse=True)
     colors = None if mesh.colors is None else mesh.colors[used]
     return Mesh(mesh.vertices[used], corners.reshape(-1, 3).astype(np.int64), colors)
