@@ -15,7 +15,7 @@ ROOT = Path(__file__).parents[1]
 LAYERS = [
     {"version", "wording"},
     {"types"},
-    {"command_line", "compiled", "directions", "files", "geometry"},
+    {"command_line", "compiled", "directions", "files", "geometry", "motions"},
     {"json_arrays", "orientation", "registered", "untrusted"},
     {"images", "meshes", "raycast", "overlay", "drift", "symmetries"},
     {"keypoint_surface"},
@@ -33,7 +33,8 @@ WITHIN_A_LAYER = {("clicks", "workspace"), ("workspace", "clicks")}
 
 LEARNING = {
     "rpl_data.command_line", "rpl_data.files", "rpl_data.formats.datasets", "rpl_data.geometry",
-    "rpl_data.images", "rpl_data.json_arrays", "rpl_data.meshes", "rpl_data.orientation", "rpl_data.pose",
+    "rpl_data.images", "rpl_data.json_arrays", "rpl_data.meshes", "rpl_data.motions", "rpl_data.orientation",
+    "rpl_data.pose",
     "rpl_data.symmetries", "rpl_data.synthesize", "rpl_data.torch", "rpl_data.types", "rpl_data.wording",
 }  # fmt: skip
 """What rpl_data.torch and training may know: a trained pipeline does not depend on the labelling tool."""

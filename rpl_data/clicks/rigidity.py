@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from rpl_data.geometry import is_collinear
+from rpl_data.motions import cross_matrices
 
 LEVER = 0.02
 """A motion counts as free when it moves the clicks by less than this share of its own size. Clicks are good
@@ -50,8 +51,7 @@ def _constraints(points: np.ndarray, clicked: np.ndarray) -> np.ndarray:
     scenes, keypoints = clicked.shape
     rows = np.zeros((int(clicked.sum()), 3, 6 * scenes + 3 * keypoints))
     for row, (s, k) in zip(rows, np.argwhere(clicked), strict=True):
-        x, y, z = points[k]
-        row[:, 6 * s : 6 * s + 3] = -np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+        row[:, 6 * s : 6 * s + 3] = -cross_matrices(points[k])
         row[:, 6 * s + 3 : 6 * s + 6] = np.eye(3)
         row[:, 6 * scenes + 3 * k : 6 * scenes + 3 * k + 3] = -np.eye(3)
     return rows.reshape(-1, rows.shape[2])

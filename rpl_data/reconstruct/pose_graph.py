@@ -16,6 +16,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.linalg import spsolve
 
 from rpl_data.geometry import Transform, invert
+from rpl_data.motions import adjoint
 from rpl_data.reconstruct.information import Information, motion_between, moved
 
 ITERATIONS = 15
@@ -80,7 +81,7 @@ def _normal_equations(
         error = motion_between(relative, edge.first_from_second)
         information = edge.information / (1 + error @ edge.information @ error / KERNEL_SCALE_SIGMAS**2)
         # A motion of the first camera is the opposite motion of the second, carried over to its axes.
-        by_first = -carried(invert(relative))
+        by_first = -adjoint(invert(relative))
         a, b = row[edge.first], row[edge.second]
         blocks[a, a] += by_first.T @ information @ by_first
         blocks[b, b] += information
@@ -89,18 +90,6 @@ def _normal_equations(
         pull[6 * a : 6 * a + 6] += by_first.T @ information @ error
         pull[6 * b : 6 * b + 6] += information @ error
     return blocks, pull
-
-
-def carried(b_from_a: Transform) -> Information:
-    """The adjoint, which expresses a small motion given along the axes of a along those of b.
-
-    Motions are (rotation vector, translation), as everywhere in `information`.
-    """
-    rotation, (x, y, z) = b_from_a[:3, :3], b_from_a[:3, 3]
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    adjoint = np.kron(np.eye(2), rotation)
-    adjoint[3:, :3] = cross @ rotation
-    return adjoint
 
 
 def _solve(blocks: Blocks, pull: Float64[np.ndarray, " m"]) -> Float64[np.ndarray, " m"]:

@@ -19,6 +19,7 @@ from jaxtyping import Float64
 from scipy.spatial.transform import Rotation
 
 from rpl_data.geometry import Transform, invert
+from rpl_data.motions import adjoint
 from rpl_data.refine.overlap import Pairs, all_pairs
 from rpl_data.refine.scene_surfaces import Matches, SceneSurface, match, print_differences
 
@@ -164,7 +165,7 @@ def _add(
     weight[:, 1:] *= weight[:, :1]
     weight *= 2 * (one.spacing_m / INDEPENDENT_M) ** 2 / partners
     by_b = _by_pose(slopes / sigmas[:, None], pair.matches.points_b)
-    by_a = -_motions(pair.b_from_a)
+    by_a = -adjoint(pair.b_from_a)
     weighted = by_b * weight.reshape(-1, 1)
     block, slope = by_b.T @ weighted, weighted.T @ normed.ravel()
     both = np.hstack([by_a, np.eye(6)])
@@ -184,15 +185,6 @@ def _by_pose(
     x, y, z = points.T[..., None]
     u, v, w = np.moveaxis(slopes, 2, 0)
     return np.stack([y * w - z * v, z * u - x * w, x * v - y * u, u, v, w], axis=2).reshape(-1, 6)
-
-
-def _motions(b_from_a: Transform) -> Float64[np.ndarray, "6 6"]:
-    """Takes a small motion of frame a (rotation, translation) to that of frame b which moves things alike."""
-    turn, (x, y, z) = b_from_a[:3, :3], b_from_a[:3, 3]
-    motions = np.zeros((6, 6))
-    motions[:3, :3] = motions[3:, 3:] = turn
-    motions[3:, :3] = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]) @ turn
-    return motions
 
 
 def _solved(normal: Float64[np.ndarray, "u u"], gradient: Float64[np.ndarray, " u"]) -> np.ndarray:

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.spatial.transform import Rotation
 
+from rpl_data.motions import cross_matrices, transform_each
 from rpl_data.solve.click_rays import (
     FARTHER_SURFACE_PENALTY,
     KERNEL_SCALE_SIGMAS,
@@ -67,24 +68,17 @@ class NormalEquations(NamedTuple):
     cost: float
 
 
-def adjust(
-    rays: Rays,
-    state: State,
-    *,
-    noise: Noise | None = None,
-    tolerance: float = 1e-7,
-) -> State:
+def adjust(rays: Rays, state: State, *, tolerance: float = 1e-7) -> State:
     """Adjust from a start that is right to a few centimetres.
 
     The robust loss is wide at first, so that a fair start is not given up.
 
     Args:
-        noise: of clicks and depths; the usual when None.
         tolerance: relative decrease of the cost below which the last descent ends.
     """
     for scale in (4 * KERNEL_SCALE_SIGMAS, 2 * KERNEL_SCALE_SIGMAS):
         state = descend(rays, state, noise=COARSE, scale=scale, tolerance=max(tolerance, 1e-3))
-    return descend(rays, state, noise=noise or Noise(), tolerance=tolerance)
+    return descend(rays, state, noise=Noise(), tolerance=tolerance)
 
 
 def descend(
@@ -134,11 +128,7 @@ def moved(state: State, step: Float64[np.ndarray, " u"]) -> State:
 def points_in_cameras(rays: Rays, state: State) -> Float64[np.ndarray, "m 3"]:
     """The clicked keypoints in the cameras of their clicks."""
     camera_from_model = rays.camera_from_scene @ state.scene_from_model[rays.scene]
-    points = state.points_model[rays.keypoint]
-    in_camera: Float64[np.ndarray, "m 3"] = (
-        camera_from_model[:, :3, :3] @ points[..., None] + camera_from_model[:, :3, 3:]
-    )[..., 0]
-    return in_camera
+    return transform_each(camera_from_model, state.points_model[rays.keypoint])
 
 
 def cost_of(
@@ -211,7 +201,7 @@ def _linear(rays: Rays, state: State, noise: Noise, scale: float) -> _Linear:
     gradient = camera_gradient(in_camera, found, rays.pixel_rad * noise.click_px, depth_sigma_m)
     by_scene_point = gradient @ rays.camera_from_scene[:, :3, :3]
     poses, points = state.scene_from_model[rays.scene], state.points_model[rays.keypoint]
-    in_scene = (poses[:, :3, :3] @ points[..., None] + poses[:, :3, 3:])[..., 0]
+    in_scene = transform_each(poses, points)
     by_turn, by_point = -by_scene_point @ cross_matrices(in_scene), by_scene_point @ poses[:, :3, :3]
     rows = np.concatenate([by_turn, by_scene_point, by_point], axis=2)
     return _Linear(rows, residual, root_weight, by_scene_point, float(click_costs(found, noise, scale).sum()))
@@ -235,16 +225,6 @@ def camera_gradient(
     rows[..., 2, 2] += 1
     rows[..., 2, :] /= depth_unit[..., None]
     return rows
-
-
-def cross_matrices(vectors: Float64[np.ndarray, "*b 3"]) -> Float64[np.ndarray, "*b 3 3"]:
-    """Matrices [v] with [v] w = v x w."""
-    matrices = np.zeros((*vectors.shape, 3))
-    x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
-    matrices[..., 0, 1], matrices[..., 0, 2] = -z, y
-    matrices[..., 1, 0], matrices[..., 1, 2] = z, -x
-    matrices[..., 2, 0], matrices[..., 2, 1] = -y, x
-    return matrices
 
 
 def reassign_keypoints(rays: Rays, state: State, candidates_model: list[Float64[np.ndarray, "_ 3"]]) -> State:

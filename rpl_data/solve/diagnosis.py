@@ -73,7 +73,7 @@ def diagnose(
     """
     clicks = [o.click for o in observations]
     trial = first_trial(placed.rays, *placed.state, hold_points=hold_points, go_on=go_on)
-    faults, mended = find_faults(trial, np.flatnonzero(_left_out(placed)))
+    faults, mended = find_faults(trial, np.flatnonzero(_not_followed(placed)))
     words = FaultWords(placed.scenes, keypoints, clicks, mended)
     statements = [
         Statement(_kind(fault), _clicks(fault, clicks), words.of(fault), round(fault.best.gain, 1))
@@ -94,7 +94,7 @@ def diagnose(
         placed.noise,
         placed.joint,
         np.stack([placed.covariance_in_scene[name] for name in placed.scenes]),
-        [o.click for o in observations],
+        clicks,
         np.flatnonzero(placed.known).tolist(),
         most=MOST_NEXT,
     )
@@ -115,7 +115,7 @@ def left_out(
     """Clicks that the answer does not follow although nothing shows that they are wrong."""
     known = {click for statement in said for click in statement.clicks}
     error_px = _errors_px(placed)
-    for n in np.flatnonzero(_left_out(placed)).tolist():
+    for n in np.flatnonzero(_not_followed(placed)).tolist():
         click, name = clicks[n], keypoints[clicks[n].keypoint]
         if click in known:
             continue
@@ -127,7 +127,7 @@ def left_out(
         yield Statement("disagree", (click,), text)
 
 
-def _left_out(placed: Placed) -> Bool[np.ndarray, " m"]:
+def _not_followed(placed: Placed) -> Bool[np.ndarray, " m"]:
     """Clicks that the answer does not follow."""
     far_px = LEFT_OUT_SIGMAS * max(placed.noise.click_px, HAND_SIGMA_PX)
     left: Bool[np.ndarray, " m"] = (_errors_px(placed) > far_px) & placed.known[placed.rays.keypoint]

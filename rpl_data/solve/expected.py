@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Float64
 
 from rpl_data.geometry import NEAREST_M, invert, transform
+from rpl_data.motions import cross_matrices
 from rpl_data.pose.projection import projected_variance
-from rpl_data.solve.bundle_adjustment import cross_matrices
 from rpl_data.types import Intrinsics
 
 
@@ -48,10 +48,7 @@ def covariance_by_pose(
         covariance: of the keypoints in the object frame.
     """
     in_scene, turn = transform(scene_from_object, points_object), scene_from_object[:3, :3]
-    by_pose = np.concatenate(
-        [-np.stack([cross_matrices(point) for point in in_scene]), np.tile(np.eye(3), (len(in_scene), 1, 1))],
-        axis=2,
-    )
+    by_pose = np.concatenate([-cross_matrices(in_scene), np.tile(np.eye(3), (len(in_scene), 1, 1))], axis=2)
     total: Float64[np.ndarray, "k 3 3"] = (
         by_pose @ pose_covariance @ np.swapaxes(by_pose, 1, 2) + turn @ covariance @ turn.T
     )

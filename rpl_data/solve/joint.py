@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from rpl_data.geometry import invert, rigid, transform
 from rpl_data.solve.bundle_adjustment import State, normal_equations, points_in_cameras
 from rpl_data.solve.click_rays import Noise, Rays, click_costs, misfit, rays_of
 from rpl_data.solve.noise import (
@@ -25,6 +24,7 @@ from rpl_data.solve.noise import (
     widened_for_all_scenes,
     with_shared_errors,
 )
+from rpl_data.solve.object_frame import object_frame
 from rpl_data.solve.residuals import click_fit, click_residuals
 from rpl_data.types import Observation, Solution
 
@@ -91,7 +91,7 @@ class JointClicks:
     ) -> Solution:
         """The solution at the answer of the larger adjustment.
 
-        Its object frame is chosen anew: the first scene's axes, at the centroid of the keypoints.
+        Its object frame is chosen anew (`object_frame`).
 
         Args:
             normal: the normal matrix of all terms, from which the covariances follow.
@@ -111,11 +111,8 @@ class JointClicks:
         inverse = inverse_normal(normal, scenes=len(self.scenes), hold_points=False)
         joint = with_shared_errors(inverse, self.rays, state, noise=self.noise)
         besides = self._variances_besides_clicks(settled)
-        in_first = transform(state.scene_from_model[0], state.points_model)
-        first_from_object = rigid(np.eye(3), in_first[known].mean(axis=0))
-        model_from_object = invert(state.scene_from_model[0]) @ first_from_object
+        model_from_object, points = object_frame(state, known)
         turn = model_from_object[:3, :3]
-        points = np.where(known[:, None], transform(invert(first_from_object), in_first), np.nan)
         return replace(
             self.solution,
             model=replace(self.solution.model, points_object=points),

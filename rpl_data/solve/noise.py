@@ -14,13 +14,8 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from rpl_data.solve.bundle_adjustment import (
-    State,
-    System,
-    cross_matrices,
-    descend,
-    linearise,
-)
+from rpl_data.motions import cross_matrices
+from rpl_data.solve.bundle_adjustment import State, System, descend, linearise
 from rpl_data.solve.click_rays import Noise, Rays
 from rpl_data.solve.shared_errors import shared_errors
 from rpl_data.solve.sparse_normal import Parts, normal_by_scenes, parts_by_scene

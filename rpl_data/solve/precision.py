@@ -13,7 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from rpl_data.solve.bundle_adjustment import State, cross_matrices
+from rpl_data.motions import cross_matrices
+from rpl_data.solve.bundle_adjustment import State
 from rpl_data.solve.click_rays import NEAREST_DEPTH_M, Noise, Rays
 from rpl_data.types import Click, NextClick
 

@@ -14,13 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from rpl_data.solve.bundle_adjustment import (
-    State,
-    camera_gradient,
-    cross_matrices,
-    moved,
-    points_in_cameras,
-)
+from rpl_data.motions import cross_matrices, transform_each
+from rpl_data.solve.bundle_adjustment import State, camera_gradient, moved, points_in_cameras
 from rpl_data.solve.click_rays import FARTHER_SURFACE_PENALTY, Rays, misfit, robust
 from rpl_data.solve.sparse_normal import columns_of, put_together, solved_by_scenes
 
@@ -201,7 +196,7 @@ def _evaluate(
     gradient = root_weight * camera_gradient(in_camera, found, rays.pixel_rad * sigma_px, depth_sigma_m)
     poses = scene_from_model[rays.scene]
     points = points_model[reading.keypoint]
-    in_scene = (poses[:, :3, :3] @ points[..., None] + poses[:, :3, 3:])[..., 0]
+    in_scene = transform_each(poses, points)
     by_scene_point = gradient @ rays.camera_from_scene[:, :3, :3]
     by_turn = -by_scene_point @ cross_matrices(in_scene)
     by_point = by_scene_point @ poses[:, :3, :3] * (not hold_points)

@@ -9,7 +9,8 @@ import numpy as np
 from jaxtyping import Float64
 
 from rpl_data.geometry import is_collinear
-from rpl_data.solve.bundle_adjustment import State, cross_matrices, linearise
+from rpl_data.motions import cross_matrices
+from rpl_data.solve.bundle_adjustment import State, linearise
 from rpl_data.solve.click_rays import Noise, Rays, rays_of
 from rpl_data.solve.diagnosis import Placed, diagnose
 from rpl_data.solve.hypotheses import hypotheses_of_scene

@@ -13,7 +13,8 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.spatial.transform import Rotation
 
-from rpl_data.solve.bundle_adjustment import COARSE, camera_gradient, cross_matrices
+from rpl_data.motions import cross_matrices
+from rpl_data.solve.bundle_adjustment import COARSE, camera_gradient
 from rpl_data.solve.click_rays import KERNEL_SCALE_SIGMAS, Noise, Rays, click_costs, misfit, squared_errors
 from rpl_data.solve.initial_guess import Hypotheses, kabsch_of_triples
 
@@ -43,7 +44,6 @@ def likely_poses(
     *,
     known_poses: Float64[np.ndarray, "p 4 4"],
     samples: int = 300,
-    noise: Noise | None = None,
 ) -> ScenePoses:
     """Distinct poses that fit the clicks of one scene, each refined, best first.
 
@@ -59,12 +59,11 @@ def likely_poses(
         poses = np.concatenate([poses, _poses_of_triples(rays, points_model, candidates, shared, samples)])
     if not len(poses):
         return ScenePoses(np.zeros((0, 4, 4)), np.zeros(0))
-    noise = noise or Noise()
     some = points_model[np.unique(rays.keypoint)]
     poses = refine_poses(rays, points_model, poses, noise=COARSE, steps=6)
     poses = _best(poses, _costs(rays, points_model, poses, COARSE), some, most=TOLD_APART).scene_from_model
-    poses = refine_poses(rays, points_model, poses, noise=noise)
-    return _best(poses, _costs(rays, points_model, poses, noise), some, most=TOLD_APART)
+    poses = refine_poses(rays, points_model, poses, noise=Noise())
+    return _best(poses, _costs(rays, points_model, poses, Noise()), some, most=TOLD_APART)
 
 
 def _poses_of_triples(
@@ -85,12 +84,11 @@ def refine_poses(
     poses: Float64[np.ndarray, "b 4 4"],
     *,
     noise: Noise,
-    scale: float = KERNEL_SCALE_SIGMAS,
     steps: int = 12,
 ) -> Float64[np.ndarray, "b 4 4"]:
     """Levenberg-Marquardt on many poses of one scene at once, the points held."""
     damping = np.full(len(poses), 1e-3)
-    cost, normal, right = _normal_equations(rays, points_model, poses, noise, scale)
+    cost, normal, right = _normal_equations(rays, points_model, poses, noise)
     for _ in range(steps):
         diagonal = np.diagonal(normal, axis1=1, axis2=2)
         ridge = damping[:, None] * diagonal + 1e-9 * diagonal.sum(axis=1, keepdims=True)
@@ -99,7 +97,7 @@ def refine_poses(
         tried[:, :3, :3] = Rotation.from_rotvec(step[:, :3]).as_matrix()
         tried[:, :3, 3] = step[:, 3:]
         tried = tried @ poses
-        there, normal_there, right_there = _normal_equations(rays, points_model, tried, noise, scale)
+        there, normal_there, right_there = _normal_equations(rays, points_model, tried, noise)
         better = there < cost
         poses = np.where(better[:, None, None], tried, poses)
         if (np.abs(cost - there) < 1e-5 * cost).all():
@@ -121,15 +119,15 @@ def _in_cameras(rays: Rays, points_model: np.ndarray, poses: np.ndarray) -> Floa
 
 
 def _costs(
-    rays: Rays, points_model: np.ndarray, poses: np.ndarray, noise: Noise, scale: float = KERNEL_SCALE_SIGMAS
+    rays: Rays, points_model: np.ndarray, poses: np.ndarray, noise: Noise
 ) -> Float64[np.ndarray, " b"]:
     found = misfit(rays, _in_cameras(rays, points_model, poses))
-    costs: Float64[np.ndarray, " b"] = click_costs(found, noise, scale).sum(axis=1)
+    costs: Float64[np.ndarray, " b"] = click_costs(found, noise).sum(axis=1)
     return costs
 
 
 def _normal_equations(
-    rays: Rays, points_model: np.ndarray, poses: np.ndarray, noise: Noise, scale: float
+    rays: Rays, points_model: np.ndarray, poses: np.ndarray, noise: Noise
 ) -> tuple[Float64[np.ndarray, " b"], Float64[np.ndarray, "b 6 6"], Float64[np.ndarray, "b 6"]]:
     """Robust cost of each pose; weighted normal matrix and right side of its six unknowns."""
     in_camera = _in_cameras(rays, points_model, poses)
@@ -143,12 +141,13 @@ def _normal_equations(
         [found.error_px / noise.click_px, (found.depth_error_m / depth_unit)[..., None]], axis=-1
     )
     lateral, depth = squared_errors(found, noise)
+    scale = KERNEL_SCALE_SIGMAS
     weight = np.stack([1 / (1 + lateral / scale**2) ** 2] * 2 + [1 / (1 + depth / scale**2) ** 2], axis=-1)
     flat = jacobian.reshape(len(poses), -1, 6)
     weighted = flat * weight.reshape(len(poses), -1, 1)
     normal: Float64[np.ndarray, "b 6 6"] = np.swapaxes(weighted, 1, 2) @ flat
     right = (np.swapaxes(weighted, 1, 2) @ residual.reshape(len(poses), -1, 1))[..., 0]
-    return click_costs(found, noise, scale).sum(axis=1), normal, right
+    return click_costs(found, noise).sum(axis=1), normal, right
 
 
 def _best(

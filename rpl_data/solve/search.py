@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from rpl_data.geometry import invert, transform
+from rpl_data.motions import transform_each
 from rpl_data.solve.bundle_adjustment import (
     COARSE,
     State,
@@ -86,18 +87,18 @@ def search(
         state: from `cheapest_of`; it comes back itself where nothing better is found.
         go_on: called before each scene; what it raises ends the search.
     """
-    cost, told = cost_of(rays, state), candidate_costs(rays, candidates, state)
+    cost, costs = cost_of(rays, state), candidate_costs(rays, candidates, state)
     alternatives: dict[int, list[Alternative]] = {}
     waiting = list(range(len(state.scene_from_model))) * SWEEPS
     unchanged = 0
     for scene in waiting:
         go_on()
-        found = _other_poses(rays, candidates, state, cost, told, scene)
+        found = _other_poses(rays, candidates, state, cost, costs, scene)
         alternatives[scene] = found
         unchanged += 1
         if found and found[0].excess < -1e-6:
             state, cost, unchanged = found[0].state, cost + found[0].excess, 0
-            told = candidate_costs(rays, candidates, state)
+            costs = candidate_costs(rays, candidates, state)
         if unchanged == len(state.scene_from_model):
             break
     near = [a for found in alternatives.values() for a in found if 0 <= a.excess < NEAR_TIE]
@@ -131,9 +132,7 @@ def _candidates_of_scenes(
         told = [(s, of_scene[k]) for s, of_scene in enumerate(candidates) if k in of_scene]
         scene = np.repeat([s for s, _ in told], [len(positions) for _, positions in told]).astype(np.int64)
         positions = np.concatenate([np.empty((0, 3)), *(positions for _, positions in told)])
-        model_from_scene = invert(state.scene_from_model[scene])
-        in_model = (model_from_scene[:, :3, :3] @ positions[..., None])[..., 0] + model_from_scene[:, :3, 3]
-        found.append((in_model, scene))
+        found.append((transform_each(invert(state.scene_from_model[scene]), positions), scene))
     return found
 
 

@@ -24,7 +24,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from rpl_data.clicks.rigidity import generic_points
-from rpl_data.geometry import invert, rigid, transform
+from rpl_data.geometry import invert, transform
 from rpl_data.solve.bundle_adjustment import State
 from rpl_data.solve.click_rays import Noise, Rays, rays_of
 from rpl_data.solve.diagnosis import Placed, diagnose
@@ -39,6 +39,7 @@ from rpl_data.solve.noise import (
     shape_covariance,
     widened_for_all_scenes,
 )
+from rpl_data.solve.object_frame import object_frame
 from rpl_data.solve.procrustes import Adjusted, Fragments, Loss, adjust_points
 from rpl_data.solve.refusals import refuse_bad, refuse_few, refuse_loose, refuse_untied
 from rpl_data.solve.register import register, register_scene
@@ -240,12 +241,9 @@ def _solution(
     *,
     trajectory_sigma_m: Mapping[str, float],
 ) -> tuple[Solution, Placed]:
-    """Moved to the object frame: the first scene's axes, at the centroid of the keypoints."""
+    """The answer in the object frame, with its covariances and what became of every click."""
     state, known = answer.state, answer.known
-    in_first = transform(state.scene_from_model[0], state.points_model)
-    first_from_object = rigid(np.eye(3), in_first[known].mean(axis=0))
-    model_from_object = invert(state.scene_from_model[0]) @ first_from_object
-    points = np.where(known[:, None], transform(invert(first_from_object), in_first), np.nan)
+    model_from_object, points = object_frame(state, known)
     turn = model_from_object[:3, :3]
     joint = joint_covariance(answer.rays, state, noise=answer.noise)
     in_scene = {

@@ -9,12 +9,9 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float64, Int64
 
+from rpl_data.motions import transform_each
 from rpl_data.solve.click_rays import NEAREST_DEPTH_M, Rays
-from rpl_data.solve.refit import (
-    Fit,
-    Reading,
-    refit,
-)
+from rpl_data.solve.refit import Fit, Reading, refit
 
 Kind = Literal["wrong place", "swapped", "wrong name", "whole scene"]
 
@@ -85,8 +82,7 @@ class Trial:
         poses = self.fit.scene_from_model if scene_from_model is None else scene_from_model
         named = rays.keypoint if keypoint is None else keypoint
         to_camera = rays.camera_from_scene[clicks] @ poses[rays.scene[clicks]]
-        points = self.fit.points_model[named[clicks]]
-        in_camera = (to_camera[:, :3, :3] @ points[..., None] + to_camera[:, :3, 3:])[..., 0]
+        in_camera = transform_each(to_camera, self.fit.points_model[named[clicks]])
         xy = in_camera[:, :2] / np.maximum(in_camera[:, 2:], NEAREST_DEPTH_M)
         missed: Float64[np.ndarray, " _"] = (
             np.linalg.norm(xy - rays.xy[clicks], axis=1) / rays.pixel_rad[clicks]

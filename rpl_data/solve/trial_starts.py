@@ -6,11 +6,10 @@ import numpy as np
 from jaxtyping import Float64
 
 from rpl_data.geometry import invert, transform
+from rpl_data.motions import transform_each
 from rpl_data.solve.initial_guess import match
 from rpl_data.solve.procrustes import kabsch_stack
-from rpl_data.solve.refit import (
-    Reading,
-)
+from rpl_data.solve.refit import Reading
 from rpl_data.solve.trial import Clicks, Trial
 
 
@@ -64,8 +63,4 @@ def lifted_in_scene(trial: Trial, clicks: Clicks) -> Float64[np.ndarray, "n 3"]:
     measured_m = rays.depths_m[clicks, 0]
     depth_m = np.where(np.isfinite(measured_m), measured_m, trial.fit.in_camera[clicks, 2])
     in_camera = depth_m[:, None] * np.column_stack([rays.xy[clicks], np.ones(len(clicks))])
-    scene_from_camera = invert(rays.camera_from_scene[clicks])
-    lifted: Float64[np.ndarray, "n 3"] = (
-        scene_from_camera[:, :3, :3] @ in_camera[..., None] + scene_from_camera[:, :3, 3:]
-    )[..., 0]
-    return lifted
+    return transform_each(invert(rays.camera_from_scene[clicks]), in_camera)

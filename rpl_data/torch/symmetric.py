@@ -12,6 +12,7 @@ from jaxtyping import Float64
 
 from rpl_data.geometry import Points, Transform, project, square_box, transform
 from rpl_data.json_arrays import asdict_values
+from rpl_data.motions import cross_matrices
 from rpl_data.symmetries import symmetry_transforms, turn
 from rpl_data.types import Intrinsics, Symmetries, SymmetryAxis
 
@@ -66,8 +67,7 @@ def _best_angle(pose: Transform, axis: SymmetryAxis) -> float:
     By Rodrigues' formula the trace is a cosine of the angle with these two coefficients.
     """
     direction = np.array(axis.direction)
-    rotation, x, y, z = pose[:3, :3], *direction
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    rotation, cross = pose[:3, :3], cross_matrices(direction)
     across = np.eye(3) - np.outer(direction, direction)
     return float(np.arctan2(np.trace(rotation @ cross), np.trace(rotation @ across)))
 

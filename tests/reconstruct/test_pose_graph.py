@@ -6,8 +6,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from rpl_data.geometry import from_rotvec, invert
+from rpl_data.motions import adjoint
 from rpl_data.reconstruct.information import motion_between, moved
-from rpl_data.reconstruct.pose_graph import Edge, carried, optimise
+from rpl_data.reconstruct.pose_graph import Edge, optimise
 
 LOOSE = np.eye(6) * 1e-3
 TIGHT = np.diag([1e6] * 3 + [1e6] * 3)
@@ -63,10 +64,10 @@ def test_without_edges_the_poses_stay() -> None:
         np.testing.assert_allclose(found[k], pose, atol=1e-12)
 
 
-def test_carried_moves_a_motion_to_other_axes() -> None:
+def test_the_adjoint_moves_a_motion_to_other_axes() -> None:
     rng = np.random.default_rng(1)
     b_from_a = np.eye(4)
     b_from_a[:3, :3], b_from_a[:3, 3] = Rotation.random(rng=rng).as_matrix(), rng.normal(size=3)
     motion = rng.normal(0, 1e-5, 6)
     direct = b_from_a @ moved(motion) @ invert(b_from_a)
-    np.testing.assert_allclose(moved(carried(b_from_a) @ motion), direct, atol=1e-9)
+    np.testing.assert_allclose(moved(adjoint(b_from_a) @ motion), direct, atol=1e-9)
