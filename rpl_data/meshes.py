@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float64, Int64, UInt8
 from scipy.spatial import cKDTree
 
 from rpl_data.files import write_bytes
+from rpl_data.geometry import Transform, transform
 from rpl_data.types import DataError, Mesh, PointCloud
 from rpl_data.untrusted.child import in_child
 from rpl_data.untrusted.ply import read_ply
@@ -163,16 +164,16 @@ def _faces(triangles: Int64[np.ndarray, "m 3"], seen: Bool[np.ndarray, " m"] | N
 
 
 def oriented_points(mesh: Mesh) -> PointCloud:
-    """The vertices of a mesh, with outward normals from its triangles, weighted by area."""
-    corners = mesh.vertices[mesh.triangles]
-    area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals = np.zeros_like(mesh.vertices)
-    for corner in range(3):
-        np.add.at(normals, mesh.triangles[:, corner], area)
-    length = np.linalg.norm(normals, axis=1)
-    used = length > 0
+    """The vertices that triangles use, with outward normals (`vertex_normals`)."""
+    normals = vertex_normals(mesh)
+    used = normals.any(axis=1)
     colors = None if mesh.colors is None else mesh.colors[used]
-    return PointCloud(mesh.vertices[used], normals[used] / length[used, None], colors)
+    return PointCloud(mesh.vertices[used], normals[used], colors)
+
+
+def moved_cloud(cloud: PointCloud, a_from_b: Transform) -> PointCloud:
+    """Points and normals moved from b to a."""
+    return PointCloud(transform(a_from_b, cloud.points), cloud.normals @ a_from_b[:3, :3].T, cloud.colors)
 
 
 def select(cloud: PointCloud, chosen: Bool[np.ndarray, " n"] | Int64[np.ndarray, " m"]) -> PointCloud:

@@ -113,8 +113,7 @@ def _contradiction(annotation: Annotation, live: Live, judged: Collection[str]) 
 
 def _unchecked(annotation: Annotation, live: Live) -> Advice | None:
     """A keypoint that a wrong click would move unseen wants a second scene, or a second frame."""
-    statements = live.solution.statements if live.solution else ()
-    for statement in statements:
+    for statement in live.statements:
         if statement.kind == "unchecked":
             click = statement.clicks[0]
             scene = _another_scene(annotation, live, click.keypoint)
@@ -136,9 +135,8 @@ def _weak_scene(annotation: Annotation, live: Live) -> Advice | None:
 def _another_scene(annotation: Annotation, live: Live, keypoint: int) -> str | None:
     """A placed scene in which the keypoint is neither marked nor skipped."""
     marked = {click.scene for click in annotation.clicks if click.keypoint == keypoint}
-    placed = live.solution.scene_from_object if live.solution else {}
     return min(
-        (s for s in placed if s not in marked and (keypoint, s) not in annotation.skipped), default=None
+        (s for s in live.placed if s not in marked and (keypoint, s) not in annotation.skipped), default=None
     )
 
 

@@ -14,8 +14,8 @@ from rpl_data.annotate.work import Check, GoOn, Solve
 from rpl_data.clicks.lift import lift
 from rpl_data.clicks.log import Annotation
 from rpl_data.clicks.rigidity import describe_loose, generic_points, loose_scenes
-from rpl_data.geometry import transform
-from rpl_data.types import Click, DataError, Observation, Solution
+from rpl_data.geometry import Transform, transform
+from rpl_data.types import Click, DataError, Observation, Solution, Statement
 from rpl_data.types.keypoint_names import keypoint_titles
 from rpl_data.wording import counted
 
@@ -49,13 +49,22 @@ class Live:
         """
         return self if self.check is None else replace(self, solution=self.check(go_on), check=None)
 
+    @property
+    def placed(self) -> Mapping[str, Transform]:
+        """`scene_from_object` by scene; empty while there is no solution."""
+        return self.solution.scene_from_object if self.solution else {}
+
+    @property
+    def statements(self) -> tuple[Statement, ...]:
+        """What the solution says of clicks, the strongest first; empty while there is none."""
+        return self.solution.statements if self.solution else ()
+
     def lifted(self, observations: Sequence[Observation]) -> list[tuple[Click, Float64[np.ndarray, "3"]]]:
         """Clicks of scenes in which the object has no pose yet, in the scene frame, at the nearest depth."""
-        placed = self.solution.scene_from_object if self.solution else {}
         return [
             (o.click, transform(o.scene_from_camera, o.depths_m[0] * o.ray_camera))
             for o in observations
-            if o.click.scene not in placed and len(o.depths_m)
+            if o.click.scene not in self.placed and len(o.depths_m)
         ]
 
 

@@ -163,9 +163,8 @@ def _scenes(result: Result) -> dict[str, Json]:
     """Describe each scene with clicks or a pose: its state, how its clicks fit, and its expected error."""
     live, clicks = result.live, result.revision.annotation.clicks
     residuals = live.solution.residuals if live.solution else ()
-    placed = live.solution.scene_from_object if live.solution else {}
     found = {}
-    for scene in sorted({click.scene for click in clicks} | set(placed)):
+    for scene in sorted({click.scene for click in clicks} | set(live.placed)):
         mine = [r for r in residuals if r.click.scene == scene]
         found[scene] = {
             "state": _state(result, scene, mine),

@@ -166,12 +166,11 @@ class Session:
     def _result(self, revision: Revision, live: Live) -> Result:
         observations = self._lifter.observations(revision.annotation.clicks)
         lifted = tuple(live.lifted(observations))
-        placed = live.solution.scene_from_object if live.solution else {}
         expected_px = {
-            scene: self.work.expected_px(live.solution, scene) for scene in placed if live.solution
+            scene: self.work.expected_px(live.solution, scene) for scene in live.placed if live.solution
         }
         grasp, problem = self._grasp(revision.annotation, live)
-        limits_px, judged = self.work.limits_px(), self._judged(placed)
+        limits_px, judged = self.work.limits_px(), self._judged(live.placed)
         return Result(revision, live, lifted, grasp, problem, expected_px, limits_px, judged)
 
     def _judged(self, places: Iterable[str]) -> frozenset[str]:

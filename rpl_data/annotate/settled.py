@@ -18,12 +18,12 @@ OFTEN = 4
 
 def contradictions(live: Live) -> list[Statement]:
     """What is said of clicks that may be wrong, the strongest first."""
-    return [s for s in (live.solution.statements if live.solution else ()) if s.kind not in HINTS]
+    return [s for s in live.statements if s.kind not in HINTS]
 
 
 def weak_scenes(live: Live) -> list[Statement]:
     """What is said of scenes that their clicks place badly."""
-    return [s for s in (live.solution.statements if live.solution else ()) if s.kind == "weak scene"]
+    return [s for s in live.statements if s.kind == "weak scene"]
 
 
 def rarely_marked(annotation: Annotation, statement: Statement) -> list[Click]:
@@ -94,7 +94,7 @@ def settled(live: Live, doubtful: str) -> str:
         return "every scene is placed; nothing checks the clicks against one another with this way to solve"
     weak = sorted({s.clicks[0].scene for s in weak_scenes(live)})
     unsure = f", but scene {', '.join(weak)} not surely," if weak else ""
-    for statement in live.solution.statements if live.solution else ():
+    for statement in live.statements:
         if statement.kind == "unjudged":
             return f"every scene is placed{unsure}, but {statement.text}; or, as it is"
     return f"every scene is placed{unsure} and {_checked(live)}"

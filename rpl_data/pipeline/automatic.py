@@ -165,14 +165,14 @@ def _placed(
     )
     checked = f"colours and free space: {words}"
     placement = Placement(
-        pose,
-        points,
-        covariance + strayed_m**2 * np.eye(3),
-        residuals,
-        "automatic",
-        checked,
-        path_key(context.workspace.load_trajectory(context.workspace.load_scene(scene))),
-        strayed_m,
+        scene_from_object=pose,
+        points_object=points,
+        covariance_in_scene=covariance + strayed_m**2 * np.eye(3),
+        residuals=residuals,
+        how="automatic",
+        checked=checked,
+        path_key=path_key(context.workspace.load_trajectory(context.workspace.load_scene(scene))),
+        trajectory_sigma_m=strayed_m,
     )
     line = (
         f"{item.name} was placed automatically in scene {scene}, checked by {checked}; its keypoints are "

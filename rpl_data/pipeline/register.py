@@ -9,7 +9,7 @@ import numpy as np
 
 from rpl_data.geometry import transform
 from rpl_data.images import read_color
-from rpl_data.meshes import load_cloud
+from rpl_data.meshes import load_cloud, moved_cloud
 from rpl_data.pipeline.context import Context, crop_of, model_key, path_key
 from rpl_data.pipeline.ledger import Advance, Ledger, Outcome, Step
 from rpl_data.pipeline.lifted_clicks import observe
@@ -129,16 +129,16 @@ def _by_clicks(context: Context, item: ObjectRecipe, scene: str, advance: Advanc
         trajectory_sigma_m=strayed_m,
     )
     placement = Placement(
-        clicked.scene_from_object,
-        solution.model.points_object,
-        clicked.covariance_in_scene,
-        clicked.residuals,
-        "clicks",
-        "its clicks",
-        path_key(workspace.load_trajectory(workspace.load_scene(scene_of(scene)))),
-        strayed_m,
-        clicked.statements,
-        clicked.next_clicks,
+        scene_from_object=clicked.scene_from_object,
+        points_object=solution.model.points_object,
+        covariance_in_scene=clicked.covariance_in_scene,
+        residuals=clicked.residuals,
+        how="clicks",
+        checked="its clicks",
+        path_key=path_key(workspace.load_trajectory(workspace.load_scene(scene_of(scene)))),
+        trajectory_sigma_m=strayed_m,
+        statements=clicked.statements,
+        next_clicks=clicked.next_clicks,
     )
     lines = [f"{item.name} {line}" for line in _said(context, solution, scene, clicked, placement)]
     if (model := dense_model(context, item, solution)) is None:
@@ -272,7 +272,4 @@ def _region(
         advance=advance,
     )
     grown = grown_regions({scene: mesh}, alone, voxel_m=voxel_m, crop_m=crop_of(workspace, item)).get(scene)
-    if grown is None:
-        return None
-    pose = alone.scene_from_object[scene]
-    return PointCloud(transform(pose, grown.points), grown.normals @ pose[:3, :3].T, grown.colors)
+    return None if grown is None else moved_cloud(grown, alone.scene_from_object[scene])

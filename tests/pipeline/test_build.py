@@ -22,7 +22,7 @@ from rpl_data.pipeline.pool import Pool
 from rpl_data.pipeline.recipe import LabelRecipe, ObjectRecipe, Recipe, RefineRecipe, SceneSource
 from rpl_data.pipeline.results import quality_rows, sparse_labels, timings, worth_knowing
 from rpl_data.pipeline.stages import ORDER
-from rpl_data.pipeline.stages.surface import joined_spheres
+from rpl_data.reconstruct.spheres import joined_spheres
 from rpl_data.twin.spec import TwinSpec
 from rpl_data.types import DataError, Mesh
 from rpl_data.workspace.workspace import Workspace

@@ -76,7 +76,7 @@ def _label_step(context: Context, video: str) -> Step:
                 tasks = [(*of_scene, indices[a:b], dots, correct, followed_m) for a, b in ranges]
                 yield from context.pool.stream(label_range, tasks)
 
-        def counted() -> Iterator[FrameLabel]:
+        def tallied() -> Iterator[FrameLabel]:
             for done, label in enumerate(labels(), start=1):
                 advance(done, total)
                 counts.update(instance.object for instance in label.instances)
@@ -89,7 +89,7 @@ def _label_step(context: Context, video: str) -> Step:
                         check.add(instance.object, label.frame, instance.mask, mask)
                 yield label
 
-        workspace.save_labels(video, counted())
+        workspace.save_labels(video, tallied())
         notes = [] if given is None else [f"scene {video}: {line}" for line in given.notes]
         notes += [
             f"scene {video}: it shows several {name}, so given masks neither check them nor vote on "

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict
 
-from rpl_data.geometry import transform
-from rpl_data.meshes import load_mesh
+from rpl_data.meshes import load_mesh, moved_cloud
 from rpl_data.pipeline.context import Box3, Context, crop_of, step
 from rpl_data.pipeline.ledger import Advance, Outcome, Step
 from rpl_data.pipeline.lifted_clicks import observe
@@ -94,13 +93,8 @@ def scene_regions(
         for place in places
         if place in solution.scene_from_object
     }
-    regions = {}
-    for name, region in grown_regions(surfaces, solution, voxel_m=voxel_m, crop_m=crop_m).items():
-        pose = solution.scene_from_object[name]
-        regions[name] = PointCloud(
-            transform(pose, region.points), region.normals @ pose[:3, :3].T, region.colors
-        )
-    return regions
+    grown = grown_regions(surfaces, solution, voxel_m=voxel_m, crop_m=crop_m)
+    return {place: moved_cloud(region, solution.scene_from_object[place]) for place, region in grown.items()}
 
 
 def kept_by_clicks(verdicts: dict[str, Verdict]) -> list[str]:

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
-import numpy as np
-
 from rpl_data.geometry import Sphere, sphere_around, transform
 from rpl_data.images import read_color
 from rpl_data.meshes import in_order, joined_meshes, save_mesh
 from rpl_data.pipeline.context import Context, step
 from rpl_data.pipeline.ledger import Advance, Outcome, Step
+from rpl_data.reconstruct.spheres import joined_spheres
 from rpl_data.types import Solution, posed_frames
 from rpl_data.types.instances import places_in
 
@@ -70,29 +67,3 @@ def spheres_of(solution: Solution, scene: str) -> list[Sphere]:
         sphere_around(transform(solution.scene_from_object[place], known))
         for place in places_in(scene, solution.scene_from_object)
     ]
-
-
-def joined_spheres(spheres: Sequence[Sphere]) -> list[Sphere]:
-    """Join spheres that overlap, so that no surface is fused twice."""
-    joined: list[Sphere] = []
-    for sphere in spheres:
-        while touching := [other for other in joined if _overlap(sphere, other)]:
-            joined.remove(touching[0])
-            sphere = _around(sphere, touching[0])
-        joined.append(sphere)
-    return joined
-
-
-def _overlap(a: Sphere, b: Sphere) -> bool:
-    return float(np.linalg.norm(a.centre_m - b.centre_m)) < a.radius_m + b.radius_m
-
-
-def _around(a: Sphere, b: Sphere) -> Sphere:
-    """The smallest sphere that contains both."""
-    distance = float(np.linalg.norm(b.centre_m - a.centre_m))
-    if distance + b.radius_m <= a.radius_m:
-        return a
-    if distance + a.radius_m <= b.radius_m:
-        return b
-    radius = (distance + a.radius_m + b.radius_m) / 2
-    return Sphere(a.centre_m + (b.centre_m - a.centre_m) * (radius - a.radius_m) / distance, radius)
