@@ -13,7 +13,7 @@ from pathlib import Path
 
 from rpl_data.files import locked, read_text, remove, sweep, write_text
 from rpl_data.pipeline.context import Context
-from rpl_data.pipeline.graph import TOGETHER, Graph
+from rpl_data.pipeline.graph import Graph
 from rpl_data.pipeline.ledger import Advance, Entry, Ledger, Step
 from rpl_data.pipeline.object_store import check_address
 from rpl_data.pipeline.pool import Pool
@@ -22,6 +22,7 @@ from rpl_data.pipeline.recipe import Recipe
 from rpl_data.pipeline.recipe_file import load_recipe, recipe_to_yaml
 from rpl_data.pipeline.remotes import fetch_recordings
 from rpl_data.pipeline.stages import (
+    TOGETHER,
     clicks,
     cut,
     drift,

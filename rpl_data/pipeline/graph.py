@@ -17,16 +17,6 @@ from rpl_data.pipeline.progress import Progress, Tell
 from rpl_data.pipeline.worker import Done, EngineLost
 from rpl_data.types import DataError
 
-TOGETHER = (
-    ("twin",),
-    ("import",),
-    ("clicks",),
-    ("track", "drift", "cut"),
-    ("solve",),
-    ("surface", "refine", "segment", "label"),
-    ("export", "quality", "report"),
-)
-"""Stages that can be planned at once: planning one needs results of earlier groups alone."""
 HERE = ("twin", "clicks", "cut", "export/to")
 """Stages, and a step, of this process: two take no time, a twin is rendered by processes of its own, and
 workers need no access to the store that exports are copied to."""

@@ -22,13 +22,12 @@ from rpl_data.pipeline import build as module
 from rpl_data.pipeline.build import build, recipe_of, stale_steps
 from rpl_data.pipeline.cluster import M_MMAP_THRESHOLD, M_TRIM_THRESHOLD, Cluster, keep_freed_memory
 from rpl_data.pipeline.context import Context
-from rpl_data.pipeline.graph import TOGETHER, Graph
+from rpl_data.pipeline.graph import Graph
 from rpl_data.pipeline.ledger import Advance, Ledger, Outcome, Step
 from rpl_data.pipeline.object_store import MANIFEST
 from rpl_data.pipeline.pool import Pool
 from rpl_data.pipeline.processes import Processes
 from rpl_data.pipeline.progress import Progress
-from rpl_data.pipeline.stages import ORDER
 from rpl_data.pipeline.worker import EngineLost, Stopped
 from rpl_data.types import DataError, Mesh
 from rpl_data.workspace.workspace import Workspace
@@ -63,10 +62,6 @@ class Told:
 
     def names(self, state: str) -> list[str]:
         return [f"{line.stage}/{line.item}" for line in self.lines if line.state == state]
-
-
-def test_every_stage_is_planned_once_and_in_order() -> None:
-    assert tuple(stage for group in TOGETHER for stage in group) == ORDER
 
 
 def test_steps_run_after_those_before_them_and_a_failure_stops_only_what_needs_it(

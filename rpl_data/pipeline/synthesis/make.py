@@ -24,6 +24,7 @@ from rpl_data.formats.datasets.coco_parts import ByImage, read_packed
 from rpl_data.formats.recordings.saved_images import encoded
 from rpl_data.json_arrays import Json
 from rpl_data.meshes import save_mesh
+from rpl_data.pipeline.ledger import Advance
 from rpl_data.pipeline.synthesis.pictures import Picture, picture
 from rpl_data.pipeline.synthesis.training import Training
 from rpl_data.synthesize.painted import steps_of
@@ -38,8 +39,6 @@ SPOOL, JOB = "images.jsonl", "job.json"
 STUDIO = "studio"
 """Folder beside the splits with what the images were rendered from."""
 REST: tuple[SplitName, ...] = ("val", "test")
-
-Advance = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,8 @@ import numpy as np
 
 from rpl_data.images import read_pixels
 from rpl_data.pipeline.build import context_of
-from rpl_data.pipeline.ledger import stamps
-from rpl_data.pipeline.synthesis.make import Advance, Job, check_target, synthesize
+from rpl_data.pipeline.ledger import Advance, stamps
+from rpl_data.pipeline.synthesis.make import Job, check_target, synthesize
 from rpl_data.pipeline.synthesis.studio import studio_of
 from rpl_data.pipeline.synthesis.training import Training, training_split
 from rpl_data.synthesize.storage import studio_made_of
