@@ -9,9 +9,10 @@ import numpy as np
 from jaxtyping import Float64
 
 from rpl_data.geometry import Points, Transform, invert, rigid, transform
-from rpl_data.meshes import load_mesh, oriented_points, save_mesh, thinned
+from rpl_data.meshes import save_mesh
 from rpl_data.pipeline.context import Context
 from rpl_data.pipeline.recipe import FrameChoice
+from rpl_data.pipeline.supports import support_plane
 from rpl_data.pipeline.symmetry import frame_change
 from rpl_data.types import DataError, FrameLabel, KeypointModel
 from rpl_data.types.instances import scene_of
@@ -86,18 +87,11 @@ def _upright_axes(context: Context, name: str) -> Float64[np.ndarray, "3 3"]:
 
 def _support_normals(context: Context, name: str) -> list[Float64[np.ndarray, "3"]]:
     """Upward normals of the planes that an object stands on, in the object frame, one per scene."""
-    from rpl_data.place.things import things_on_support
-
     workspace, normals = context.workspace, []
     for place, pose in workspace.load_placed(name).scene_from_object.items():
-        scene = scene_of(place)
-        if not workspace.surface_file(scene).exists():
-            continue
-        surface = thinned(oriented_points(load_mesh(workspace.surface_file(scene))), voxel_m=SURFACE_M)
-        trajectory = workspace.load_trajectory(workspace.load_scene(scene))
-        things = things_on_support(surface, trajectory.scene_from_camera[:, :3, 3])
-        if things is not None:
-            normals.append(pose[:3, :3].T @ things.plane.normal)
+        plane = support_plane(workspace, scene_of(place), voxel_m=SURFACE_M)
+        if plane is not None:
+            normals.append(pose[:3, :3].T @ plane.normal)
     return normals
 
 

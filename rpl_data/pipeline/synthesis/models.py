@@ -13,10 +13,11 @@ from jaxtyping import Bool
 
 from rpl_data.formats.datasets.coco import CocoObject
 from rpl_data.geometry import transform
-from rpl_data.meshes import load_mesh, oriented_points, thinned
+from rpl_data.meshes import load_mesh
 from rpl_data.pipeline.context import Context, crop_of
 from rpl_data.pipeline.register import object_named
 from rpl_data.pipeline.stages.segment import depth_views, given_mesh
+from rpl_data.pipeline.supports import support_plane
 from rpl_data.types import DataError, Mesh
 from rpl_data.types.instances import places_in, scene_of
 from rpl_data.workspace.workspace import Workspace
@@ -93,12 +94,5 @@ def _refuse_other_model(item: CocoObject, workspace: Workspace) -> None:
 
 def scene_table(workspace: Workspace, scene: str) -> tuple[np.ndarray, float] | None:
     """What a scene's things stand on: the plane's upward normal and offset, scene frame; None = unknown."""
-    from rpl_data.place.things import things_on_support
-
-    file = workspace.surface_file(scene)
-    if not file.exists():
-        return None
-    surface = thinned(oriented_points(load_mesh(file)), voxel_m=SURFACE_M)
-    trajectory = workspace.load_trajectory(workspace.load_scene(scene))
-    things = things_on_support(surface, trajectory.scene_from_camera[:, :3, 3])
-    return None if things is None else (things.plane.normal, things.plane.offset_m)
+    plane = support_plane(workspace, scene, voxel_m=SURFACE_M)
+    return None if plane is None else (plane.normal, plane.offset_m)
