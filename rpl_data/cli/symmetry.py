@@ -14,8 +14,8 @@ def symmetry(workspace: Path = HERE, object: str | None = None, confirm: str | N
     is only proposed: a small mark, or a side that no camera saw, can make the difference. Confirmed
     symmetries go into the exports from now on (COCO, BOP's models_info.json). MSSD and MSPD of
     `rpl evaluate poses --bop` then allow for them, ADD, PCK and orientation with `--symmetric true`; ADD-S
-    needs none. Training uses them with `rpl train keypoints --canonical true` or `KeypointDataset(canonical=True)`
-    only.
+    needs none. Training uses them with `rpl train keypoints --canonical true` or
+    `KeypointDataset(canonical=True)` only.
 
     In a recipe: `objects: [{name: cup, symmetry: none}]`, or, with the numbers that this command shows,
     `symmetry: [{axis: [0, 0, 1], point_m: [0, 0, 0], turns: 2}]`; `turns: any` for a full rotation. What
