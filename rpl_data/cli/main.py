@@ -114,8 +114,8 @@ def build_recipe(
         again: a stage to run again although nothing it depends on has changed, or `all`.
         dask: a Dask cluster that does the work instead: `tcp://HOST:PORT` of its scheduler, or `local:N`. Its
             workers must see recordings and workspace at the same paths.
-        keep_going: where a step fails in one scene, leave that scene out and make the rest; what failed is
-            listed at the end, with exit status 1.
+        keep_going: where a step fails in one scene, or a recording cannot be read now, leave that out and
+            make the rest; what failed is listed at the end, with exit status 1.
     """
     from rpl_data.pipeline.recipe_file import load_recipe
 

@@ -60,6 +60,7 @@ STAGES: dict[str, Callable[[Context], list[Step]]] = {
 """The stages in order. Each plans its steps once those of the stages before it are up to date."""
 
 FORGET: dict[str, Callable[[Context], None]] = {
+    "track": track.forget_paths,
     "refine": refine.forget_refined,
     "label": label.forget_labels,
 }
@@ -130,6 +131,8 @@ def _build(
     for group in TOGETHER:
         stages = group[: group.index(until) + 1] if until in group else group
         context = _run_together(graph, stages, context)
+        if "import" in stages:
+            context = replace(context, lost=context.lost | import_.unread_recordings(ledger))
         graph.refuse_objects_and_exports()
         if until in group:
             break

@@ -34,7 +34,8 @@ class Context:
 
     Attributes:
         choice: what an export is limited to; a build limits none.
-        lost: recordings in which a step of this build failed; all steps after it do without them.
+        lost: recordings that cannot be read, or in which a step of this build failed; all steps after it do
+            without them.
         keep_going: whether sources that cannot be read are left out, too.
     """
 

@@ -43,8 +43,17 @@ def export_labels(context: Context) -> ExportSummary:
             f"quality below {least:g}: check the clicks and the trajectories, or lower `export.min_quality`"
         ) from error
     _write_card(context, summary, models)
-    messages = (*summary.messages, *tally.messages(least), *corrector.messages())
-    return replace(summary, low_quality=dict(tally.low), messages=messages)
+    said = (*tally.messages(least), *corrector.messages(), *earlier_lines(context.workspace))
+    return replace(summary, low_quality=dict(tally.low), messages=(*summary.messages, *said))
+
+
+def earlier_lines(workspace: Workspace) -> list[str]:
+    """One line per recording that has labels of an earlier build alone."""
+    return [
+        f"scene {name} is left out: its labels in {workspace.earlier_labels_file(name)} are of an earlier "
+        "build, and in no export and not in the report"
+        for name in workspace.earlier_labelled_names()
+    ]
 
 
 def _write_card(context: Context, summary: ExportSummary, models: Sequence[KeypointModel]) -> None:

@@ -41,8 +41,8 @@ def build(
             a program that can be imported: keep its calls below `if __name__ == "__main__":`.
         dask: a Dask cluster that does the work instead: `tcp://HOST:PORT` of its scheduler, or `local:N`, N
             processes of this machine. Its workers must see recordings and workspace at the same paths.
-        keep_going: where a step fails in one scene, leave that scene out and make the rest; what failed is
-            raised at the end.
+        keep_going: where a step fails in one scene, or a recording cannot be read now, leave that out and
+            make the rest; what failed is raised at the end.
         tell: called with the `Progress` of every step, as often as it advances; its `state` is "ran" when
             the step is finished. `print` shows a line each time; nothing is printed when left out.
 

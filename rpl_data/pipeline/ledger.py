@@ -13,10 +13,11 @@ import os
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from rpl_data.files import decoding, read_json, write_json
+from rpl_data.files import decoding, read_json, write_text
 from rpl_data.json_arrays import Json
 
 IMAGE_SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff"}
@@ -88,6 +89,11 @@ class Entry:
     seconds: float
     outcome: Outcome
     folders: Json = field(default_factory=dict)
+
+    @cached_property
+    def text(self) -> str:
+        """The entry as `stages.json` has it, made once: that file is written at every step."""
+        return json.dumps(asdict(self), allow_nan=False)
 
 
 class Ledger:
@@ -163,7 +169,8 @@ class Ledger:
         return {name: self.entries[name].key for name in step.after if name in self.entries}
 
     def _save(self) -> None:
-        write_json(self.path, {name: asdict(entry) for name, entry in self.entries.items()})
+        lines = [f"{json.dumps(name)}: {entry.text}" for name, entry in self.entries.items()]
+        write_text(self.path, "{\n" + ",\n".join(lines) + "\n}\n")
 
 
 def _entry(data: Any) -> Entry:

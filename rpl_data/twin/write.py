@@ -10,13 +10,12 @@
 from __future__ import annotations
 
 import os
-import shutil
+import threading
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from functools import lru_cache
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
 from pathlib import Path
 
 import cv2
@@ -32,6 +31,7 @@ from rpl_data.twin import annotator
 from rpl_data.twin.film import Film, film
 from rpl_data.twin.objects import build
 from rpl_data.twin.spec import TwinSpec
+from rpl_data.twin.unfinished import keep_label, kept_label, label_file, unfinished
 from rpl_data.types import Click, DataError, FrameLabel, Solution
 from rpl_data.types.instances import placed_as
 from rpl_data.workspace.workspace import Workspace
@@ -44,6 +44,7 @@ def write_twin(folder: Path, spec: TwinSpec, *, workers: int = 2, progress: Prog
 
     An older folder of that name is replaced. `truth/` is a `Workspace` with the true models, meshes and
     labels of every frame; the same spec gives the same pixels.
+    Whatever interrupts it, the next call with the same spec goes on with the frames that are missing.
 
     Args:
         workers: processes that render; 1 uses this process alone.
@@ -53,7 +54,9 @@ def write_twin(folder: Path, spec: TwinSpec, *, workers: int = 2, progress: Prog
         DataError: an unknown object, a spec that makes no video, a full disk, or a worker that died.
     """
     spec.check()
-    with _building(folder) as partial:
+    for thing in spec.things:
+        build(thing)  # refuses what is unknown before anything is written
+    with unfinished(folder, spec) as partial:
         truth = Workspace(partial / "truth")
         write_camera(partial, spec.intrinsics)
         labels = _render_all(partial, spec, workers, progress)
@@ -72,26 +75,6 @@ def write_twin(folder: Path, spec: TwinSpec, *, workers: int = 2, progress: Prog
         next(labels, None)  # lets the process pool end
         _write_objects(truth, spec, poses)
         write_text(partial / "clicks.csv", _csv(spec, clicks))
-
-
-@contextmanager
-def _building(folder: Path) -> Iterator[Path]:
-    """Yield a temporary folder that replaces `folder` when the block ends well, and is deleted otherwise."""
-    partial = folder.with_name(f".{folder.name}.partial")
-    try:
-        shutil.rmtree(partial, ignore_errors=True)
-        partial.mkdir(parents=True)
-        yield partial
-        if folder.exists():
-            shutil.rmtree(folder)
-        partial.rename(folder)
-    except OSError as error:
-        raise DataError(
-            f"cannot write the twin {folder}: {error.strerror or error}; nothing half-written remains. "
-            "Free some space or choose another folder"
-        ) from error
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
 
 
 # Frames -------------------------------------------------------------------------------------------
@@ -117,7 +100,7 @@ def _in_processes(jobs: list[tuple[Path, TwinSpec, int, int]], workers: int) -> 
         yield from map(_write_frame, jobs)
         return
     # Spawned, not forked: Open3D's threads do not survive a fork.
-    pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_one_thread)
+    pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_begin)
     try:
         yield from pool.map(_write_frame, jobs, chunksize=4)
     except BrokenProcessPool as error:
@@ -128,10 +111,19 @@ def _in_processes(jobs: list[tuple[Path, TwinSpec, int, int]], workers: int) -> 
         pool.shutdown(cancel_futures=True)
 
 
-def _one_thread() -> None:
-    """Restrict this process to one thread: the processes already share the cores."""
+def _begin() -> None:
+    """Prepare a process: one thread, as the processes share the cores, and no longer life than ours."""
     cv2.setNumThreads(1)
     os.environ["OMP_NUM_THREADS"] = "1"
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    """A killed build must not leave processes that wait for ever for their next frame."""
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
 
 
 @lru_cache(maxsize=1)
@@ -141,14 +133,20 @@ def _film(spec: TwinSpec, scene: int) -> Film:
 
 
 def _write_frame(job: tuple[Path, TwinSpec, int, int]) -> FrameLabel:
+    """Render and write a frame, unless that was done before it was interrupted."""
     partial, spec, scene, frame = job
+    name = spec.scene_names[scene]
+    color, depth = partial / name / _color_name(frame), partial / name / _depth_name(frame)
+    label = kept_label(label_file(partial, name, frame), color, depth)
+    if label is not None:
+        return label
     shot = _film(spec, scene).shoot(frame)
-    folder = partial / spec.scene_names[scene]
     quality = [cv2.IMWRITE_JPEG_QUALITY, spec.sensor.color.jpeg_quality]
-    _write_image(folder / _color_name(frame), shot.color[..., ::-1], quality)
+    _write_image(color, shot.color[..., ::-1], quality)
     # The reader multiplies by 0.001, so the image holds millimetres whatever the sensor's quantum is.
     units = np.round(shot.depth_m * 1000).clip(0, 65535).astype(np.uint16)
-    _write_image(folder / _depth_name(frame), units, [])
+    _write_image(depth, units, [])
+    keep_label(label_file(partial, name, frame), shot.label)
     return shot.label
 
 

@@ -31,6 +31,7 @@ class Paths:
                                       exported.ply  network.json  paths/<scene>.txt
         labels/<scene>.jsonl          one line per frame
         labels/<scene>.left_out.json  frames that the user excluded from exports
+        labels/earlier/<scene>.jsonl  of a recording that the last build had to leave out
         export/<format>/              coco, coco_truth, ...
         report/index.html
         synthesis/                    what `rpl synthesize` renders from, of the training scenes alone
@@ -202,6 +203,10 @@ class Paths:
     def labels_file(self, scene: str) -> Path:
         """The labels of a scene, one line per frame."""
         return self.root / "labels" / f"{checked_name(scene, 'scene')}.jsonl"
+
+    def earlier_labels_file(self, scene: str) -> Path:
+        """Labels of an earlier build, of a recording that the last one had to leave out."""
+        return self.root / "labels" / "earlier" / f"{checked_name(scene, 'scene')}.jsonl"
 
     def left_out_file(self, scene: str) -> Path:
         """The frames of a scene that the user excluded from exports."""

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from rpl_data.files import (
     decoding,
     read_json,
@@ -57,6 +59,24 @@ class SceneFiles(Paths):
     def labelled_scene_names(self) -> list[str]:
         """Names of the recordings that have labels, sorted."""
         return sorted(path.stem for path in self.root.glob("labels/*.jsonl"))
+
+    def earlier_labelled_names(self) -> list[str]:
+        """Names of the recordings whose labels are those of an earlier build alone, sorted."""
+        earlier = {path.stem for path in self.root.glob("labels/earlier/*.jsonl")}
+        return sorted(earlier - set(self.labelled_scene_names()))
+
+    def set_labels_aside(self, scene: str) -> bool:
+        """Keep the labels of a recording where no reader takes them for those of the present models.
+
+        Returns:
+            Whether there were any.
+        """
+        labels, earlier = self.labels_file(scene), self.earlier_labels_file(scene)
+        if not labels.exists():
+            return False
+        earlier.parent.mkdir(exist_ok=True)
+        labels.replace(earlier)
+        return True
 
     # Scenes ---------------------------------------------------------------------------------------
 
@@ -117,6 +137,26 @@ class SceneFiles(Paths):
             remove(path)
         else:
             write_text(path, trajectory_to_text(scene, recording.trajectory))
+
+    def has_path_of(self, recording: Recording) -> bool:
+        """Whether the scene has a trajectory, and came with the same poses when that was made."""
+        scene, came = recording.scene, recording.trajectory
+        files = self.given_file(scene.name), self.trajectory_file(scene.name)
+        if came is None or not all(path.exists() for path in files):
+            return False
+        try:
+            known = trajectory_from_text(scene, read_text(files[0]))
+        except ValueError:  # a damaged file is written anew
+            return False
+        return np.array_equal(known.frames, came.frames) and np.allclose(
+            known.scene_from_camera, came.scene_from_camera, rtol=0, atol=1e-9
+        )
+
+    def restore_given(self, scene: str) -> None:
+        """Use the poses that a recording came with, where it had some."""
+        given, path = self.given_file(scene), self.trajectory_file(scene)
+        if given.exists() and not (path.exists() and read_text(path) == read_text(given)):
+            write_text(path, read_text(given))
 
     def load_given(self, scene: Scene) -> Trajectory | None:
         """The poses that the recording came with; None when it had none.

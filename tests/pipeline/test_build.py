@@ -21,7 +21,7 @@ from rpl_data.pipeline.ledger import Entry, Ledger, Outcome, Step, stamps
 from rpl_data.pipeline.pool import Pool
 from rpl_data.pipeline.recipe import LabelRecipe, ObjectRecipe, Recipe, RefineRecipe, SceneSource
 from rpl_data.pipeline.results import quality_rows, sparse_labels, timings, worth_knowing
-from rpl_data.pipeline.stages import ORDER
+from rpl_data.pipeline.stages import ORDER, track
 from rpl_data.reconstruct.spheres import joined_spheres
 from rpl_data.twin.spec import TwinSpec
 from rpl_data.types import DataError, Mesh
@@ -104,10 +104,11 @@ def test_only_what_depends_on_a_change_runs(built: tuple[Recipe, Workspace]) -> 
     watcher = Watcher()
     build(recipe_for(recording, label=LabelRecipe(6.0)), workspace, workers=1, tell=watcher)
     assert watcher.ran == ["label/00", "label/01", "label/02", "export/coco", "report"]
-    workspace.labels_file("01").unlink()
+    assert workspace.set_labels_aside("01")
     watcher = Watcher()
     build(recipe_for(recording, label=LabelRecipe(6.0)), workspace, workers=1, tell=watcher)
     assert watcher.ran == ["label/01"]  # made again as it was: nothing after it changes
+    assert not workspace.earlier_labels_file("01").exists()
     clicks = recording / "clicks.csv"
     clicks.write_text("\n".join(clicks.read_text().split("\n")[:-2]) + "\n")
     found = stale_steps(recipe, workspace)
@@ -191,9 +192,29 @@ def test_removed_scene_disappears(built: tuple[Recipe, Workspace]) -> None:
     clicks.write_text("".join(line for line in lines if ",02," not in line))
     sources = (SceneSource(recording, names=("00", "01"), metres_per_unit=0.001),)
     fewer = recipe_for(recording, scenes=sources, refine=RefineRecipe(scenes=False))
-    build(fewer, workspace, until="export", workers=1)
+    labels = workspace.labels_file("02").read_bytes()
+    ledger = build(fewer, workspace, until="export", workers=1)
     assert workspace.scene_names() == workspace.labelled_scene_names() == ["00", "01"]
     assert "label/02" not in Ledger(workspace.stages_file).entries
+    assert workspace.earlier_labels_file("02").read_bytes() == labels  # its recording may be gone for good
+    (line,) = (one for one in ledger.entries["export/coco"].outcome.messages if "earlier build" in one)
+    assert line.startswith("scene 02 is left out") and str(workspace.earlier_labels_file("02")) in line
+
+
+def test_a_path_made_of_the_images_stays_while_the_poses_that_came_do(
+    built: tuple[Recipe, Workspace],
+) -> None:
+    """`track` does not run again when recordings are only read again, as after a build that could not."""
+    recipe, workspace = built
+    path = workspace.trajectory_file("00")
+    scene, made = workspace.load_scene("00"), workspace.trajectory_file("01").read_text()
+    came = workspace.load_trajectory(scene).scene_from_camera
+    path.write_text(made)
+    build(recipe, workspace, until="import", again=("import",), workers=1)
+    assert path.read_text() == made
+    as_given = replace(recipe, reconstruct=replace(recipe.reconstruct, method="given"))
+    track.forget_paths(Context(as_given, workspace, Pool(1)))
+    np.testing.assert_allclose(workspace.load_trajectory(scene).scene_from_camera, came, atol=1e-12)
 
 
 def test_two_scenes_of_one_name_are_refused(recording: Path, tmp_path: Path) -> None:

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
+import pytest
+
 from rpl_data.clicks.log import click_event
-from rpl_data.pipeline.recipe import ObjectRecipe
-from rpl_data.pipeline.stages.clicks import import_clicks
-from rpl_data.types import Click
+from rpl_data.pipeline.context import Context
+from rpl_data.pipeline.ledger import Entry, Ledger
+from rpl_data.pipeline.pool import Pool
+from rpl_data.pipeline.recipe import ObjectRecipe, Recipe
+from rpl_data.pipeline.stages.clicks import clicks_steps, import_clicks
+from rpl_data.types import Click, DataError
 from rpl_data.workspace.workspace import Workspace
 
 ITEM = ObjectRecipe("egg", ("a", "b", "c"))
@@ -43,3 +49,24 @@ def test_without_a_memory_of_the_file_nothing_is_removed(tmp_path: Path) -> None
     import_clicks(workspace, ITEM, csv_of(tmp_path / "one.csv", "a,00,1,10,5", "b,00,1,20,5"))
     _, _, kept = import_clicks(workspace, ITEM, csv_of(tmp_path / "two.csv", "b,00,1,21,5"))
     assert clicks_of(workspace) == {(0, 1, 10), (1, 1, 21)} and kept == 1
+
+
+def test_a_file_that_is_away_costs_no_clicks(tmp_path: Path) -> None:
+    workspace = Workspace(tmp_path / "ws")
+    path = csv_of(tmp_path / "clicks.csv", "a,00,1,10,5", "b,00,1,20,5")
+    recipe = Recipe("eggs", objects=(replace(ITEM, clicks=path),))
+
+    def read(*, keep_going: bool = False) -> Entry:
+        (step,) = clicks_steps(Context(recipe, workspace, Pool(1), keep_going=keep_going))
+        return Ledger(workspace.stages_file).run(step, lambda done, total: None)
+
+    read()
+    path.unlink()
+    assert "stay as they are" in read(keep_going=True).outcome.messages[0]
+    assert clicks_of(workspace) == {(0, 1, 10), (1, 1, 20)}
+    csv_of(path, "a,00,1,11,5")
+    read()
+    assert clicks_of(workspace) == {(0, 1, 11)}  # what was read before it was away is still known
+    path.unlink()
+    with pytest.raises(DataError, match=r"clicks\.csv does not exist"):
+        read()

@@ -322,15 +322,35 @@ def test_clicks_csv_names_seen_keypoints(tree: Path) -> None:
         assert np.hypot(*(instance.keypoints_px[keypoint] - [float(row["u_px"]), float(row["v_px"])])) < 10
 
 
-def test_same_seed_same_files_another_seed_others(tree: Path, tmp_path: Path) -> None:
+def test_same_seed_same_files_however_interrupted_another_seed_others(tree: Path, tmp_path: Path) -> None:
     short = replace(TINY, scenes=1)
     progress: list[tuple[int, int]] = []
+
+    def interrupt(done: int, total: int) -> None:
+        if done == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_twin(tmp_path / "again", short, workers=1, progress=interrupt)
+    assert not (tmp_path / "again").exists()
+    (begun,) = tmp_path.glob(".again.*.partial")
+    (begun / "00/rgb/.000002.jpg.abcdefgh").write_bytes(b"half")  # as of a process that was killed
+    (tmp_path / ".again.partial").mkdir()  # of another spec, or version
+    rendered_ns = (begun / "00/rgb/000001.jpg").stat().st_mtime_ns
     write_twin(
         tmp_path / "again", short, workers=2, progress=lambda done, total: progress.append((done, total))
     )
     assert progress == [(done, 4) for done in range(1, 5)]
-    for name in ("rgb/000002.jpg", "depth/000002.png", "camera.poses"):
-        assert (tmp_path / "again/00" / name).read_bytes() == (tree / "00" / name).read_bytes()
+    assert (tmp_path / "again/00/rgb/000001.jpg").stat().st_mtime_ns == rendered_ns
+    made = [path.relative_to(tree) for path in tree.glob("00/**/*") if path.is_file()]
+    for name in (*made, "truth/labels/00.jsonl"):
+        assert (tmp_path / "again" / name).read_bytes() == (tree / name).read_bytes()
+    folders = tmp_path / "again", tree
+    clicked, of_both = ((folder / "clicks.csv").read_text().splitlines() for folder in folders)
+    assert set(clicked) == {row for row in of_both if ",01," not in row}
+    assert [path.name for path in tmp_path.iterdir()] == ["again"]
+    inside, of_two = ({path.name for path in folder.iterdir()} for folder in folders)
+    assert inside == of_two - {"01"}
     write_twin(tmp_path / "again", replace(short, seed=7, seconds=0.5), workers=1)  # replaces the folder
     assert len(list((tmp_path / "again/00/rgb").iterdir())) == 2
     assert (tmp_path / "again/00/depth/000001.png").read_bytes() != (

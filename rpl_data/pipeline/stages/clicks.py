@@ -28,10 +28,16 @@ def clicks_steps(context: Context) -> list[Step]:
 
 
 def _clicks_step(context: Context, item: ObjectRecipe) -> Step:
+    workspace = context.workspace
+
     def run(advance: Advance) -> Outcome:
         if item.clicks is None:
-            return _name_keypoints(context.workspace, item)
-        found, clicks, kept = import_clicks(context.workspace, item, item.clicks, before)
+            return _name_keypoints(workspace, item)
+        if context.keep_going and not item.clicks.exists() and workspace.load_annotation(item.name).clicks:
+            line = f"{item.name}: {item.clicks} is not there; its clicks stay as they are in the workspace"
+            known = {} if before is None else {"clicks": _stored(item, before)}
+            return Outcome(messages=(line,), details=known)
+        found, clicks, kept = import_clicks(workspace, item, item.clicks, before)
         lines = [f"{item.name}: {found}, from {item.clicks}"] if found.changed else []
         if kept:
             lines.append(
@@ -40,7 +46,7 @@ def _clicks_step(context: Context, item: ObjectRecipe) -> Step:
             )
         return Outcome(messages=tuple(lines), details={"clicks": _stored(item, clicks)})
 
-    before = _last_imported(context.workspace, item)
+    before = _last_imported(workspace, item)
 
     options = {
         "keypoints": list(item.keypoint_names),

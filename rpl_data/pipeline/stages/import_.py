@@ -12,7 +12,7 @@ from rpl_data.doctor.timing import odd_times, pose_jumps
 from rpl_data.files import remove
 from rpl_data.json_arrays import Json
 from rpl_data.pipeline.context import Context, step
-from rpl_data.pipeline.ledger import Advance, Outcome, Step, stamps
+from rpl_data.pipeline.ledger import Advance, Ledger, Outcome, Step, stamps
 from rpl_data.pipeline.recipe import SceneSource
 from rpl_data.pipeline.sources import recordings_of
 from rpl_data.types import DataError, Recording
@@ -27,6 +27,10 @@ NOT_REGISTERED = (
     "names, or record again with depth aligned to colour"
 )
 """Said at once: the stage that refuses it comes after all the clicking."""
+KEPT_APART = (
+    "scene {}: it is not among the recordings that can be read now; what was made of it is kept, and left "
+    "out of this build"
+)
 
 
 def import_steps(context: Context) -> list[Step]:
@@ -39,26 +43,21 @@ def import_steps(context: Context) -> list[Step]:
         recordings = recordings_of(sources, unpack=unpack, faults=faults)
         if not context.tracks:
             _refuse_without_poses(recordings)
-        lost = sorted(set(workspace.video_names()) - {recording.scene.name for recording in recordings})
-        for gone in lost:
-            workspace.cut_scene(gone, ())
-            remove(workspace.scene_file(gone).parent)
-            remove(workspace.labels_file(gone))
+        gone = sorted(set(workspace.video_names()) - {recording.scene.name for recording in recordings})
+        lines = [KEPT_APART.format(name) if faults else _removed(workspace, name) for name in gone]
         for recording in recordings:
             remove(workspace.cache(recording.scene.name))
-            given = recording if context.wants_given else replace(recording, trajectory=None)
-            workspace.save_recording(given)
-            workspace.save_given(given)
-        why = "its recording cannot be read" if faults else "it is no longer in the recordings"
-        lines = [f"scene {name}: {why}; its labels are removed" for name in lost]
+            _save(context, recording)
         lines += [
             f"scene {recording.scene.name}: {line}"
             for recording in recordings
             for line in (*recording.skipped, *recording.notes, *_certain_faults(recording))
         ]
         frames = sum(len(recording.scene.frames) for recording in recordings)
-        left_out = {path: str(error) for path, error in (faults or {}).items()}
-        return Outcome(frames, tuple(lines), {"left_out": left_out} if left_out else {})
+        if not faults:
+            return Outcome(frames, tuple(lines))
+        left_out = {path: str(error) for path, error in faults.items()}
+        return Outcome(frames, tuple(lines), {"left_out": left_out, "unread": gone})
 
     not_here = workspace.truth if context.recipe.twin else workspace.root.resolve()
     seen: Json = {}
@@ -73,6 +72,30 @@ def import_steps(context: Context) -> list[Step]:
             "import", "", run, version=VERSION, options=options, sources=seen, after=["twin"], outputs=outputs
         )
     ]
+
+
+def unread_recordings(ledger: Ledger) -> frozenset[str]:
+    """Recordings of earlier builds that the last import could not read: they stay, and are left out."""
+    entry = ledger.entries.get("import")
+    return frozenset(entry.outcome.details.get("unread", ()) if entry else ())
+
+
+def _removed(workspace: Workspace, name: str) -> str:
+    """Remove a scene that is not in the recordings any more, but for its labels, and say so."""
+    is_labelled = workspace.set_labels_aside(name)
+    workspace.cut_scene(name, ())
+    remove(workspace.scene_file(name).parent)
+    kept = f"; its labels are kept in {workspace.earlier_labels_file(name)}" if is_labelled else ""
+    return f"scene {name}: it is no longer in the recordings, so it is removed{kept}"
+
+
+def _save(context: Context, recording: Recording) -> None:
+    """Write a scene; its path stays where it was made of the same poses, as `track` may not run again."""
+    workspace = context.workspace
+    given = recording if context.wants_given else replace(recording, trajectory=None)
+    has_path = context.tracks and workspace.has_path_of(given)
+    workspace.save_recording(replace(given, trajectory=None) if has_path else given)
+    workspace.save_given(given)
 
 
 def _options(source: SceneSource) -> Json:

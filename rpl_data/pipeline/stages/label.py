@@ -39,9 +39,15 @@ def label_steps(context: Context) -> list[Step]:
 
 
 def forget_labels(context: Context) -> None:
-    """Remove the labels of recordings in which no object is placed any more."""
+    """Remove the labels of recordings in which no object is placed any more.
+
+    Where this build only leaves the recording out, they are set aside: they may be all that is left of it.
+    """
     for gone in set(context.workspace.labelled_scene_names()) - set(context.placed_videos()):
-        remove(context.workspace.labels_file(gone))
+        if gone in context.lost:
+            context.workspace.set_labels_aside(gone)
+        else:
+            remove(context.workspace.labels_file(gone))
 
 
 def _label_step(context: Context, video: str) -> Step:
@@ -90,6 +96,7 @@ def _label_step(context: Context, video: str) -> Step:
                 yield label
 
         workspace.save_labels(video, tallied())
+        remove(workspace.earlier_labels_file(video))
         notes = [] if given is None else [f"scene {video}: {line}" for line in given.notes]
         notes += [
             f"scene {video}: it shows several {name}, so given masks neither check them nor vote on "

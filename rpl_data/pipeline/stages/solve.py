@@ -58,7 +58,9 @@ def solve_step(context: Context, item: ObjectRecipe) -> Step:
         solution = solve_annotation(context, annotation, observations)
         workspace.save_solution(solution)
         outliers = sum(residual.outlier for residual in solution.residuals)
-        unused = clicks_without_pose(annotation.clicks, observations)
+        parts = workspace.parts()
+        clicks = [c for c in annotation.clicks if parts.video_of(c.scene) not in context.lost]
+        unused = clicks_without_pose(clicks, observations)
         said = [statement.text for statement in solution.statements]
         moved, thin = fallen_lines(workspace, item.name), thin_lines(observations)
         twice = instances_in_one_place(solution)

@@ -78,6 +78,13 @@ def _track_step(context: Context, name: str) -> Step:
     )
 
 
+def forget_paths(context: Context) -> None:
+    """Where the recipe takes the poses as they came, paths that were made of the images make way for them."""
+    if not context.tracks:
+        for name in context.videos():
+            context.workspace.restore_given(name)
+
+
 def _is_clicked(context: Context, name: str) -> bool:
     """Whether anything was clicked in a recording."""
     workspace = context.workspace
