@@ -117,7 +117,7 @@ def _shared_beyond_stated(rays: Rays, state: State) -> Float64[np.ndarray, "m m"
 
     The adjustment takes them for independent, with the widened deviations.
     """
-    shared = shared_errors(rays.keypoint, _directions_in_model(rays, state))
+    shared = shared_errors(rays.keypoint, directions_in_model(rays, state))
     beyond: Float64[np.ndarray, "m m"] = shared / np.outer(rays.widening, rays.widening) - np.eye(len(shared))
     return beyond
 
@@ -127,12 +127,12 @@ def widened_for_all_scenes(rays: Rays, state: State) -> Rays:
 
     From which side each scene sees the object is known once the scenes are placed.
     """
-    widened = np.sqrt(shared_errors(rays.keypoint, _directions_in_model(rays, state)).sum(axis=1))
+    widened = np.sqrt(shared_errors(rays.keypoint, directions_in_model(rays, state)).sum(axis=1))
     sigmas_m = rays.depth_sigmas_m * (widened / rays.widening)[:, None]
     return rays._replace(depth_sigmas_m=sigmas_m, widening=widened)
 
 
-def _directions_in_model(rays: Rays, state: State) -> Float64[np.ndarray, "m 3"]:
+def directions_in_model(rays: Rays, state: State) -> Float64[np.ndarray, "m 3"]:
     """Unit vectors along the clicked rays, in the model's frame."""
     camera_from_model = (rays.camera_from_scene @ state.scene_from_model[rays.scene])[:, :3, :3]
     in_camera = np.column_stack([rays.xy, np.ones(len(rays.xy))])

@@ -33,12 +33,14 @@ from rpl_data.solve.initial_guess import Start, join_clean, join_scenes
 from rpl_data.solve.near_ties import describe_near_ties, widened_for_near_ties
 from rpl_data.solve.noise import (
     adjust_with_noise,
+    directions_in_model,
     estimate_noise,
     joint_covariance,
     points_in_scene_covariance,
     shape_covariance,
     widened_for_all_scenes,
 )
+from rpl_data.solve.one_side import describe_one_side, seen_from_one_side
 from rpl_data.solve.procrustes import Adjusted, Fragments, Loss, adjust_points
 from rpl_data.solve.refusals import refuse_bad, refuse_few, refuse_loose, refuse_untied
 from rpl_data.solve.register import register, register_scene
@@ -247,6 +249,8 @@ def _solution(
     model_from_object = invert(state.scene_from_model[0]) @ first_from_object
     points = np.where(known[:, None], transform(invert(first_from_object), in_first), np.nan)
     turn = model_from_object[:3, :3]
+    titles = keypoint_titles(keypoints)
+    one_side = seen_from_one_side(answer.rays.keypoint, directions_in_model(answer.rays, state), known)
     joint = joint_covariance(answer.rays, state, noise=answer.noise)
     in_scene = {
         name: widened_for_near_ties(
@@ -264,7 +268,7 @@ def _solution(
             for name, scene_from_model in zip(answer.scenes, state.scene_from_model, strict=True)
         },
         residuals=click_residuals(observations, click_fit(answer.rays, state, answer.noise)),
-        warnings=describe_keypoints(keypoint_titles(keypoints), observations, known),
+        warnings=describe_keypoints(titles, observations, known) + describe_one_side(titles, one_side),
         covariance_in_scene={
             name: covariance + trajectory_sigma_m.get(name, 0.0) ** 2 * np.eye(3)
             for name, covariance in in_scene.items()
