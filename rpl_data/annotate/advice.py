@@ -226,7 +226,8 @@ def _unsure(annotation: Annotation, live: Live) -> Advice | None:
         if not visible or len(clicked) >= OFTEN:
             continue
         title = keypoint_titles(annotation.keypoints)[keypoint]
-        known = f"keypoint {title} is known to ±{1e3 * sigma_m:.0f} mm only"
+        distance_mm = 1e3 * np.sqrt(3) * sigma_m  # as the page states it everywhere
+        known = f"keypoint {title} is known to ±{distance_mm:.0f} mm only"
         text = f"{known}: mark it in one more frame, seen from another side"
         return Advice(text, min(visible, key=clicked.count), None, keypoint)
     return None

@@ -97,7 +97,7 @@ def result_payload(result: Result, scenes: Sequence[str]) -> Json:
         "warnings": [] if solution is None else list(solution.warnings),
         "statements": [] if solution is None else [_statement(s) for s in solution.statements],
         "points_m": None if solution is None else rows_to_json(solution.model.points_object, 7),
-        "sigma_mm": [] if solution is None else _sigmas_mm(solution),
+        "known_to_mm": [] if solution is None else _known_to_mm(solution),
         "scene_from_object": {}
         if solution is None
         else {name: numbers(matrix, 9) for name, matrix in solution.scene_from_object.items()},
@@ -127,9 +127,10 @@ def places_of(annotation: Annotation, scenes: Sequence[str]) -> list[str]:
     return found
 
 
-def _sigmas_mm(solution: Solution) -> list[float | None]:
-    deviations = 1e3 * np.sqrt(np.trace(solution.covariance, axis1=1, axis2=2) / 3)
-    return [round(float(s), 2) if math.isfinite(s) else None for s in deviations]
+def _known_to_mm(solution: Solution) -> list[float | None]:
+    """Root mean square distance of each keypoint from its true place in the object."""
+    distances_mm = 1e3 * np.sqrt(np.trace(solution.covariance, axis1=1, axis2=2))
+    return [round(float(d), 2) if math.isfinite(d) else None for d in distances_mm]
 
 
 def _rounded(value: float | None) -> float | None:

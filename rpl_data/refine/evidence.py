@@ -8,7 +8,7 @@ at the solution of the clicks, by more than chance, and the clicks must not be c
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -29,6 +29,11 @@ GAIN_SIGMAS = 1.64
 CLICK_LIMIT = float(chi2.ppf(0.999, df=6))
 """The clicks of a scene fit their own solution best. The true pose costs them more by a chi-squared number
 with six degrees of freedom; one time in a thousand by more than this."""
+
+ANOTHER_PRINT = (
+    "its surface shows another print than the other scenes have in common, so it may be another thing of "
+    "much the same shape"
+)
 
 ClickCosts = Callable[[Poses, Points], Float64[np.ndarray, " s"]]
 """``costs(scene_from_object, points_object)`` -> the robust cost of the clicks per scene."""
@@ -162,16 +167,21 @@ def verdicts(
     click_costs: Float64[np.ndarray, " s"],
     *,
     compared_with: str = "the other scenes",
+    another_print: Bool[np.ndarray, " s"] | None = None,
 ) -> list[Verdict]:
     """One per scene; the clicks' own solution is kept where one of the two witnesses is against.
 
     Args:
         compared_with: what the surfaces are compared with, in words.
+        another_print: per scene, whether it shows another print than the others (`same_print`).
     """
-    return [
+    judged = [
         Verdict(not (why := _why_not(gain, cost, compared_with)), float(gain), float(cost), why)
         for gain, cost in zip(gains, click_costs, strict=True)
     ]
+    for scene in () if another_print is None else np.flatnonzero(another_print):
+        judged[scene] = replace(judged[scene], accepted=False, reason=judged[scene].reason or ANOTHER_PRINT)
+    return judged
 
 
 def without_surface(compared_with: str = "another scene") -> Verdict:

@@ -26,6 +26,7 @@ from rpl_data.refine.registration import (
     Registration,
     register_scenes,
 )
+from rpl_data.refine.same_print import shows_another_print
 from rpl_data.refine.scene_surfaces import SceneSurface, scene_surface
 from rpl_data.types import PointCloud
 
@@ -84,12 +85,15 @@ def refine_scenes(
         tests = cross_validated(surfaces, start, points_object, clicks, pairs=pairs)
         found = _registered(surfaces, tests[0].registration, clicks, pairs)
         worse = click_costs(found.scene_from_object, found.points_object) - click_costs(start, points_object)
-        judged = verdicts(gains_sigmas(tests, start, pairs=pairs), worse)
+        another = shows_another_print(tests, pairs, len(scenes))
+        judged = verdicts(gains_sigmas(tests, start, pairs=pairs), worse, another_print=another)
         against = [n for n, verdict in enumerate(judged) if n not in rejected and not verdict.accepted]
         if not against:
             final = tuple(rejected.get(n, verdict) for n, verdict in enumerate(judged))
             return Refined(found.scene_from_object, found.points_object, found.normal, final)
-        for worst in _turned_down_now(against, judged, pairs):
+        # What shows another print spoils the agreement of the others, which are judged again without it.
+        strange = [n for n in against if another[n]]
+        for worst in _turned_down_now(strange or against, judged, pairs):
             rejected[worst] = judged[worst]
             surfaces[worst] = None
     alone = without_surface() if len(rejected) == unseen else left_alone()

@@ -174,22 +174,22 @@ def _objects(workspace: Workspace, solutions: Sequence[Solution]) -> str:
 
 
 def _keypoint_table(solution: Solution) -> str:
-    """The keypoints: standard deviation, clicks, outliers, and mean error of the other clicks."""
+    """The keypoints: how far off they should be, clicks, outliers, and mean error of the other clicks."""
     model = solution.model
     body: list[list[str | Cell]] = []
     for k, name in enumerate(model.keypoints):
         own = [residual for residual in solution.residuals if residual.click.keypoint == k]
         fitting = [residual.error_px for residual in own if not residual.outlier]
-        variance = float(np.trace(solution.covariance[k])) / 3
-        sigma_mm = 1e3 * float(np.sqrt(variance)) if variance > 0 else float("nan")
+        variance = float(np.trace(solution.covariance[k]))
+        distance_mm = 1e3 * float(np.sqrt(variance)) if variance > 0 else float("nan")
         body.append(
             [
                 name if name == str(k) else f"{k} {name}",
-                number(sigma_mm),
+                number(distance_mm),
                 str(len(own)),
                 str(len(own) - len(fitting)),
                 number(float(np.mean(fitting)), 1) if fitting else "–",
             ]
         )
     kinds = ["" if known else "quiet" for known in model.known]
-    return table(("keypoint", "σ mm", "clicks", "wrong", "mean px"), body, kinds=kinds)
+    return table(("keypoint", "± mm", "clicks", "wrong", "mean px"), body, kinds=kinds)

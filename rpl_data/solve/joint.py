@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from rpl_data.solve.bundle_adjustment import State, normal_equations, points_in_cameras
+from rpl_data.solve.bundle_adjustment import State, cost_of, normal_equations, points_in_cameras
 from rpl_data.solve.click_rays import Noise, Rays, click_costs, misfit, rays_of
 from rpl_data.solve.noise import (
     USUAL,
@@ -26,6 +26,7 @@ from rpl_data.solve.noise import (
 )
 from rpl_data.solve.object_frame import object_frame
 from rpl_data.solve.residuals import click_fit, click_residuals
+from rpl_data.solve.witnesses import scale_factor
 from rpl_data.types import Observation, Solution
 
 Poses = Float64[np.ndarray, "s 4 4"]
@@ -81,6 +82,16 @@ class JointClicks:
         )
         return costs
 
+    def widening(self, scene_from_object: Poses, points_object: Points, settled: Collection[str]) -> float:
+        """By how much the larger adjustment and the clicks contradict what is stated of both (`witnesses`).
+
+        Args:
+            settled: as for `solved`.
+        """
+        at_answer = cost_of(self.rays, self._state(scene_from_object, points_object), self.noise)
+        at_start = cost_of(self.rays, self._state(self.scene_from_object, self.points_object), self.noise)
+        return scale_factor(at_answer - at_start, len(settled))
+
     def solved(
         self,
         scene_from_object: Poses,
@@ -109,7 +120,8 @@ class JointClicks:
             placed = dict(zip(self.scenes, state.scene_from_model, strict=True))
             return replace(self.solution, scene_from_object=placed, residuals=residuals)
         inverse = inverse_normal(normal, scenes=len(self.scenes), hold_points=False)
-        joint = with_shared_errors(inverse, self.rays, state, noise=self.noise)
+        widened = self.widening(scene_from_object, points_object, settled)
+        joint = widened**2 * with_shared_errors(inverse, self.rays, state, noise=self.noise)
         besides = self._variances_besides_clicks(settled)
         model_from_object, points = object_frame(state, known)
         turn = model_from_object[:3, :3]

@@ -33,6 +33,7 @@ from rpl_data.solve.initial_guess import Start, join_clean, join_scenes
 from rpl_data.solve.near_ties import describe_near_ties, widened_for_near_ties
 from rpl_data.solve.noise import (
     adjust_with_noise,
+    directions_in_model,
     estimate_noise,
     joint_covariance,
     points_in_scene_covariance,
@@ -40,6 +41,7 @@ from rpl_data.solve.noise import (
     widened_for_all_scenes,
 )
 from rpl_data.solve.object_frame import object_frame
+from rpl_data.solve.one_side import describe_one_side, seen_from_one_side
 from rpl_data.solve.procrustes import Adjusted, Fragments, Loss, adjust_points
 from rpl_data.solve.refusals import refuse_bad, refuse_few, refuse_loose, refuse_untied
 from rpl_data.solve.register import register, register_scene
@@ -245,6 +247,8 @@ def _solution(
     state, known = answer.state, answer.known
     model_from_object, points = object_frame(state, known)
     turn = model_from_object[:3, :3]
+    titles = keypoint_titles(keypoints)
+    one_side = seen_from_one_side(answer.rays.keypoint, directions_in_model(answer.rays, state), known)
     joint = joint_covariance(answer.rays, state, noise=answer.noise)
     in_scene = {
         name: widened_for_near_ties(
@@ -262,7 +266,7 @@ def _solution(
             for name, scene_from_model in zip(answer.scenes, state.scene_from_model, strict=True)
         },
         residuals=click_residuals(observations, click_fit(answer.rays, state, answer.noise)),
-        warnings=describe_keypoints(keypoint_titles(keypoints), observations, known),
+        warnings=describe_keypoints(titles, observations, known) + describe_one_side(titles, one_side),
         covariance_in_scene={
             name: covariance + trajectory_sigma_m.get(name, 0.0) ** 2 * np.eye(3)
             for name, covariance in in_scene.items()

@@ -67,6 +67,17 @@ def test_a_scene_whose_surface_is_another_thing_stays_where_its_clicks_put_it() 
     assert own < 4, "held by its clicks alone, it fits them"
 
 
+def test_a_scene_with_another_print_on_the_same_shape_stays_where_its_clicks_put_it() -> None:
+    case = made(seed=3)
+    egg = egg_seen_from(np.array([-0.5, -0.9, -0.3]), seed=53)
+    colors = np.roll(print_at(egg.points + [0.3, 0.2, 0.1]), 1, axis=1)  # the same kind of waves elsewhere
+    other = moved(PointCloud(egg.points, egg.normals, colors), case.true_poses[2])
+    found = refined(replace(case, regions=case.regions | {"2": other}))
+    assert [verdict.accepted for verdict in found.verdicts] == [True, True, False]
+    assert "another print" in found.verdicts[2].reason
+    assert found.verdicts[2].gain_sigmas > 1.64, "its shape alone would be believed"
+
+
 def test_a_wrong_scene_takes_no_other_along_unless_there_are_many() -> None:
     for many, turned_down in {5: [0], 8: [0, 1]}.items():
         judged = [Verdict(False, gain, 0.0, "wrong") for gain in np.arange(many) - 9.0]

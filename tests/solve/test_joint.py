@@ -7,6 +7,7 @@ from clicked_scenes import CUBE, NAMES, cameras, click_scene, pose
 
 from rpl_data.solve.joint import joint_clicks
 from rpl_data.solve.solve import solve
+from rpl_data.solve.witnesses import scale_factor
 
 
 def clicked(random):
@@ -46,3 +47,20 @@ def test_other_answers_widen_a_scene_only_until_more_than_clicks_speaks_for_this
     )
     np.testing.assert_allclose(open_["00"], settled["00"], atol=1e-15)
     np.testing.assert_allclose(open_["01"] - settled["01"], np.tile(1e-4 * np.eye(3), (8, 1, 1)), atol=1e-9)
+
+
+def test_what_contradicts_the_clicks_widens_all_that_is_stated():
+    """With the prior of 3 residuals: (3 + 24) / (3 + 6) = 3 for two scenes, (3 + 24) / (3 + 24) for five."""
+    np.testing.assert_allclose([scale_factor(24.0, scenes) for scenes in (1, 2, 5)], [1, np.sqrt(3), 1])
+    observations = clicked(np.random.default_rng(3))
+    clicks = joint_clicks(solve("cube", NAMES, observations), observations)
+    poses, points = clicks.scene_from_object.copy(), clicks.points_object
+    normal, _ = clicks.terms(poses, points)
+    assert clicks.widening(poses, points, ("00", "01", "02")) == 1
+    poses[1, :3, 3] += 0.01
+    alone, contradicted = (
+        clicks.solved(poses, points, normal, settled=scenes) for scenes in ((), ("00", "01", "02"))
+    )
+    widened = clicks.widening(poses, points, ("00", "01", "02"))
+    assert widened > 1.5
+    np.testing.assert_allclose(contradicted.covariance, widened**2 * alone.covariance)

@@ -148,9 +148,9 @@ def test_a_keypoint_beside_its_click_on_a_slanted_plane_has_no_depth_error():
     assert found.error_px[0] == pytest.approx([3.0, 0.0])
 
 
-@pytest.mark.parametrize(("spread_rad", "remains"), [(0.0, 2 / 3), (3.0, 1 / 3)])
+@pytest.mark.parametrize(("spread_rad", "remains"), [(0.0, 2.8 / 3), (3.0, 1 / 3)])
 def test_clicks_that_share_an_error_weigh_as_one_for_that_share(spread_rad, remains):
-    """Three clicks from one side share half of their variance, and in the mean (1/2) / 3 + 1/2 remains.
+    """Three clicks in the same view share 0.9 of their variance, and in the mean 0.1 / 3 + 0.9 remains.
 
     From three sides they share nothing.
     """
@@ -162,24 +162,25 @@ def test_clicks_that_share_an_error_weigh_as_one_for_that_share(spread_rad, rema
 
 
 def scenes_from_one_side(random, depth_ratio):
-    """Four scenes that see the object from one side; their depths share half of their variance."""
+    """Four scenes that see the object in the same view; their depths share 0.9 of their variance."""
     front = pose(np.random.default_rng(10))
-    shared = random.normal(0, np.sqrt(0.5), len(CUBE))
+    shared = random.normal(0, np.sqrt(0.9), len(CUBE))
     truth, observations = {}, []
     for s in range(4):
-        turn = rigid(Rotation.from_rotvec(random.normal(0, 0.05, 3)).as_matrix(), np.zeros(3))
+        turn = rigid(Rotation.from_rotvec(random.normal(0, 0.01, 3)).as_matrix(), np.zeros(3))
         truth[f"{s:02d}"] = front @ turn
         observations += click_scene(
             f"{s:02d}", CUBE, front @ turn, cameras(1), random, noise_px=1.5,
             depths=lambda k, f, z: [
-                z + depth_ratio * DEPTH_SIGMA_M * (shared[k] + random.normal(0, np.sqrt(0.5)))
+                z + depth_ratio * DEPTH_SIGMA_M * (shared[k] + random.normal(0, np.sqrt(0.1)))
             ],
         )  # fmt: skip
     return truth, observations
 
 
-@pytest.mark.parametrize("depth_ratio", [1.0, 2.0])
-def test_the_covariance_holds_where_all_clicks_err_together(depth_ratio):
+@pytest.mark.parametrize(("depth_ratio", "least", "most_found"), [(1.0, 0.6, 2.0), (2.0, 0.8, 1.3)])
+def test_the_covariance_holds_where_all_clicks_err_together(depth_ratio, least, most_found):
+    """Clicks in one view hardly show the ratio, so the usual one, 2, counts: better ones are stated worse."""
     random = np.random.default_rng(11)
     ratios, found = [], []
     for _ in range(8):
@@ -189,8 +190,8 @@ def test_the_covariance_holds_where_all_clicks_err_together(depth_ratio):
         stated = np.trace(solution.covariance, axis1=1, axis2=2).mean()
         ratios.append(((moved_back - CUBE) ** 2).sum(axis=1).mean() / stated)
         found.append(solution.depth_sigma_ratio)
-    assert 0.8 < np.sqrt(np.mean(ratios)) < 1.25
-    assert 0.8 < np.mean(found) / depth_ratio < 1.4  # the prior is 1.5
+    assert least < np.sqrt(np.mean(ratios)) < 1.25
+    assert 0.8 < np.mean(found) / depth_ratio < most_found
 
 
 def test_what_the_clicks_of_a_straying_frame_share_is_eliminated():

@@ -16,8 +16,10 @@ from rpl_data.types import PointCloud, Solution
 from rpl_data.types.instances import scene_of
 from rpl_data.workspace.workspace import Workspace
 
-VERSION = 3
+VERSION = 4
 """Increase it when the stage writes something else for the same input: its steps then run again."""
+WORTH_SAYING = 1.2
+"""From this factor on, that clicks and surfaces contradict each other is said."""
 
 
 def refine_steps(context: Context) -> list[Step]:
@@ -58,16 +60,15 @@ def _refine_step(context: Context, item: ObjectRecipe) -> Step:
         )
         judged = dict(zip(clicks.scenes, found.verdicts, strict=True))
         verdicts = {name: verdict for name, verdict in judged.items() if name in places}
+        lines = kept_by_clicks(verdicts)
         if found.registered:
-            solution = clicks.solved(
-                found.scene_from_object,
-                found.points_object,
-                found.normal,
-                settled=[name for name, verdict in verdicts.items() if verdict.accepted],
-            )
+            settled = [name for name, verdict in verdicts.items() if verdict.accepted]
+            poses, points = found.scene_from_object, found.points_object
+            solution = clicks.solved(poses, points, found.normal, settled=settled)
+            lines += [] if hold else contradicting(clicks.widening(poses, points, settled))
         workspace.save_refined(with_placements(solution, placed))
         return Outcome(
-            messages=tuple(f"{item.name}: {line}" for line in kept_by_clicks(verdicts)),
+            messages=tuple(f"{item.name}: {line}" for line in lines),
             details={"scenes": {name: asdict(verdict) for name, verdict in verdicts.items()}},
         )
 
@@ -106,4 +107,15 @@ def kept_by_clicks(verdicts: dict[str, Verdict]) -> list[str]:
     return [
         f"scene {', '.join(names)} stays where its clicks put it: {reason}"
         for reason, names in scenes.items()
+    ]
+
+
+def contradicting(widened: float) -> list[str]:
+    """A line where clicks and surfaces contradict each other by more than is stated of them."""
+    if widened < WORTH_SAYING:
+        return []
+    return [
+        "its clicks and its surfaces contradict each other by more than either should be off, so its stated "
+        f"errors are {widened:.1f} times what the clicks alone show; depth that is off on a whole face, or "
+        "beside its colour, does that, and so do clicks that are wrong alike"
     ]

@@ -78,9 +78,9 @@ function missing(result) {
 
 function ofKeypoint(result) {
   const mine = app.state.clicks.filter((click) => click.keypoint === app.keypoint);
-  const sigma = result.sigma_mm[app.keypoint];
+  const knownTo = result.known_to_mm[app.keypoint];
   const head = element("h2", { textContent: keypointTitle(app.keypoint) },
-    element("span", { className: "quiet small", textContent: sigma == null ? "" : `known to ± ${millimetres(sigma)} mm` }));
+    element("span", { className: "quiet small", textContent: knownTo == null ? "" : `known to ± ${millimetres(knownTo)} mm` }));
   if (!mine.length) return [head, element("p", { className: "note quiet", textContent: "No clicks yet." })];
   const rows = mine.map((click) => {
     const found = residualOf(click);

@@ -173,11 +173,11 @@ function keypoints(scenes) {
   const lifted = (app.result?.lifted || []).filter((c) => c.scene === scenes[0]?.name).map((c) => ({ point: c.point_m, k: c.keypoint }));
   const shown = (app.result?.points_m ? solved : lifted).filter(({ k }) => k < app.state.keypoints.length);
   const of = (k) => app.state.keypoints[k];
-  const sigma = (k) => (app.result?.sigma_mm?.[k] != null ? ` · known to ± ${app.result.sigma_mm[k].toFixed(1)} mm` : "");
+  const knownTo = (k) => (app.result?.known_to_mm?.[k] != null ? ` · known to ± ${app.result.known_to_mm[k].toFixed(1)} mm` : "");
   return {
     type: "scatter3d", mode: "markers+text", showlegend: false, ...xyz(shown.map(({ point }) => point)),
     text: shown.map(({ k }) => (show.names || k === app.keypoint ? escaped(keypointTitle(k)) : String(k))),
-    hovertext: shown.map(({ k }) => escaped(`${keypointTitle(k)}${sigma(k)}`)), hovertemplate: "%{hovertext}<extra></extra>",
+    hovertext: shown.map(({ k }) => escaped(`${keypointTitle(k)}${knownTo(k)}`)), hovertemplate: "%{hovertext}<extra></extra>",
     textposition: "top center", textfont: labelFont(),
     marker: {
       size: shown.map(({ k }) => (k === app.keypoint ? 9 : 6)), color: shown.map(({ k }) => of(k).color),
