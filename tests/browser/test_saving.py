@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from driving import SHOWN, Server, clicks, on_page, place, saved
-from playwright.sync_api import Page, Request, expect
+from playwright.sync_api import Page, Request, Route, expect
 
 from rpl_data.clicks.log import keypoints_event
 from rpl_data.clicks.table import clicks_to_csv
@@ -95,6 +95,16 @@ def test_objects_have_their_own_clicks(page: Page, server: Server) -> None:
     cup = Workspace(server.workspace).load_annotation("cup")
     assert [(c.keypoint, c.scene) for c in cup.clicks] == [(0, "00")]
     assert sorted(k for k, _, _ in clicks(server)) == [0, 1]
+    held: list[Route] = []
+    page.route("**/api/objects/cup", lambda route: held.append(route))
+    with page.expect_request("**/api/objects/cup"):  # as when another tab changed the cup a moment ago
+        page.evaluate('import("/static/state/log.js").then((log) => { log.load("cup"); })')
+    with page.expect_response("**/api/objects/carton"):
+        page.locator("#object").select_option("carton")
+    with page.expect_response("**/api/objects/cup"):
+        held[0].continue_()
+    page.evaluate("new Promise((drawn) => setTimeout(drawn, 100))")
+    expect(page.locator("#keypoints .name").first).to_have_text("keypoint 0", timeout=1)
 
 
 def test_clicks_go_out_and_come_in_as_csv(page: Page, server: Server, tmp_path: Path) -> None:

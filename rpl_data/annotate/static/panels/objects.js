@@ -10,7 +10,7 @@ import { app, change, frame } from "../state/store.js";
 export async function openObject(name) {
   change({ state: null, result: null, next: null, dense: null, mask: null, suggestions: {}, keypoint: 0 });
   try {
-    await log.load(name);
+    if (!(await log.load(name))) return;
     if (app.scene?.includes("/")) await openScene(sceneOf(app.scene), frame()); // an instance is one object's
     keypoints.selectOpen();
   } catch (error) {

@@ -9,6 +9,7 @@ const kept = JSON.parse(sessionStorage.getItem(KEPT) || "{}");
 const queue = kept.queue || []; // {object, action, text}
 const seen = kept.seen || {}; // the revision of each object that what is in the queue was done on
 let sending = null, solving = false; // sending: the promise that ends when what waited is sent, or is stuck
+let wanted = null; // the object that was asked for last: answers about another one come too late
 
 app.waiting = queue.length; // before anything is drawn: a page that was reloaded may not say that all is saved
 
@@ -122,29 +123,33 @@ export async function sendAgain() {
   return send();
 }
 
-// Load an object, or its newer state. Waiting actions were made on the older one.
+// Load an object, or its newer state. Waiting actions were made on the older one. Returns false where
+// another object was asked for meanwhile.
 export async function load(name) {
+  wanted = name;
   const state = await get(objectPath(name));
+  if (wanted !== name) return false;
   const waits = waiting(name).length > 0;
-  if (app.state?.object === name && waits) return;
+  if (app.state?.object === name && waits) return true;
   if (!waits) seen[name] = state.revision;
   change({ state });
   show(state);
   if (queue.length) send(); else solve();
+  return true;
 }
 
 const question = () => `${app.state?.object} ${app.state?.revision}`;
 
 // Request the result of the saved actions; a newer request replaces a waiting one.
 async function solve() {
-  if (solving) return;
+  if (solving || !app.state) return; // no object is open while another one is loaded
   solving = true;
   let asked;
   try {
     do {
       asked = question();
       await askFor(app.state.object, asked);
-    } while (asked !== question());
+    } while (app.state && asked !== question());
   } catch (error) {
     if (error.status) alertOnce(error.message); else change({ offline: true });
   } finally {
@@ -156,7 +161,7 @@ async function solve() {
 async function askFor(object, asked) {
   for (const query of ["?checked=false", ""]) {
     const result = await get(`${objectPath(object)}/result${query}`);
-    if (object === app.state.object) change({ result, next: result.next });
+    if (object === app.state?.object) change({ result, next: result.next });
     if (!result.checking || asked !== question()) return;
   }
 }
