@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64
 
 from rpl_data.geometry import invert, rays
-from rpl_data.types import Intrinsics
+from rpl_data.types import Intrinsics, spread_evenly
 
 MAX_DIFFERENCE = 0.05
 """Relative differences of depth are clipped here: a larger one means another surface or a wrong pose."""
@@ -73,8 +73,7 @@ def choose_pairs(
         for gap in sorted({max(1, (behind - first) // part) for part in (8, 4, 2)})
         for i in range(first, behind - gap)
     ]
-    chosen = np.unique(np.linspace(0, len(pairs) - 1, min(most_pairs, len(pairs))).astype(int))
-    rows = np.array([pairs[number] for number in chosen.tolist()], dtype=np.int64).reshape(-1, 2)
+    rows = np.array(spread_evenly(pairs, most_pairs), dtype=np.int64).reshape(-1, 2)
     return ComparedImages(depths_m, np.column_stack([u.ravel(), v.ravel()]).astype(float), rows, tuple(runs))
 
 

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from collections import Counter
 
-import numpy as np
-
 from rpl_data.doctor.findings import Finding
 from rpl_data.orientation import AS_STORED, orientation_of
-from rpl_data.types import Scene
+from rpl_data.types import Scene, spread_evenly
 from rpl_data.wording import counted
 
 
 def orientation_tags(scene: Scene, *, most: int = 300) -> list[Finding]:
     """Return a finding when colour images carry a tag to turn them; `most` of them are looked at, evenly."""
-    chosen = np.unique(np.linspace(0, len(scene.frames) - 1, min(most, len(scene.frames))).astype(int))
-    tags = Counter(orientation_of(scene.frames[at].color) for at in chosen.tolist())
+    chosen = spread_evenly(scene.frames, most)
+    tags = Counter(orientation_of(frame.color) for frame in chosen)
     asking = {tag: count for tag, count in sorted(tags.items()) if tag != AS_STORED}
     if not asking:
         return []

@@ -25,6 +25,7 @@ from rpl_data.types.recording import (
     Span,
     Trajectory,
     posed_frames,
+    spread_evenly,
 )
 from rpl_data.types.solution import (
     HINTS,
@@ -90,4 +91,5 @@ __all__ = [
     "Window",
     "expected_mm",
     "posed_frames",
+    "spread_evenly",
 ]

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Float64, Int64
@@ -12,6 +13,8 @@ from jaxtyping import Float64, Int64
 from rpl_data.types.errors import DataError
 from rpl_data.types.images import DepthImage, Window
 from rpl_data.wording import counted
+
+Item = TypeVar("Item")
 
 
 @dataclass(frozen=True)
@@ -179,6 +182,12 @@ def posed_frames(scene: Scene, trajectory: Trajectory, *, with_depth: bool = Fal
     posed = set(trajectory.frames.tolist())
     found = [frame for frame in scene.frames if frame.index in posed]
     return [frame for frame in found if frame.depth is not None] if with_depth else found
+
+
+def spread_evenly(items: Sequence[Item], most: int) -> list[Item]:
+    """At most so many of some frames, or of whatever comes one after the other, evenly spread over them."""
+    rows = np.unique(np.linspace(0, len(items) - 1, min(most, len(items))).astype(int))
+    return [items[row] for row in rows.tolist()]
 
 
 @dataclass(frozen=True)

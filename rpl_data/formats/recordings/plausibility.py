@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from rpl_data.types import DataError, Intrinsics, Scene
+from rpl_data.types import DataError, Intrinsics, Scene, spread_evenly
 
 SATURATED = 65535
 """Value that a Kinect writes where it measured nothing; no 16-bit depth reaches it otherwise."""
@@ -65,7 +65,7 @@ def median_depth_m(scene: Scene, *, frames: int = 5) -> float:
 
     Depth that is too far because its bits are turned passes: its unit is right, and `mend:` puts it right.
     """
-    picked = [scene.frames[i] for i in np.unique(np.linspace(0, len(scene.frames) - 1, frames).astype(int))]
+    picked = spread_evenly(scene.frames, frames)
     images = [cv2.imread(str(frame.depth), cv2.IMREAD_UNCHANGED) for frame in picked]
     raw = np.concatenate([np.ravel(image) for image in images if image is not None] or [np.zeros(0)])
     raw = raw[(raw > 0) & (raw < SATURATED)]

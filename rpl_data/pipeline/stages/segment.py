@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -14,7 +13,7 @@ from rpl_data.pipeline.given_masks import mask_options, object_masks
 from rpl_data.pipeline.ledger import Advance, Outcome, Step, stamps
 from rpl_data.pipeline.placements import standing
 from rpl_data.pipeline.recipe import ObjectRecipe
-from rpl_data.types import DataError, Frame, Mesh, Solution, posed_frames
+from rpl_data.types import DataError, Mesh, Solution, posed_frames, spread_evenly
 from rpl_data.types.instances import places_in, scene_of
 from rpl_data.workspace.workspace import Workspace
 
@@ -117,7 +116,7 @@ def depth_views(workspace: Workspace, place: str, solution: Solution) -> list[De
     frames = [frame for frame in scene.frames if frame.index in steady and frame.depth is not None]
     return [
         view_of(place, scene.intrinsics, trajectory.at(frame.index), pose, read(frame))
-        for frame in _spread(frames, VIEWS_PER_SCENE)
+        for frame in spread_evenly(frames, VIEWS_PER_SCENE)
     ]
 
 
@@ -139,18 +138,12 @@ def mask_views(context: Context, scene_name: str, solution: Solution) -> list[Ma
     posed = posed_frames(scene, trajectory, with_depth=True)
     frames = [frame for frame in posed if frame.index in given.masks.readers]
     found = []
-    for frame in _spread(frames, MASKS_PER_SCENE):
+    for frame in spread_evenly(frames, MASKS_PER_SCENE):
         mask = given.mask(name, frame.index, scene)
         view = view_of(scene_name, scene.intrinsics, trajectory.at(frame.index), pose, read(frame))
         if mask is not None:
             found.append(MaskView(frame.index, view, mask))
     return found
-
-
-def _spread(frames: Sequence[Frame], most: int) -> list[Frame]:
-    """At most so many of the frames, evenly spread."""
-    rows = np.linspace(0, len(frames) - 1, most).astype(int) if frames else np.empty(0, int)
-    return [frames[row] for row in np.unique(rows)]
 
 
 def mesh_remarks(dense: DenseModel) -> list[str]:

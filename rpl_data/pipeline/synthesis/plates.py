@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
 
 import cv2
 import numpy as np
@@ -25,7 +24,7 @@ from rpl_data.json_arrays import Json, matrix_from_json
 from rpl_data.pipeline.synthesis.training import Training
 from rpl_data.raycast import pixel_rays
 from rpl_data.synthesize.studio import Plane, Plate
-from rpl_data.types import ColorImage, DataError, DepthUnits, Intrinsics
+from rpl_data.types import ColorImage, DataError, DepthUnits, Intrinsics, spread_evenly
 
 MOST_PLATES = 60
 BEYOND_PX = 9
@@ -35,7 +34,6 @@ OTHERS = 5
 FILLED_PX = 5
 """Radius from which the last holes are filled."""
 
-Item = TypeVar("Item")
 Table = tuple[Float64[np.ndarray, "3"], float]
 """Normal and offset of a plane, scene frame."""
 
@@ -92,17 +90,12 @@ def make_plates(
     each = -(-MOST_PLATES // len(by_part))
     plates = []
     for part, entries in sorted(by_part.items()):
-        chosen = spread_over(entries, each)
+        chosen = spread_evenly(entries, each)
         images = [_Image.of(entry, by_image.get(entry["id"], [])) for entry in chosen]
         for image in images:
-            others = spread_over([other for other in images if other is not image], OTHERS)
+            others = spread_evenly([other for other in images if other is not image], OTHERS)
             plates.append(_plate(folder, training.folder, image, others, tables[part], ups[part]))
     return tuple(plates)
-
-
-def spread_over(items: Sequence[Item], count: int) -> list[Item]:
-    """So many of the items, evenly."""
-    return [items[n] for n in np.unique(np.linspace(0, len(items) - 1, min(count, len(items))).astype(int))]
 
 
 def _plate(

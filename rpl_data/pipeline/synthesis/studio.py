@@ -19,7 +19,7 @@ from rpl_data.json_arrays import Json, matrix_from_json
 from rpl_data.pipeline.context import Context
 from rpl_data.pipeline.ledger import stamps
 from rpl_data.pipeline.synthesis.models import can_be_made, scene_table, training_mesh
-from rpl_data.pipeline.synthesis.plates import Table, make_plates, spread_over
+from rpl_data.pipeline.synthesis.plates import Table, make_plates
 from rpl_data.pipeline.synthesis.training import Training
 from rpl_data.raycast import PixelTable
 from rpl_data.synthesize.arrange import view_of
@@ -32,7 +32,7 @@ from rpl_data.synthesize.storage import load_studio, save_studio, studio_made_of
 from rpl_data.synthesize.studio import Studio, Subject
 from rpl_data.synthesize.views import shown_directions
 from rpl_data.torch.turns import turn_by_scenes, up_in_object
-from rpl_data.types import DataError, Intrinsics
+from rpl_data.types import DataError, Intrinsics, spread_evenly
 from rpl_data.types.instances import scene_of
 from rpl_data.workspace.parts import Parts
 from rpl_data.workspace.workspace import Workspace
@@ -229,7 +229,7 @@ def _keypoint_sigma_m(context: Context, name: str) -> float:
 def _chosen(labels: list[tuple[Json, Json]]) -> list[tuple[Json, Json]]:
     """Images in which the object is seen well, spread over all of them."""
     good = [(image, one) for image, one in labels if one["visib_fract"] >= LEAST_SEEN] or labels
-    return spread_over(good, MOST_PHOTOS)
+    return spread_evenly(good, MOST_PHOTOS)
 
 
 def _photos(folder: Path, labels: list[tuple[Json, Json]], gathered: _Gathered) -> Iterator[Photo]:
