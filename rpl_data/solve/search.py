@@ -66,15 +66,14 @@ class Found(NamedTuple):
     alternatives: tuple[Alternative, ...]
 
 
-def cheapest_of(rays: Rays, candidates: Sequence[Hypotheses], starts: Sequence[State]) -> State:
-    """The answer of lowest cost that is reached from one of the starts, with no scene placed anew.
+def answer_from(rays: Rays, candidates: Sequence[Hypotheses], start: State) -> State:
+    """The answer that is reached from a start, with no scene placed anew.
 
     Args:
         candidates: for each scene, by keypoint, where in the scene it may be.
-        starts: right to a few centimetres, if the clicks are.
+        start: right to a few centimetres, if the clicks are.
     """
-    settled = [settle(rays, candidates, adjust(rays, start, tolerance=ROUGHLY)) for start in starts]
-    return min(settled, key=lambda state: cost_of(rays, state))
+    return settle(rays, candidates, adjust(rays, start, tolerance=ROUGHLY))
 
 
 def search(
@@ -84,7 +83,7 @@ def search(
 
     Args:
         candidates: for each scene, by keypoint, where in the scene it may be.
-        state: from `cheapest_of`; it comes back itself where nothing better is found.
+        state: from `answer_from`; it comes back itself where nothing better is found.
         go_on: called before each scene; what it raises ends the search.
     """
     cost, costs = cost_of(rays, state), candidate_costs(rays, candidates, state)

@@ -25,7 +25,7 @@ from jaxtyping import Bool
 
 from rpl_data.clicks.rigidity import generic_points
 from rpl_data.geometry import invert, transform
-from rpl_data.solve.bundle_adjustment import State
+from rpl_data.solve.bundle_adjustment import State, cost_of
 from rpl_data.solve.click_rays import Noise, Rays, rays_of
 from rpl_data.solve.diagnosis import Placed, diagnose
 from rpl_data.solve.hypotheses import hypotheses_of_scene
@@ -46,9 +46,9 @@ from rpl_data.solve.procrustes import Adjusted, Fragments, Loss, adjust_points
 from rpl_data.solve.refusals import refuse_bad, refuse_few, refuse_loose, refuse_untied
 from rpl_data.solve.register import register, register_scene
 from rpl_data.solve.residuals import click_fit, click_residuals, describe_keypoints
-from rpl_data.solve.search import Alternative, cheapest_of, search
+from rpl_data.solve.search import Alternative, answer_from, search
 from rpl_data.solve.slsqp import adjust_points_slsqp, at_clicked_pixel, measured_fragments
-from rpl_data.solve.starts import complete, first_states
+from rpl_data.solve.starts import complete, start_states
 from rpl_data.types import KeypointModel, Observation, Solution
 from rpl_data.types.keypoint_names import keypoint_titles
 
@@ -179,9 +179,10 @@ def _robust_answer(
     groups = [hypotheses_of_scene([o for o in observations if o.click.scene == s]) for s in scenes]
     refuse_untied(object_name, groups, scenes, keypoints)
     clicked = np.array([[k in group for k in range(len(keypoints))] for group in groups])
-    rays, starts = rays_of(observations, scenes), first_states(groups, len(keypoints))
-    refuse_loose(object_name, starts[0].points_model, clicked, scenes, keypoints)
-    first = cheapest_of(rays, groups, starts)
+    rays, starts = rays_of(observations, scenes), start_states(groups, len(keypoints))
+    start = next(starts)
+    refuse_loose(object_name, start.points_model, clicked, scenes, keypoints)
+    first, others = answer_from(rays, groups, start), list[State]()
     known = np.asarray(clicked.any(axis=0))
 
     def adjusted(state: State, alternatives: Sequence[Alternative]) -> _Answer:
@@ -191,7 +192,9 @@ def _robust_answer(
     answer = adjusted(first, ())
 
     def searched(go_on: GoOn) -> _Answer:
-        found = search(rays, groups, first, go_on=go_on)
+        others.extend(answer_from(rays, groups, state) for state in starts)  # none is left when it runs again
+        cheapest = min([first, *others], key=lambda state: cost_of(rays, state))
+        found = search(rays, groups, cheapest, go_on=go_on)
         if found.state is first:
             return answer._replace(alternatives=found.alternatives)
         return adjusted(found.state, found.alternatives)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from jaxtyping import Float64
@@ -17,16 +17,19 @@ STARTS = 2
 """How many scenes the joining begins with in turn, best connected first."""
 
 
-def first_states(groups: Sequence[Hypotheses], keypoints: int) -> list[State]:
-    """Starts that differ in the scene with which the joining begins; those that end the same only once."""
-    found: list[tuple[Fragments, State]] = []
+def start_states(groups: Sequence[Hypotheses], keypoints: int) -> Iterator[State]:
+    """Starts that differ in the scene with which the joining begins; those that end the same only once.
+
+    Each is computed when it is asked for.
+    """
+    found: list[Fragments] = []
     for rank in range(min(STARTS, len(groups))):
         start = join_scenes(groups, keypoints, first_rank=rank)
-        if any(np.array_equal(start.fragments.points_scene, other.points_scene) for other, _ in found):
+        if any(np.array_equal(start.fragments.points_scene, other.points_scene) for other in found):
             continue
+        found.append(start.fragments)
         adjusted = adjust_points(start.fragments, complete(start))
-        found.append((start.fragments, State(adjusted.scene_from_model, adjusted.points_model)))
-    return [state for _, state in found]
+        yield State(adjusted.scene_from_model, adjusted.points_model)
 
 
 def complete(start: Start) -> Float64[np.ndarray, "s 4 4"]:
