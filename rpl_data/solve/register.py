@@ -101,8 +101,9 @@ def register_scene(
     poses = likely_poses(rays, points, candidates, known_poses=np.zeros((0, 4, 4)), samples=600)
     if not len(poses.cost):
         raise DataError(
-            f"object {model.name}, scene {scene}: no three clicks fit the model within 15 mm; check that "
-            "every keypoint was clicked where the model has it"
+            f"object {model.name}, scene {scene}: no three clicks fit the model within 15 mm: one is in the "
+            "wrong place, or the depth there is that of what lies before or behind the keypoint; check them, "
+            "and click one more keypoint"
         )
     prior = Noise(click_sigma_px or USUAL.click_px, depth_sigma_ratio or USUAL.depth_ratio)
     states = [State(pose[None], points) for pose in poses.scene_from_model]
