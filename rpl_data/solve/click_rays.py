@@ -120,7 +120,7 @@ def rays_of(
     strayed_m = trajectory_sigma_m or {}
     directions = np.stack([o.scene_from_camera[:3, :3] @ o.ray_camera for o in observations])
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    widened = widening(scene, keypoint, directions)
+    widened = widening(scene, keypoint, directions, np.isfinite(depths[:, 0]))
     return Rays(
         scene=scene,
         keypoint=keypoint,

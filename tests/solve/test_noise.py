@@ -8,7 +8,12 @@ from scipy.spatial.transform import Rotation
 from rpl_data.geometry import fit_rigid, invert, rigid, transform
 from rpl_data.solve.bundle_adjustment import State, linearise, moved
 from rpl_data.solve.click_rays import Noise, misfit, rays_of
-from rpl_data.solve.noise import joint_covariance, points_in_scene_covariance, shape_covariance
+from rpl_data.solve.noise import (
+    joint_covariance,
+    points_in_scene_covariance,
+    shape_covariance,
+    widened_for_all_scenes,
+)
 from rpl_data.solve.solve import register_scene, solve, solve_unchecked
 from rpl_data.solve.straying import without_straying
 from rpl_data.types import KeypointModel
@@ -159,6 +164,18 @@ def test_clicks_that_share_an_error_weigh_as_one_for_that_share(spread_rad, rema
     )
     sigmas = rays_of(observations, ["00"]).depth_sigmas_m[:, 0]
     assert sigmas**2 / 3 == pytest.approx(DEPTH_SIGMA_M**2 * remains, rel=0.02)
+
+
+def test_clicks_without_depth_share_no_error_of_a_depth():
+    """Three clicks in the same view of which the first alone has a depth: that one counts in full."""
+    at, random = pose(np.random.default_rng(9)), np.random.default_rng(9)
+    observations = click_scene(
+        "00", CUBE, at, cameras(3, 0.0), random, depths=lambda k, f, z: [z] if f == 0 else []
+    )
+    rays = rays_of(observations, ["00"])
+    for found in (rays, widened_for_all_scenes(rays, State(at[None], CUBE))):
+        np.testing.assert_allclose(found.depth_sigmas_m[:8, 0], DEPTH_SIGMA_M)
+        assert np.isnan(found.depth_sigmas_m[8:, 0]).all() and (found.widening == 1).all()
 
 
 def scenes_from_one_side(random, depth_ratio):
