@@ -63,6 +63,7 @@ def test_what_contradicts_the_clicks_widens_all_that_is_stated():
     found = clicks.contradiction(poses, points, all_)
     rise = clicks.costs(poses, points).sum() - clicks.costs(clicks.scene_from_object, points).sum()
     assert (found.rise, found.scenes) == (pytest.approx(rise), 3) and rise > 50
+    assert clicks.contradiction(poses, points, ("00", "01")).scenes == 2, "the others are held by clicks"
     alone, contradicted = (
         clicks.solved(poses, points, normal, settled=all_, widened=widened) for widened in (1.0, 1.5)
     )

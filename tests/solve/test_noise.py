@@ -178,6 +178,26 @@ def test_clicks_without_depth_share_no_error_of_a_depth():
         assert np.isnan(found.depth_sigmas_m[8:, 0]).all() and (found.widening == 1).all()
 
 
+def test_scenes_that_see_a_keypoint_from_nearly_the_same_side_share_its_error():
+    """It is turned by 40 degrees about an axis across the line of sight: 0.5 exp(-(40 / 25)^2 / 2)."""
+    at = pose(np.random.default_rng(9))
+    across = np.cross(at[2, :3], [0.3, 0.5, 0.8])  # the camera looks along z
+    turn = rigid(
+        Rotation.from_rotvec(np.deg2rad(40) * across / np.linalg.norm(across)).as_matrix(), np.zeros(3)
+    )
+    poses, middle = np.stack([at, at @ turn]), np.zeros((1, 3))
+    observations = [
+        o
+        for name, one in zip(("00", "01"), poses, strict=True)
+        for o in click_scene(name, middle, one, cameras(1), np.random.default_rng(9))
+    ]
+    rays = rays_of(observations, ["00", "01"])
+    assert (rays.widening == 1).all(), "scene by scene they share nothing"
+    shared = 0.5 * np.exp(-((2 * np.sin(np.deg2rad(20))) ** 2) / (2 * np.deg2rad(25) ** 2))
+    found = widened_for_all_scenes(rays, State(poses, middle)).depth_sigmas_m[:, 0]
+    np.testing.assert_allclose(found, DEPTH_SIGMA_M * np.sqrt(1 + shared), rtol=1e-6)
+
+
 def scenes_from_one_side(random, depth_ratio):
     """Four scenes that see the object in the same view; their depths share 0.9 of their variance."""
     front = pose(np.random.default_rng(10))
