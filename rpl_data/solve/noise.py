@@ -16,12 +16,12 @@ from jaxtyping import Bool, Float64, Int64
 
 from rpl_data.motions import cross_matrices
 from rpl_data.solve.bundle_adjustment import State, System, descend, linearise
-from rpl_data.solve.click_rays import Noise, Rays
+from rpl_data.solve.click_rays import HAND_SIGMA_PX, Noise, Rays
 from rpl_data.solve.shared_errors import both, shared_errors
 from rpl_data.solve.sparse_normal import Parts, normal_by_scenes, parts_by_scene
 
-USUAL = Noise(click_px=2.0, depth_ratio=2.0)
-"""What is expected before anything is known: a hand that clicks to 2 px, and depths as bad as at the corners
+USUAL = Noise(click_px=HAND_SIGMA_PX, depth_ratio=2.0)
+"""What is expected before anything is known: a careful hand, and depths as bad as at the corners
 of a real cube, twice what is stated. On rendered recordings they are as good as stated; where scenes see an
 object from different sides, its clicks show that."""
 PRIOR_RESIDUALS = 3.0
