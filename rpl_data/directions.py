@@ -8,6 +8,8 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.spatial import cKDTree
 
+from rpl_data.geometry import Transform, invert
+
 Directions = Float64[np.ndarray, "_ 3"]
 """Unit vectors; of views: from the object to the camera, object frame."""
 
@@ -15,6 +17,13 @@ COVERED_DEG = 15.0
 """A direction is covered when a view lies within this angle of it."""
 COMPARED = 2000
 """Directions that are compared with the views, about 4.5 degrees apart."""
+
+
+def view_direction(camera_from_object: Transform) -> Float64[np.ndarray, "3"]:
+    """Unit vector from the origin of an object to the camera, object frame."""
+    towards = invert(camera_from_object)[:3, 3]
+    unit: Float64[np.ndarray, "3"] = towards / np.linalg.norm(towards)
+    return unit
 
 
 @lru_cache

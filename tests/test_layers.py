@@ -15,8 +15,8 @@ ROOT = Path(__file__).parents[1]
 LAYERS = [
     {"version", "wording"},
     {"types"},
-    {"command_line", "compiled", "directions", "files", "geometry", "motions"},
-    {"json_arrays", "orientation", "registered", "untrusted"},
+    {"command_line", "compiled", "files", "geometry", "motions"},
+    {"directions", "held_out", "json_arrays", "orientation", "registered", "untrusted"},
     {"images", "meshes", "raycast", "overlay", "drift", "symmetries"},
     {"keypoint_surface"},
     {"formats", "clicks", "pose", "reconstruct", "workspace", "synthesize"},

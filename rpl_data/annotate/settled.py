@@ -101,13 +101,13 @@ def settled(live: Live, doubtful: str) -> str:
 
 
 def _checked(live: Live) -> str:
-    """Which keypoints are checked; those without a position are not."""
-    model = live.solution.model if live.solution else None
-    missing = (
-        []
-        if model is None
-        else [n for n, known in zip(keypoint_titles(model.keypoints), model.known, strict=True) if not known]
-    )
-    if not missing:
+    """Which keypoints are checked; not those without a position, nor distances seen from one side only."""
+    if live.solution is None:
         return "every keypoint is checked"
-    return f"every keypoint is checked but {', '.join(missing)}, which will have no label"
+    model = live.solution.model
+    titles = keypoint_titles(model.keypoints)
+    missing = [title for title, known in zip(titles, model.known, strict=True) if not known]
+    unseen = f" but {', '.join(missing)}, which will have no label" if missing else ""
+    far = ", ".join(titles[k] for k in live.solution.one_side)
+    alone = f", the distance of {far} by the depth camera alone (marked from one side only)" if far else ""
+    return f"every keypoint is checked{unseen}{alone}"

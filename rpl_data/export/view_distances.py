@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
+from rpl_data import directions
 from rpl_data.export.split import FrameKey, SplitName
-from rpl_data.geometry import invert
 from rpl_data.types import InstanceLabel
 
 
@@ -47,8 +47,9 @@ class ViewDistance:
 
 def view_direction(frame: FrameKey, timestamp_s: float, instance: InstanceLabel) -> ViewDirection:
     """Compute the view of a labelled instance."""
-    towards = invert(instance.camera_from_object)[:3, 3]
-    return ViewDirection(instance.object, frame, timestamp_s, towards / np.linalg.norm(towards))
+    return ViewDirection(
+        instance.object, frame, timestamp_s, directions.view_direction(instance.camera_from_object)
+    )
 
 
 def view_distances(

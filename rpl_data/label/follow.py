@@ -16,13 +16,13 @@ import cv2
 import numpy as np
 from jaxtyping import Float64
 
+from rpl_data.directions import view_direction
 from rpl_data.geometry import Points, Transform, depth_sigma_m, invert, transform
 from rpl_data.label.alone import Body, ObjectAlone, object_alone
 from rpl_data.label.masks import MaskPatch
 from rpl_data.label.occlusion import FAR_M, Tolerances, hidden_pixels
 from rpl_data.label.print_alignment import likeness, print_equations, step_between, stepped
 from rpl_data.label.prints import FEWEST_POINTS, Print, look_at, print_of
-from rpl_data.label.references import view_direction
 from rpl_data.raycast import PixelTable
 from rpl_data.types import DepthImage, Frame, GreyImage, ReadDepth, Window
 

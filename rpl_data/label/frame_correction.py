@@ -15,14 +15,16 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64
 
+from rpl_data.directions import view_direction
 from rpl_data.geometry import Points, Transform, transform
+from rpl_data.held_out import are_black, block_means, blocks_of, in_standard_errors
 from rpl_data.label.alone import Body, ObjectAlone, SceneObject, object_alone
 from rpl_data.label.masks import MaskPatch
 from rpl_data.label.motion import Motion
 from rpl_data.label.occlusion import DepthPatch, Tolerances, hidden_pixels
 from rpl_data.label.print_alignment import Prior, align_print, disagreements
 from rpl_data.label.prints import FEWEST_POINTS, Look, Print, look_at
-from rpl_data.label.references import Reference, Sight, choose_references, prior_of, settled, view_direction
+from rpl_data.label.references import Reference, Sight, choose_references, prior_of, settled
 from rpl_data.raycast import PixelTable
 from rpl_data.types import DepthImage, Frame, GreyImage, ReadDepth, Scene, Trajectory
 
@@ -125,7 +127,7 @@ class FrameCorrector:
         self, look: Look, prints: Sequence[Print], middle: Float64[np.ndarray, "3"], prior: Prior
     ) -> Float64[np.ndarray, " b"]:
         """By how much blocks of the print agree better at a pose that was found without them."""
-        black = [_chessboard(one.points) for one in prints]
+        black = [are_black(blocks_of(one.points, edge_m=BLOCK_M)) for one in prints]
         gains = []
         for side in (True, False):
             fitted = [_part(one, b == side) for one, b in zip(prints, black, strict=True)]
@@ -163,34 +165,12 @@ def frame_corrector(
     return FrameCorrector(camera, motion, found, unproven)
 
 
-def in_standard_errors(gains: Float64[np.ndarray, " n"]) -> float:
-    """Mean of the gains per block over its standard error; 0 for fewer than three."""
-    if len(gains) < 3:
-        return 0.0
-    return float(gains.mean() / max(gains.std(ddof=1) / np.sqrt(len(gains)), 1e-9))
-
-
 def _gains(
     camera: PixelTable, look: Look, left_out: Print, before: Transform, after: Transform
 ) -> Float64[np.ndarray, " b"]:
     """By how much each left-out block disagrees less than before."""
     (first, second), seen = disagreements(camera, look, left_out, [before, after])
-    if not seen.any():
-        return np.zeros(0)
-    number = np.unique(_blocks(left_out.points[seen]), axis=0, return_inverse=True)[1].ravel()
-    sums = np.bincount(number, weights=(first - second)[seen])
-    found: Float64[np.ndarray, " b"] = sums / np.bincount(number)
-    return found
-
-
-def _blocks(points: Points) -> np.ndarray:
-    return np.floor(points / BLOCK_M).astype(np.int64)
-
-
-def _chessboard(points: Points) -> Bool[np.ndarray, " n"]:
-    """Whether each point lies in a black block."""
-    black: Bool[np.ndarray, " n"] = _blocks(points).sum(axis=1) % 2 == 0
-    return black
+    return block_means(blocks_of(left_out.points[seen], edge_m=BLOCK_M), (first - second)[seen])
 
 
 def _part(whole: Print, chosen: Bool[np.ndarray, " n"]) -> Print:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
+from rpl_data.directions import view_direction
 from rpl_data.geometry import Transform, from_rotvec, invert, transform
 from rpl_data.label.alone import Body, ObjectAlone, object_alone
 from rpl_data.label.masks import MaskPatch
@@ -119,13 +120,6 @@ def settled(sight: Sight, references: Sequence[Reference], frames: Sequence[Fram
         points = transform(object_from_stood, one.print.points)
         found.append(Reference(one.frame, one.view, Print(points, one.print.brightness)))
     return found
-
-
-def view_direction(camera_from_object: Transform) -> Float64[np.ndarray, "3"]:
-    """Unit vector from the object to the camera, object frame."""
-    towards = invert(camera_from_object)[:3, 3]
-    unit: Float64[np.ndarray, "3"] = towards / np.linalg.norm(towards)
-    return unit
 
 
 def prior_of(camera: PixelTable, alone: ObjectAlone, speed_px_s: float) -> Prior:

@@ -13,9 +13,8 @@ def joined_spheres(spheres: Sequence[Sphere]) -> list[Sphere]:
     """Join spheres that overlap, so that no surface is fused twice."""
     joined: list[Sphere] = []
     for sphere in spheres:
-        while touching := [other for other in joined if _overlap(sphere, other)]:
-            joined.remove(touching[0])
-            sphere = _around(sphere, touching[0])
+        while touching := [n for n, other in enumerate(joined) if _overlap(sphere, other)]:
+            sphere = _around(sphere, joined.pop(touching[0]))
         joined.append(sphere)
     return joined
 

@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float64, Int64
 from scipy.stats import chi2
 
 from rpl_data.geometry import invert, transform
+from rpl_data.held_out import are_black, block_means, blocks_of, in_standard_errors
 from rpl_data.refine.overlap import Pairs, all_pairs
 from rpl_data.refine.registration import ClickTerms, Points, Poses, Registration, register_scenes
 from rpl_data.refine.scene_surfaces import SceneSurface, match, print_differences
@@ -72,7 +73,9 @@ def cross_validated(
     pairs: Pairs | None = None,
 ) -> list[Test]:
     """Register twice, each time without the blocks of one colour of the chessboard."""
-    colours = [None if s is None else _chessboard(s, pose) for s, pose in zip(surfaces, start, strict=True)]
+    colours = [
+        None if s is None else are_black(_blocks(s, pose)) for s, pose in zip(surfaces, start, strict=True)
+    ]
     tests = []
     for black in (True, False):
         fitted, held_out = [
@@ -87,16 +90,9 @@ def cross_validated(
 
 
 def _blocks(surface: SceneSurface, scene_from_object: np.ndarray) -> Int64[np.ndarray, "q 3"]:
-    """The block that each asking point lies in."""
+    """The block of the object frame that each asking point lies in."""
     in_object = transform(invert(scene_from_object), surface.cloud.points[surface.asking])
-    blocks: Int64[np.ndarray, "q 3"] = np.floor(in_object / BLOCK_M).astype(np.int64)
-    return blocks
-
-
-def _chessboard(surface: SceneSurface, scene_from_object: np.ndarray) -> Bool[np.ndarray, " q"]:
-    """Whether each asking point lies in a black block."""
-    black: Bool[np.ndarray, " q"] = _blocks(surface, scene_from_object).sum(axis=1) % 2 == 0
-    return black
+    return blocks_of(in_object, edge_m=BLOCK_M)
 
 
 def gains_sigmas(
@@ -128,7 +124,8 @@ def gains_sigmas(
     if scenes:
         scene_of, block_of, gain = np.concatenate(scenes), np.concatenate(blocks), np.concatenate(gains)
         for scene in range(len(start)):
-            result[scene] = _mean_in_sigmas(block_of[scene_of == scene], gain[scene_of == scene])
+            own = scene_of == scene
+            result[scene] = in_standard_errors(block_means(block_of[own], gain[own]))
     return result
 
 
@@ -149,17 +146,6 @@ def disagreement(
     disagrees[matches.asking] = (squared / (1 + squared)).mean(axis=1)
     seen[matches.asking] = True
     return disagrees, seen
-
-
-def _mean_in_sigmas(blocks: Int64[np.ndarray, "n 4"], values: Float64[np.ndarray, " n"]) -> float:
-    """Mean of the blocks' means over its standard error: points of one block err together."""
-    if not len(values):
-        return 0.0
-    number = np.unique(blocks, axis=0, return_inverse=True)[1].ravel()
-    means = np.bincount(number, weights=values) / np.bincount(number)
-    if len(means) < 3:
-        return 0.0
-    return float(means.mean() / max(means.std(ddof=1) / np.sqrt(len(means)), 1e-9))
 
 
 def verdicts(

@@ -31,7 +31,11 @@ STILL_SIGMAS = 0.01
 """A shorter step, in standard deviations of the unknowns (root mean square), ends the steps of a gate.
 Counterparts that change from step to step keep the scenes stirring by about a third of it, for ever."""
 INDEPENDENT_M = 0.02
-"""Errors of a fused surface are alike within about this distance, so a patch of it counts once."""
+"""Errors of a fused surface are alike within about this distance, so a patch of it counts as one point."""
+PER_PATCH = 2.0
+"""What a patch counts for in each scene that sees it, shared among those it is compared with. Independent
+scenes would count for 1 / 2 (of two scenes) to 1 (of many); the errors that are stated of labels were
+measured with this (docs/accuracy.md)."""
 KERNEL_SCALE_SIGMAS = 3.0
 """Scale of Geman-McClure's robust loss, in standard deviations."""
 LEAST_SURFACE_SIGMA_M = 0.0008
@@ -163,7 +167,7 @@ def _add(
     normed = np.column_stack([pair.matches.distance_m, pair.print]) / sigmas
     weight = robust_weight(normed)
     weight[:, 1:] *= weight[:, :1]
-    weight *= 2 * (one.spacing_m / INDEPENDENT_M) ** 2 / partners
+    weight *= PER_PATCH * (one.spacing_m / INDEPENDENT_M) ** 2 / partners
     by_b = _by_pose(slopes / sigmas[:, None], pair.matches.points_b)
     by_a = -adjoint(pair.b_from_a)
     weighted = by_b * weight.reshape(-1, 1)

@@ -20,9 +20,10 @@ from rpl_data.types import Observation
 
 NEAREST_DEPTH_M = 0.05
 """No keypoint is nearer to a camera than this; guards divisions while a solver is under way."""
+HAND_SIGMA_PX = 2.0
+"""Standard deviation of a careful click in each axis, believed until the clicks show another."""
 CLICK_SIGMA_PX = 2.5
-"""Standard deviation of a click per axis (hand, eye, and a little of the trajectory) until the clicks
-themselves show it."""
+"""The same with a little of the trajectory: what a search for the solution starts with."""
 KERNEL_SCALE_SIGMAS = 3.0
 """Scale of Geman-McClure's robust loss, in standard deviations."""
 FARTHER_SURFACE_PENALTY = 3.0
@@ -120,7 +121,7 @@ def rays_of(
     strayed_m = trajectory_sigma_m or {}
     directions = np.stack([o.scene_from_camera[:3, :3] @ o.ray_camera for o in observations])
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    widened = widening(scene, keypoint, directions)
+    widened = widening(scene, keypoint, directions, np.isfinite(depths[:, 0]))
     return Rays(
         scene=scene,
         keypoint=keypoint,

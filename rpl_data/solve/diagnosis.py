@@ -10,11 +10,10 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from rpl_data.solve.bundle_adjustment import State, points_in_cameras
-from rpl_data.solve.click_rays import Noise, Rays, misfit
+from rpl_data.solve.click_rays import HAND_SIGMA_PX, Noise, Rays, misfit
 from rpl_data.solve.explanations import SCENE_SHARE, find_faults, first_trial
 from rpl_data.solve.fault_words import FaultWords, whole_scene_text
 from rpl_data.solve.precision import next_clicks
-from rpl_data.solve.refit import HAND_SIGMA_PX
 from rpl_data.solve.trial import Fault, Trial
 from rpl_data.solve.unnoticed import unjudged
 from rpl_data.solve.wrong_names import FEW_IN_SCENE

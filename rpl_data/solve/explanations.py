@@ -15,10 +15,9 @@ import numpy as np
 from jaxtyping import Float64
 
 from rpl_data.geometry import invert, transform
-from rpl_data.solve.click_rays import Rays
+from rpl_data.solve.click_rays import HAND_SIGMA_PX, Rays
 from rpl_data.solve.mirrored_scenes import mirrored_scene
 from rpl_data.solve.refit import (
-    HAND_SIGMA_PX,
     Reading,
     costs_without,
     read_as_named,

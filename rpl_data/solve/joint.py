@@ -26,7 +26,7 @@ from rpl_data.solve.noise import (
 )
 from rpl_data.solve.object_frame import object_frame
 from rpl_data.solve.residuals import click_fit, click_residuals
-from rpl_data.solve.witnesses import scale_factor
+from rpl_data.solve.witnesses import Contradiction
 from rpl_data.types import Observation, Solution
 
 Poses = Float64[np.ndarray, "s 4 4"]
@@ -82,7 +82,9 @@ class JointClicks:
         )
         return costs
 
-    def widening(self, scene_from_object: Poses, points_object: Points, settled: Collection[str]) -> float:
+    def contradiction(
+        self, scene_from_object: Poses, points_object: Points, settled: Collection[str]
+    ) -> Contradiction:
         """By how much the larger adjustment and the clicks contradict what is stated of both (`witnesses`).
 
         Args:
@@ -90,7 +92,7 @@ class JointClicks:
         """
         at_answer = cost_of(self.rays, self._state(scene_from_object, points_object), self.noise)
         at_start = cost_of(self.rays, self._state(self.scene_from_object, self.points_object), self.noise)
-        return scale_factor(at_answer - at_start, len(settled))
+        return Contradiction(at_answer - at_start, len(settled))
 
     def solved(
         self,
@@ -99,6 +101,7 @@ class JointClicks:
         normal: Float64[np.ndarray, "u u"],
         *,
         settled: Collection[str] = (),
+        widened: float = 1.0,
     ) -> Solution:
         """The solution at the answer of the larger adjustment.
 
@@ -108,6 +111,8 @@ class JointClicks:
             normal: the normal matrix of all terms, from which the covariances follow.
             settled: scenes in which more than the clicks speaks for the answer, so that other answers
                 which fit the clicks almost as well no longer widen their covariance.
+            widened: factor of all standard deviations that are stated of an unknown model
+                (`Contradiction.factor`).
         """
         state, held = self._state(scene_from_object, points_object), self.known_points is not None
         fitted = click_residuals(
@@ -120,7 +125,6 @@ class JointClicks:
             placed = dict(zip(self.scenes, state.scene_from_model, strict=True))
             return replace(self.solution, scene_from_object=placed, residuals=residuals)
         inverse = inverse_normal(normal, scenes=len(self.scenes), hold_points=False)
-        widened = self.widening(scene_from_object, points_object, settled)
         joint = widened**2 * with_shared_errors(inverse, self.rays, state, noise=self.noise)
         besides = self._variances_besides_clicks(settled)
         model_from_object, points = object_frame(state, known)

@@ -16,12 +16,12 @@ from jaxtyping import Bool, Float64, Int64
 
 from rpl_data.motions import cross_matrices
 from rpl_data.solve.bundle_adjustment import State, System, descend, linearise
-from rpl_data.solve.click_rays import Noise, Rays
-from rpl_data.solve.shared_errors import shared_errors
+from rpl_data.solve.click_rays import HAND_SIGMA_PX, Noise, Rays
+from rpl_data.solve.shared_errors import both, shared_errors
 from rpl_data.solve.sparse_normal import Parts, normal_by_scenes, parts_by_scene
 
-USUAL = Noise(click_px=2.0, depth_ratio=2.0)
-"""What is expected before anything is known: a hand that clicks to 2 px, and depths as bad as at the corners
+USUAL = Noise(click_px=HAND_SIGMA_PX, depth_ratio=2.0)
+"""What is expected before anything is known: a careful hand, and depths as bad as at the corners
 of a real cube, twice what is stated. On rendered recordings they are as good as stated; where scenes see an
 object from different sides, its clicks show that."""
 PRIOR_RESIDUALS = 3.0
@@ -122,7 +122,9 @@ def widened_for_all_scenes(rays: Rays, state: State) -> Rays:
 
     From which side each scene sees the object is known once the scenes are placed.
     """
-    widened = np.sqrt(shared_errors(rays.keypoint, directions_in_model(rays, state)).sum(axis=1))
+    together = both(np.isfinite(rays.depths_m[:, 0]))
+    shared = shared_errors(rays.keypoint, directions_in_model(rays, state), together)
+    widened = np.sqrt(shared.sum(axis=1))
     sigmas_m = rays.depth_sigmas_m * (widened / rays.widening)[:, None]
     return rays._replace(depth_sigmas_m=sigmas_m, widening=widened)
 

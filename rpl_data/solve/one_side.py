@@ -17,17 +17,27 @@ MOST_NAMED = 4
 
 
 def seen_from_one_side(
-    keypoint: Int64[np.ndarray, " m"], directions: Float64[np.ndarray, "m 3"], known: Bool[np.ndarray, " k"]
+    keypoint: Int64[np.ndarray, " m"],
+    directions: Float64[np.ndarray, "m 3"],
+    measured: Bool[np.ndarray, " m"],
+    known: Bool[np.ndarray, " k"],
 ) -> list[int]:
-    """Keypoints with clicks in several views, all of them from one side.
+    """Keypoints with clicks in several views, all of them from one side, and with a depth in some.
 
     Args:
-        directions: unit vectors along the clicked rays, in a frame that does not move with the object.
+        directions: unit vectors along the clicked rays, in a frame that does not move with respect to the
+            object.
+        measured: clicks with a depth. Where a keypoint has none, rays alone tell its distance, and its stated
+            error holds.
     """
     found = []
     for k in np.flatnonzero(known):
         own = directions[keypoint == k]
-        if len(own) > 1 and float((own @ own.T).min()) > np.cos(ONE_SIDE_RAD):
+        if (
+            len(own) > 1
+            and measured[keypoint == k].any()
+            and float((own @ own.T).min()) > np.cos(ONE_SIDE_RAD)
+        ):
             found.append(int(k))
     return found
 

@@ -16,11 +16,9 @@ from jaxtyping import Bool, Float64, Int64
 
 from rpl_data.motions import cross_matrices, transform_each
 from rpl_data.solve.bundle_adjustment import State, camera_gradient, moved, points_in_cameras
-from rpl_data.solve.click_rays import FARTHER_SURFACE_PENALTY, Rays, misfit, robust
+from rpl_data.solve.click_rays import FARTHER_SURFACE_PENALTY, HAND_SIGMA_PX, Rays, misfit, robust
 from rpl_data.solve.sparse_normal import columns_of, put_together, solved_by_scenes
 
-HAND_SIGMA_PX = 2.0
-"""Standard deviation of a careful click in each axis, believed until the clicks show another."""
 HAND_CLICKS = 10.0
 """How many clicks that belief is worth."""
 CLICK_KERNEL_SIGMAS = 10.0

@@ -47,18 +47,28 @@ def widening(
     scene: Int64[np.ndarray, " m"],
     keypoint: Int64[np.ndarray, " m"],
     directions_scene: Float64[np.ndarray, "m 3"],
+    measured: Bool[np.ndarray, " m"],
 ) -> Float64[np.ndarray, " m"]:
-    """By how much to widen each depth's deviation, so that n clicks that err together weigh as they should.
+    """By how much to widen each depth's deviation, so that n depths that err together weigh as they should.
 
     The mean of n errors of variance 1 and correlation r has the variance (1 + (n - 1) r) / n; n independent
     errors of variance 1 + (n - 1) r have the same. Only clicks of one scene are looked at, in which the
     directions are known before the object's pose is.
+
+    Args:
+        measured: clicks with a depth; the others have no error to share.
     """
-    together = scene[:, None] == scene
+    together = (scene[:, None] == scene) & both(measured)
     widened: Float64[np.ndarray, " m"] = np.sqrt(
         shared_errors(keypoint, directions_scene, together).sum(axis=1)
     )
     return widened
+
+
+def both(measured: Bool[np.ndarray, " m"]) -> Bool[np.ndarray, "m m"]:
+    """Pairs of clicks that both have a depth."""
+    pairs: Bool[np.ndarray, "m m"] = measured[:, None] & measured
+    return pairs
 
 
 def _correlation(apart: Float64[np.ndarray, "m m"]) -> Float64[np.ndarray, "m m"]:

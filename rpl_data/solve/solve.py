@@ -251,7 +251,9 @@ def _solution(
     model_from_object, points = object_frame(state, known)
     turn = model_from_object[:3, :3]
     titles = keypoint_titles(keypoints)
-    one_side = seen_from_one_side(answer.rays.keypoint, directions_in_model(answer.rays, state), known)
+    rays = answer.rays
+    measured = np.isfinite(rays.depths_m[:, 0])
+    one_side = seen_from_one_side(rays.keypoint, directions_in_model(rays, state), measured, known)
     joint = joint_covariance(answer.rays, state, noise=answer.noise)
     in_scene = {
         name: widened_for_near_ties(
@@ -277,6 +279,7 @@ def _solution(
         trajectory_sigma_m={name: trajectory_sigma_m.get(name, 0.0) for name in answer.scenes},
         click_sigma_px=answer.noise.click_px,
         depth_sigma_ratio=answer.noise.depth_ratio,
+        one_side=tuple(one_side),
         checked=False,
     )
     return solution, placed

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from rpl_data.directions import spread_directions
-from rpl_data.geometry import Transform, invert, rays, rigid
+from rpl_data.geometry import Transform, rays, rigid
 from rpl_data.raycast import PixelTable
 from rpl_data.synthesize.render import Alone, Placed, alone
 from rpl_data.synthesize.studio import Plate, Studio, Subject
@@ -111,10 +111,3 @@ def _touch(one: Placed, other: Placed) -> bool:
     """Whether two objects are nearer than their sizes allow."""
     apart = np.linalg.norm(one.camera_from_object[:3, 3] - other.camera_from_object[:3, 3])
     return bool(apart < APART * (one.body.radius_m + other.body.radius_m))
-
-
-def view_of(camera_from_object: Transform) -> Float64[np.ndarray, "3"]:
-    """Direction from the object to the camera, object frame."""
-    towards = invert(camera_from_object)[:3, 3]
-    direction: Float64[np.ndarray, "3"] = towards / np.linalg.norm(towards)
-    return direction

@@ -170,6 +170,8 @@ class Solution:
         next_clicks: further clicks in frames that have some, the most useful first.
         trajectory_sigma_m: how far the poses of each scene stray, standard deviation per axis, which
             `covariance_in_scene` includes; absent = 0.
+        one_side: numbers of the keypoints that all clicks see from one side: how far away they are, the depth
+            camera alone tells (`solve.one_side`).
         checked: whether its clicks were checked against one another; the paper's way (SLSQP) has no check.
     """
 
@@ -184,6 +186,7 @@ class Solution:
     statements: tuple[Statement, ...] = ()
     next_clicks: tuple[NextClick, ...] = ()
     trajectory_sigma_m: Mapping[str, float] = field(default_factory=dict)
+    one_side: tuple[int, ...] = ()
     checked: bool = True
 
     @property

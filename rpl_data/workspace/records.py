@@ -63,6 +63,7 @@ def solution_to_json(solution: Solution) -> Json:
         "depth_sigma_ratio": solution.depth_sigma_ratio,
         "next_clicks": [asdict(click) for click in solution.next_clicks],
         "statements": [asdict(statement) for statement in solution.statements],
+        "one_side": list(solution.one_side),
         "checked": solution.checked,
     }
 
@@ -84,6 +85,9 @@ def solution_from_json(data: Json) -> Solution:
         raise ValueError("keypoints, points_object and covariance are not equally many")
     if any(not 0 <= end < len(keypoints) for pair in model.skeleton for end in pair):
         raise ValueError("skeleton: it names a keypoint that is not there")
+    one_side = each(whole)(data.get("one_side", []))
+    if any(not 0 <= k < len(keypoints) for k in one_side):
+        raise ValueError("one_side: it names a keypoint that is not there")
     return Solution(
         model=model,
         covariance=covariance,
@@ -104,6 +108,7 @@ def solution_from_json(data: Json) -> Solution:
         depth_sigma_ratio=optional(number)(data.get("depth_sigma_ratio")),
         statements=each(statement_from_json)(data.get("statements", [])),
         next_clicks=each(next_click_from_json)(data.get("next_clicks", [])),
+        one_side=one_side,
         checked=flag(data.get("checked", True)),
     )
 

@@ -45,6 +45,12 @@ def test_a_keypoint_without_a_position_is_not_called_checked():
     assert "every keypoint is checked but 3 d, which will have no label" in said.text
 
 
+def test_a_distance_that_no_other_side_tells_is_not_called_checked():
+    annotation = Annotation("it", tuple("abcd"), clicks=tuple(CLICKS))
+    said = next_step(annotation, Live(replace(solution_of(), one_side=(1, 3))), SCENES).text
+    assert "every keypoint is checked, the distance of 1 b, 3 d by the depth camera alone" in said
+
+
 def test_a_wrong_click_is_shown_where_it_is():
     step = advised(Statement("wrong place", (CLICKS[5],), "keypoint b is 40 px off"))
     assert (step.scene, step.frame, step.keypoint) == ("01", 3, 1)

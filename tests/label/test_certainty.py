@@ -107,7 +107,10 @@ def test_the_speed_in_the_image_is_that_of_the_path() -> None:
     motion = Motion.of(scene, Trajectory(np.array([0, 1, 3]), np.stack(poses)))
     for frame in (0, 1, 3):  # 1 mm at 0.494 m is 1.01 px, 30 times a second
         assert motion.speed_px_s(CAMERA, frame, ball()) == pytest.approx(30 * 0.5 / 0.494, rel=0.001)
+    by_frame = {frame: motion.speed_px_s(CAMERA, frame, ball()) for frame in (0, 1, 3)}
+    assert motion.speeds_px_s(CAMERA, ball()) == pytest.approx(by_frame)
     alone = Motion.of(scene, Trajectory(np.array([2]), poses[0][None]))
+    assert alone.speeds_px_s(CAMERA, ball()) == {2: 0}
     assert alone.speed_px_s(CAMERA, 2, ball()) == 0
 
 
@@ -134,6 +137,27 @@ def test_holes_in_depth_make_no_wrong_label_certain_and_no_dark_object_uncertain
     assert sigmas(wrong, dark, None).min() > 30
 
 
+def test_what_all_outlines_have_in_common_is_the_sensors() -> None:
+    """The whole outline 2 px too wide in depth: as good as right; in colour it is the label's."""
+    v, u = np.mgrid[0:240, 0:320]
+    wider = np.hypot(u - 159.5, v - 119.5) <= RADIUS_PX + 2
+    depth = np.where(wider & (DEPTH > 0.7), 0.497, DEPTH).astype(np.float32)
+    by_depth, by_color = (
+        sigma_px(CAMERA, labelled(), labelled().mask, *images, Tolerances()).max()
+        for images in ((depth, None), (None, np.where(wider, 180, 60).astype(np.uint8)))
+    )
+    assert by_depth < 0.3 < by_color
+
+
+def test_the_edge_near_the_outline_counts_not_a_stronger_one_beside_it() -> None:
+    v, u = np.mgrid[0:240, 0:320]
+    beside = np.hypot(u - 159.5, v - 119.5) > RADIUS_PX + 6
+    grey = np.where(beside, 255, np.where(drawn(1, 0) > 0, 60, 130)).astype(np.uint8)
+    found = labelled()
+    edges = color_edges(outline_of(found.mask, found.mask, found.depth_m, found.window), grey)
+    assert edges.found.all() and np.abs(edges.offset_px).max() < 1.5
+
+
 def test_outlines_near_the_border_of_the_image_are_not_judged() -> None:
     found = labelled(159.5 - RADIUS_PX - REACH_PX / 2)
     outline = outline_of(found.mask, found.mask, found.depth_m, found.window)
@@ -155,6 +179,7 @@ def test_of_edges_and_print_the_smaller_counts() -> None:
         return float(sigma_px(*given, by_print_px=by_print_px).max())
 
     assert largest(found, 0.0) < largest(found, None)
+    assert largest(found, 1.0) ** 2 == pytest.approx(largest(found, 0.0) ** 2 + 2.0**2), "twice what it moves"
     assert largest(found, 100.0) == largest(found, None)
     assert largest(quiet, 100.0) == largest(quiet, None)
 

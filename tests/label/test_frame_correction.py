@@ -10,7 +10,7 @@ import pytest
 
 from rpl_data.geometry import from_rotvec, invert, project, transform
 from rpl_data.label.alone import Body, ObjectAlone, SceneObject, object_alone
-from rpl_data.label.frame_correction import FrameCorrector, frame_corrector, in_standard_errors
+from rpl_data.label.frame_correction import FrameCorrector, frame_corrector
 from rpl_data.label.label import label_frames
 from rpl_data.label.occlusion import FAR_M
 from rpl_data.label.prints import MOST_POINTS, look_at, print_of
@@ -139,8 +139,3 @@ def test_a_print_of_a_large_object_is_read_and_one_of_a_thin_object_is_empty() -
     assert len(print_of(camera, look, everywhere, np.eye(4)).points) == MOST_POINTS
     thin = everywhere & (np.arange(columns) < 5)
     assert len(print_of(camera, look, thin, np.eye(4)).points) == 0
-
-
-def test_evidence_in_standard_errors_by_hand() -> None:
-    assert in_standard_errors(np.array([1.0, 2.0, 3.0])) == pytest.approx(2 * np.sqrt(3))
-    assert in_standard_errors(np.array([5.0, 5.0])) == 0

@@ -296,6 +296,10 @@ def test_touching_spheres_become_one_that_holds_both() -> None:
     assert len(joined_spheres([a, Sphere(np.array([2.5, 0, 0]), 1.0)])) == 2
     (outer,) = joined_spheres([Sphere(np.zeros(3), 0.2), a])
     assert outer.radius_m == 1.0
+    far = Sphere(np.array([9.0, 0, 0]), 1.0)
+    assert [s.radius_m for s in joined_spheres([far, a, b])] == [1.0, pytest.approx(1.75)]
+    chain = [Sphere(np.array([x, 0.0, 0.0]), 1.0) for x in (0.0, 3.0, 1.5)]
+    assert [s.radius_m for s in joined_spheres(chain)] == [pytest.approx(2.5)], "the last one ties them"
 
 
 def test_joined_meshes_keep_their_triangles() -> None:

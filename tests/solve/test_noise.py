@@ -8,7 +8,12 @@ from scipy.spatial.transform import Rotation
 from rpl_data.geometry import fit_rigid, invert, rigid, transform
 from rpl_data.solve.bundle_adjustment import State, linearise, moved
 from rpl_data.solve.click_rays import Noise, misfit, rays_of
-from rpl_data.solve.noise import joint_covariance, points_in_scene_covariance, shape_covariance
+from rpl_data.solve.noise import (
+    joint_covariance,
+    points_in_scene_covariance,
+    shape_covariance,
+    widened_for_all_scenes,
+)
 from rpl_data.solve.solve import register_scene, solve, solve_unchecked
 from rpl_data.solve.straying import without_straying
 from rpl_data.types import KeypointModel
@@ -159,6 +164,38 @@ def test_clicks_that_share_an_error_weigh_as_one_for_that_share(spread_rad, rema
     )
     sigmas = rays_of(observations, ["00"]).depth_sigmas_m[:, 0]
     assert sigmas**2 / 3 == pytest.approx(DEPTH_SIGMA_M**2 * remains, rel=0.02)
+
+
+def test_clicks_without_depth_share_no_error_of_a_depth():
+    """Three clicks in the same view of which the first alone has a depth: that one counts in full."""
+    at, random = pose(np.random.default_rng(9)), np.random.default_rng(9)
+    observations = click_scene(
+        "00", CUBE, at, cameras(3, 0.0), random, depths=lambda k, f, z: [z] if f == 0 else []
+    )
+    rays = rays_of(observations, ["00"])
+    for found in (rays, widened_for_all_scenes(rays, State(at[None], CUBE))):
+        np.testing.assert_allclose(found.depth_sigmas_m[:8, 0], DEPTH_SIGMA_M)
+        assert np.isnan(found.depth_sigmas_m[8:, 0]).all() and (found.widening == 1).all()
+
+
+def test_scenes_that_see_a_keypoint_from_nearly_the_same_side_share_its_error():
+    """It is turned by 40 degrees about an axis across the line of sight: 0.5 exp(-(40 / 25)^2 / 2)."""
+    at = pose(np.random.default_rng(9))
+    across = np.cross(at[2, :3], [0.3, 0.5, 0.8])  # the camera looks along z
+    turn = rigid(
+        Rotation.from_rotvec(np.deg2rad(40) * across / np.linalg.norm(across)).as_matrix(), np.zeros(3)
+    )
+    poses, middle = np.stack([at, at @ turn]), np.zeros((1, 3))
+    observations = [
+        o
+        for name, one in zip(("00", "01"), poses, strict=True)
+        for o in click_scene(name, middle, one, cameras(1), np.random.default_rng(9))
+    ]
+    rays = rays_of(observations, ["00", "01"])
+    assert (rays.widening == 1).all(), "scene by scene they share nothing"
+    shared = 0.5 * np.exp(-((2 * np.sin(np.deg2rad(20))) ** 2) / (2 * np.deg2rad(25) ** 2))
+    found = widened_for_all_scenes(rays, State(poses, middle)).depth_sigmas_m[:, 0]
+    np.testing.assert_allclose(found, DEPTH_SIGMA_M * np.sqrt(1 + shared), rtol=1e-6)
 
 
 def scenes_from_one_side(random, depth_ratio):

@@ -12,9 +12,12 @@ def views_at(*degrees: float) -> np.ndarray:
 
 def test_keypoints_are_named_whose_views_all_lie_within_15_degrees() -> None:
     keypoint = np.array([0, 0, 1, 1, 1, 2, 3, 3])
-    directions = views_at(0, 14, 0, 7, 16, 0, 90, 91)
-    assert seen_from_one_side(keypoint, directions, np.ones(4, bool)) == [0, 3], "2 has one click only"
-    assert seen_from_one_side(keypoint, directions, np.array([True, True, True, False])) == [0]
+    directions, measured = views_at(0, 14, 0, 7, 16, 0, 90, 91), np.ones(8, bool)
+    every, but_3 = np.ones(4, bool), np.array([True, True, True, False])
+    assert seen_from_one_side(keypoint, directions, measured, every) == [0, 3], "2 has one click only"
+    assert seen_from_one_side(keypoint, directions, measured, but_3) == [0]
+    measured[[0, 6, 7]] = False
+    assert seen_from_one_side(keypoint, directions, measured, every) == [0], "rays alone tell where 3 is"
 
 
 def test_a_line_names_them_or_counts_them() -> None:

@@ -79,6 +79,7 @@ def test_solution_round_trip() -> None:
         (Statement("wrong place", (click,), "scene 00, frame 3: keypoint a ...", 21.5),),
         (NextClick("01", 4, 1, 0.75, 3.25),),
         {"01": 0.002},
+        one_side=(1,),
     )
     back = records.solution_from_json(through_json(records.solution_to_json(solution)))
     np.testing.assert_array_equal(back.model.points_object, model.points_object)
@@ -87,7 +88,7 @@ def test_solution_round_trip() -> None:
     assert (back.residuals, back.warnings) == (residuals, solution.warnings)
     assert (back.click_sigma_px, back.depth_sigma_ratio) == (1.5, 1.25)
     assert (back.statements, back.next_clicks) == (solution.statements, solution.next_clicks)
-    assert back.trajectory_sigma_m == {"01": 0.002}
+    assert (back.trajectory_sigma_m, back.one_side) == ({"01": 0.002}, (1,))
     np.testing.assert_array_equal(back.covariance_in_scene["01"], in_scene["01"])
     assert list(back.scene_from_object) == ["00", "01"]
     for name, matrix in transforms.items():
@@ -97,7 +98,14 @@ def test_solution_round_trip() -> None:
 def test_solutions_of_older_versions_are_read() -> None:
     model = KeypointModel("cube", ("a",), np.array([[0.1, 0.2, 0.3]]))
     written = records.solution_to_json(Solution(model, np.eye(3)[None], {"00": np.eye(4)}))
-    for new in ("covariance_in_scene", "click_sigma_px", "depth_sigma_ratio", "statements", "next_clicks"):
+    for new in (
+        "covariance_in_scene",
+        "click_sigma_px",
+        "depth_sigma_ratio",
+        "statements",
+        "next_clicks",
+        "one_side",
+    ):
         del written[new]
     back = records.solution_from_json(through_json(written))
     assert (back.covariance_in_scene, back.click_sigma_px, back.depth_sigma_ratio) == ({}, None, None)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -18,15 +17,14 @@ from rpl_data.json_arrays import Json
 from rpl_data.label.alone import SceneObject
 from rpl_data.label.frame_correction import frame_corrector
 from rpl_data.label.label import label_frames, sample_frames
-from rpl_data.label.mask_check import MaskCheck
 from rpl_data.meshes import load_cloud, load_mesh
 from rpl_data.pipeline.context import Context, step
 from rpl_data.pipeline.followed import follow_objects, moved_objects
 from rpl_data.pipeline.given_masks import instances_in, mask_options, object_masks
+from rpl_data.pipeline.label_tally import LabelTally
 from rpl_data.pipeline.ledger import Advance, Outcome, Step
 from rpl_data.types import FrameLabel, posed_frames
 from rpl_data.types.instances import instance_of, places_in
-from rpl_data.wording import counted
 from rpl_data.workspace.workspace import Workspace
 
 VERSION = 8
@@ -51,101 +49,72 @@ def forget_labels(context: Context) -> None:
 
 
 def _label_step(context: Context, video: str) -> Step:
-    workspace, rate_hz, dots = context.workspace, context.recipe.label.rate_hz, context.recipe.label.dots
-    correct = context.recipe.refine.frames
-    parts = workspace.parts()
+    workspace, parts, label = context.workspace, context.workspace.parts(), context.recipe.label
     standing = {scene: context.solutions_in(scene) for scene in parts.scenes_of(video)}
     placed = {scene: [item.model.name for item in found] for scene, found in standing.items() if found}
     names = [name for name in context.object_names if any(name in found for found in placed.values())]
-
-    def run(advance: Advance) -> Outcome:
-        counts: Counter[str] = Counter()
-        moved_px: dict[str, list[float]] = {}
-        scene = workspace.load_scene(video)
-        given, check = object_masks(context, video), MaskCheck()
-        posed = posed_frames(scene, workspace.load_trajectory(scene))
-        alone = {name for name in names if len(instances_in(workspace.load_placed(name), video, parts)) == 1}
-        followed, followed_m = list[str](), dict[str, float]()
-        if video in parts.moving:
-            found, followed_m, followed = follow_objects(workspace, video, placed[video], posed, advance)
-            posed = [frame for frame in posed if frame.index in found]
-        frames = sample_frames(posed, rate_hz=rate_hz)
-        chosen = {
-            name: [f.index for f in frames if parts.scene_at(video, f.index) == name] for name in placed
-        }
-        total = sum(map(len, chosen.values()))
-
-        def labels() -> Iterator[FrameLabel]:
-            for name, indices in chosen.items():
-                ranges = context.pool.ranges(len(indices))
-                of_scene = (workspace.root, name, video, placed[name], indices)
-                tasks = [(*of_scene, indices[a:b], dots, correct, followed_m) for a, b in ranges]
-                yield from context.pool.stream(label_range, tasks)
-
-        def tallied() -> Iterator[FrameLabel]:
-            for done, label in enumerate(labels(), start=1):
-                advance(done, total)
-                counts.update(instance.object for instance in label.instances)
-                for instance in label.instances:
-                    if instance.corrected_px is not None:
-                        moved_px.setdefault(instance.object, []).append(instance.corrected_px)
-                    # Which of several instances a given mask is of is not known.
-                    if given is not None and instance.object in given.keys and instance.object in alone:
-                        mask = given.mask(instance.object, label.frame, scene)
-                        check.add(instance.object, label.frame, instance.mask, mask)
-                yield label
-
-        workspace.save_labels(video, tallied())
-        remove(workspace.earlier_labels_file(video))
-        notes = [] if given is None else [f"scene {video}: {line}" for line in given.notes]
-        notes += [
-            f"scene {video}: it shows several {name}, so given masks neither check them nor vote on "
-            "their shape: which instance a mask is of is not known"
-            for name in names
-            if given is not None and name in given.keys and name not in alone
-        ]
-        lines = [*notes, *check.lines(video)]
-        path = "the path that was followed" if followed else "the camera path"
-        lines += [
-            corrected_line(video, item, moved_px[item], counts[item], path) for item in sorted(moved_px)
-        ]
-        details = {
-            "instances": {item: counts[item] for item in names},
-            "posed": len(posed),
-            "corrected": {item: len(found) for item, found in moved_px.items()},
-            **({} if given is None else {"given_masks": check.details()}),
-        }
-        return Outcome(total, (*followed, *lines), details)
-
-    before = [step for item in names for step in (context.placed_by(item), f"segment/{item}")]
-    options: Json = {"rate_hz": rate_hz} | {name: context.frames_of(name) for name in placed if name != video}
+    options: Json = {"rate_hz": label.rate_hz}
+    options |= {name: context.frames_of(name) for name in placed if name != video}
     if video in parts.moving:
         options |= {"followed": "compared where it stands still"}  # else as labelled by older versions
-    if dots:
+    if label.dots:
         options |= {"masks": "splat"}
-    if correct != "auto":
-        options |= {"correct": correct}
-    output = workspace.labels_file(video)
+    if context.recipe.refine.frames != "auto":
+        options |= {"correct": context.recipe.refine.frames}
     mask_choice, mask_files = mask_options(context, [video])
+    before = [step for item in names for step in (context.placed_by(item), f"segment/{item}")]
     return step(
         "label",
         video,
-        run,
+        partial(_label_video, context, video, placed, names),
         version=VERSION,
         options=options | mask_choice,
         sources=mask_files,
         after=[*context.poses_of(video), *before],
-        outputs=[output],
+        outputs=[workspace.labels_file(video)],
     )
 
 
-def corrected_line(video: str, item: str, moved_px: Sequence[float], labels: int, path: str) -> str:
-    """Says how many labels of an object were corrected in their frames, and by how much."""
-    return (
-        f"scene {video}: {item} is corrected in {len(moved_px)} of {counted(labels, 'frame')} by what is "
-        f"printed on it, by {np.median(moved_px):.1f} px (median), {max(moved_px):.1f} px at most; the other "
-        f"labels keep to {path}"
-    )
+def _label_video(
+    context: Context, video: str, placed: Mapping[str, Sequence[str]], names: Sequence[str], advance: Advance
+) -> Outcome:
+    """Label the frames of a recording, and keep the labels.
+
+    Args:
+        placed: by scene of the recording, the objects in it; `names` are all of them.
+    """
+    workspace, parts = context.workspace, context.workspace.parts()
+    scene = workspace.load_scene(video)
+    posed = posed_frames(scene, workspace.load_trajectory(scene))
+    alone = {name for name in names if len(instances_in(workspace.load_placed(name), video, parts)) == 1}
+    tally = LabelTally(scene, names, alone, object_masks(context, video))
+    path, said, followed_m = "the camera path", list[str](), dict[str, float]()
+    if video in parts.moving:
+        found, followed_m, said = follow_objects(workspace, video, placed[video], posed, advance)
+        posed, path = [frame for frame in posed if frame.index in found], "the path that was followed"
+    frames = sample_frames(posed, rate_hz=context.recipe.label.rate_hz)
+    chosen = {name: [f.index for f in frames if parts.scene_at(video, f.index) == name] for name in placed}
+    total = sum(map(len, chosen.values()))
+    labels = _labels(context, video, placed, chosen, followed_m)
+    workspace.save_labels(video, tally.counting(labels, total, advance))
+    remove(workspace.earlier_labels_file(video))
+    return Outcome(total, (*said, *tally.lines(video, path=path)), tally.details(posed=len(posed)))
+
+
+def _labels(
+    context: Context,
+    video: str,
+    placed: Mapping[str, Sequence[str]],
+    chosen: Mapping[str, Sequence[int]],
+    followed_m: Mapping[str, float],
+) -> Iterator[FrameLabel]:
+    """The labels of the chosen frames of each scene, made in ranges, side by side."""
+    dots, correct = context.recipe.label.dots, context.recipe.refine.frames
+    for name, indices in chosen.items():
+        of_scene = (context.workspace.root, name, video, placed[name], indices)
+        ranges = context.pool.ranges(len(indices))
+        tasks = [(*of_scene, indices[a:b], dots, correct, followed_m) for a, b in ranges]
+        yield from context.pool.stream(label_range, tasks)
 
 
 def label_range(

@@ -12,14 +12,13 @@ from rpl_data.pipeline.lifted_clicks import observe
 from rpl_data.pipeline.placements import standing, with_placements, without_scenes
 from rpl_data.pipeline.recipe import ObjectRecipe
 from rpl_data.refine.evidence import Verdict
+from rpl_data.solve.witnesses import Contradiction
 from rpl_data.types import PointCloud, Solution
 from rpl_data.types.instances import scene_of
 from rpl_data.workspace.workspace import Workspace
 
 VERSION = 4
 """Increase it when the stage writes something else for the same input: its steps then run again."""
-WORTH_SAYING = 1.2
-"""From this factor on, that clicks and surfaces contradict each other is said."""
 
 
 def refine_steps(context: Context) -> list[Step]:
@@ -64,8 +63,9 @@ def _refine_step(context: Context, item: ObjectRecipe) -> Step:
         if found.registered:
             settled = [name for name, verdict in verdicts.items() if verdict.accepted]
             poses, points = found.scene_from_object, found.points_object
-            solution = clicks.solved(poses, points, found.normal, settled=settled)
-            lines += [] if hold else contradicting(clicks.widening(poses, points, settled))
+            apart = clicks.contradiction(poses, points, settled)
+            solution = clicks.solved(poses, points, found.normal, settled=settled, widened=apart.factor)
+            lines += [] if hold else contradicting(apart)
         workspace.save_refined(with_placements(solution, placed))
         return Outcome(
             messages=tuple(f"{item.name}: {line}" for line in lines),
@@ -110,12 +110,12 @@ def kept_by_clicks(verdicts: dict[str, Verdict]) -> list[str]:
     ]
 
 
-def contradicting(widened: float) -> list[str]:
+def contradicting(found: Contradiction) -> list[str]:
     """A line where clicks and surfaces contradict each other by more than is stated of them."""
-    if widened < WORTH_SAYING:
+    if not found.beyond_chance:
         return []
     return [
-        "its clicks and its surfaces contradict each other by more than either should be off, so its stated "
-        f"errors are {widened:.1f} times what the clicks alone show; depth that is off on a whole face, or "
-        "beside its colour, does that, and so do clicks that are wrong alike"
+        "its clicks and its surfaces contradict each other by more than chance explains, so its errors are "
+        f"stated {found.factor:.1f} times as large as the two together would have them; depth that is off "
+        "on a whole face, or beside its colour, does that, and so do clicks that are wrong alike"
     ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -38,7 +39,7 @@ def segment_steps(context: Context) -> list[Step]:
 
 
 def _segment_step(context: Context, item: ObjectRecipe) -> Step:
-    workspace, voxel_m = context.workspace, context.recipe.reconstruct.voxel_m
+    workspace, parts, method = context.workspace, context.workspace.parts(), context.recipe.segment.method
     scene_from_object = workspace.load_solution(item.name).scene_from_object
     # What was registered follows the model, and never changes it: a wrong place would spoil it.
     outside = standing(workspace, item.name)
@@ -49,58 +50,68 @@ def _segment_step(context: Context, item: ObjectRecipe) -> Step:
         if place not in outside
     ]
     scenes = list(dict.fromkeys(map(scene_of, places)))
-    crop, given = crop_of(workspace, item), given_mesh(workspace, item.name)
-    method = context.recipe.segment.method
-    parts = workspace.parts()
+    given = given_mesh(workspace, item.name)
     mask_choice, mask_files = mask_options(context, sorted({parts.video_of(scene) for scene in scenes}))
-
-    def run(advance: Advance) -> Outcome:
-        if given is not None:
-            return _keep_given(workspace, item.name, given)
-        from rpl_data.segment import METHODS
-        from rpl_data.segment.segment import segment_object
-
-        if not places:
-            raise DataError(
-                f"object {item.name} was only filmed while it was moved, and single frames make no dense "
-                "model: film it standing still, from all sides, in one more scene, and click it there"
-            )
-        solution = workspace.load_placed(item.name)
-        surfaces = {place: load_mesh(workspace.surface_file(scene_of(place))) for place in places}
-        views = [view for name in places for view in depth_views(workspace, name, solution)]
-        segment = METHODS[method]
-        if mask_choice and method == "convex":
-            masks = [view for name in places for view in mask_views(context, name, solution)]
-            segment = partial(segment_object, mask_views=masks)
-        dense = segment(surfaces, solution, voxel_m=voxel_m, crop_m=crop, depth_views=views)
-        save_mesh(workspace.mesh_file(item.name), dense.mesh, seen=dense.seen)
-        save_cloud(workspace.cloud_file(item.name), dense.cloud)
-        lines = (*dense.warnings, *mesh_remarks(dense))
-        if mask_choice and method != "convex":
-            lines = (*lines, "given masks are not used by `segment: {method: smooth}`, which is the paper's")
-        return Outcome(
-            messages=tuple(f"{item.name}: {line}" for line in lines),
-            details={
-                "model": model_key(solution.model),
-                "triangles": len(dense.mesh.triangles),
-                "points": len(dense.cloud.points),
-                "unseen_triangles": int((~dense.seen).sum()),
-                "open_edges": dense.open_edges,
-                "false_area": None if np.isnan(dense.free_share) else round(dense.free_share, 4),
-            },
-        )
-
+    run = (
+        partial(_segmented, context, item, places, by_masks=bool(mask_choice))
+        if given is None
+        else lambda advance: _keep_given(workspace, item.name, given)
+    )
     return step(
         "segment",
         item.name,
         run,
         version=VERSION,
-        options={"voxel_m": voxel_m, "crop": crop}
+        options={"voxel_m": context.recipe.reconstruct.voxel_m, "crop": crop_of(workspace, item)}
         | ({} if method == "convex" else {"method": method})
         | mask_choice,
         sources=mask_files if given is None else stamps(workspace.given_mesh_file(item.name)),
         after=[context.placed_by(item.name), *(f"surface/{name}" for name in scenes)],
         outputs=[workspace.mesh_file(item.name), workspace.cloud_file(item.name)],
+    )
+
+
+def _segmented(
+    context: Context, item: ObjectRecipe, places: Sequence[str], advance: Advance, *, by_masks: bool
+) -> Outcome:
+    """Make the dense model of an object from its surface at these places, and keep it.
+
+    Raises:
+        DataError: there are no places, or no surface is found at the keypoints.
+    """
+    from rpl_data.segment import METHODS
+    from rpl_data.segment.segment import segment_object
+
+    workspace, voxel_m = context.workspace, context.recipe.reconstruct.voxel_m
+    if not places:
+        raise DataError(
+            f"object {item.name} was only filmed while it was moved, and single frames make no dense "
+            "model: film it standing still, from all sides, in one more scene, and click it there"
+        )
+    solution = workspace.load_placed(item.name)
+    surfaces = {place: load_mesh(workspace.surface_file(scene_of(place))) for place in places}
+    views = [view for name in places for view in depth_views(workspace, name, solution)]
+    method = context.recipe.segment.method
+    segment = METHODS[method]
+    if by_masks and method == "convex":
+        masks = [view for name in places for view in mask_views(context, name, solution)]
+        segment = partial(segment_object, mask_views=masks)
+    dense = segment(surfaces, solution, voxel_m=voxel_m, crop_m=crop_of(workspace, item), depth_views=views)
+    save_mesh(workspace.mesh_file(item.name), dense.mesh, seen=dense.seen)
+    save_cloud(workspace.cloud_file(item.name), dense.cloud)
+    lines = [*dense.warnings, *mesh_remarks(dense)]
+    if by_masks and method != "convex":
+        lines.append("given masks are not used by `segment: {method: smooth}`, which is the paper's")
+    return Outcome(
+        messages=tuple(f"{item.name}: {line}" for line in lines),
+        details={
+            "model": model_key(solution.model),
+            "triangles": len(dense.mesh.triangles),
+            "points": len(dense.cloud.points),
+            "unseen_triangles": int((~dense.seen).sum()),
+            "open_edges": dense.open_edges,
+            "false_area": None if np.isnan(dense.free_share) else round(dense.free_share, 4),
+        },
     )
 
 

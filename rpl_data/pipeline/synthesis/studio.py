@@ -11,6 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from rpl_data.directions import view_direction
 from rpl_data.export.folder import replacing
 from rpl_data.formats.datasets.coco import CocoObject, depth_unit_m, intrinsics_from_coco, visible_mask
 from rpl_data.geometry import Transform, invert
@@ -22,7 +23,6 @@ from rpl_data.pipeline.synthesis.models import can_be_made, scene_table, trainin
 from rpl_data.pipeline.synthesis.plates import Table, make_plates
 from rpl_data.pipeline.synthesis.training import Training
 from rpl_data.raycast import PixelTable
-from rpl_data.synthesize.arrange import view_of
 from rpl_data.synthesize.body import Body
 from rpl_data.synthesize.light import SceneLight
 from rpl_data.synthesize.measure import color_noise, depth_errors, noise_of
@@ -192,7 +192,7 @@ def _subject(
     return Subject(
         body=body,
         keypoints=item.model.keypoints,
-        views=np.array([view_of(pose) for pose in poses]),
+        views=np.array([view_direction(pose) for pose in poses]),
         shown=shown_directions(body),
         ups=np.array([_up_of(labels, poses, places, part, tables) for part in np.unique(places)]),
         turn_deg=turn_by_scenes(scenes, poses),
