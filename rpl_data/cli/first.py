@@ -22,7 +22,8 @@ def init(
 
     Only faults of which it is sure are put right; what is less sure stands in the recipe as a comment. An
     object that is clicked in the recording's clicks.csv comes into the recipe with its keypoints; otherwise
-    its name and keypoints are asked for, or taken from the options.
+    its name and keypoints are asked for, or taken from the options. Every frame is labelled where three per
+    second would be fewer than 50; else three per second, until `rate:` in the recipe says otherwise.
 
     Example: rpl init my.yaml --from my-recording --object mug --keypoints handle,rim,foot,logo
 
