@@ -21,6 +21,7 @@ from rpl_data.report.pictures import contact_sheet, frames_per_scene, legends
 from rpl_data.report.solid import solid
 from rpl_data.report.tables import labels_section, quality_section, timings_section
 from rpl_data.types import QualityRow, Solution
+from rpl_data.wording import counted
 from rpl_data.workspace.workspace import Workspace
 
 
@@ -97,19 +98,19 @@ def _tiles(scenes: Sequence[SceneReport], solutions: Sequence[Solution]) -> str:
     residuals = [residual for solution in solutions for residual in solution.residuals]
     tallies = [tally for scene in scenes for tally in scene.tallies.values()]
     sigmas_px = [sigma_px for tally in tallies for sigma_px in tally.sigmas_px]
-    counts = {
-        "scenes": len(scenes),
-        "objects": len(solutions),
-        "frames": sum(len(scene.recording.scene.frames) for scene in scenes),
-        "frames labelled": sum(len(scene.frames) for scene in scenes),
-        "instances": sum(tally.instances for tally in tallies),
-        "clicks": len(residuals),
-        "wrong clicks": sum(residual.outlier for residual in residuals),
-    }
-    shown = {name: number(count, 0) for name, count in counts.items()}
+    counts = [
+        (len(scenes), "scene", ""),
+        (len(solutions), "object", ""),
+        (sum(len(scene.recording.scene.frames) for scene in scenes), "frame", ""),
+        (sum(len(scene.frames) for scene in scenes), "frame", " labelled"),
+        (sum(tally.instances for tally in tallies), "instance", ""),
+        (len(residuals), "click", ""),
+        (sum(residual.outlier for residual in residuals), "wrong click", ""),
+    ]
+    shown = [(number(n, 0), counted(n, noun).partition(" ")[2] + rest) for n, noun, rest in counts]
     if sigmas_px:
-        shown["px off (expected)"] = number(float(np.median(sigmas_px)), 1)
-    tiles = "".join(f"<div><b>{figure}</b><span>{name}</span></div>" for name, figure in shown.items())
+        shown.append((number(float(np.median(sigmas_px)), 1), "± px expected"))
+    tiles = "".join(f"<div><b>{figure}</b><span>{name}</span></div>" for figure, name in shown)
     return f'<div class="tiles">{tiles}</div>'
 
 
