@@ -57,7 +57,8 @@ def one_line(message: str, options: Sequence[str]) -> str:
     """
     if found := re.search(r"argument COMMAND: invalid choice: '(.*)' \(choose from (.*)\)", message):
         known = re.findall(r"'([^']+)'", found[2])
-        return f"there is no command {found[1]!r}{_meant(found[1], known) or f'; there are {found[2]}'}"
+        meant = _meant(found[1], known, alike=0.7)
+        return f"there is no command {found[1]!r}{meant or f'; there are {found[2]}'}"
     if found := re.match(r"unrecognized arguments: (.*)", message):
         given = [word.split("=")[0] for word in found[1].split() if word.startswith("--")]
         if not given:
@@ -65,23 +66,28 @@ def one_line(message: str, options: Sequence[str]) -> str:
         return ", ".join(f"there is no option {name}{_meant(name, options)}" for name in given)
     if "subcommand" in message:
         return "a command is missing"
-    if found := re.match(r'Parser key "([\w.]+)":.*?<class .*valu?e: (.*)', message, re.DOTALL):
-        expected = dict.fromkeys(re.findall(r"<class '(\w+)'>", message.split("Given")[0]))
-        kinds = " or ".join(k for k in expected if k in VALUES) or "another form"
-        return f"--{found[1]}: expected {kinds}, found {found[2]!r}"
+    if found := re.match(r'Parser key "([\w.]+)":.*(?:<class |Literal\[).*valu?e: (.*)', message, re.DOTALL):
+        return f"--{found[1]}: expected {_expected(message.split('Given')[0])}, found {found[2]!r}"
     if message.startswith("the following arguments are required: "):
         name = re.sub(r"[^ ]*[.]", "", message.split(": ")[1])
         return f"--{name[:-1]} is missing" if name.endswith("_") else f"{name} is missing"
     return " ".join(re.sub(r'Parser key "([\w.]+)":', r"--\1:", message).split())
 
 
+def _expected(types: str) -> str:
+    """What an option takes, in words, of what jsonargparse says of its type."""
+    kinds = [kind for kind in dict.fromkeys(re.findall(r"<class '(\w+)'>", types)) if kind in VALUES]
+    words = re.findall(r"'([^']+)'", "".join(re.findall(r"Literal\[(.*?)\]", types)))
+    return " or ".join(dict.fromkeys([*kinds, *words])) or "another form"
+
+
 VALUES = ("int", "float", "bool", "str")
 """Types that a person can write on a command line."""
 
 
-def _meant(name: str, known: Sequence[str]) -> str:
+def _meant(name: str, known: Sequence[str], *, alike: float = 0.6) -> str:
     """The known name most like another one; an option may have been named without its group."""
-    near = get_close_matches(name, known, 1, 0.6)
+    near = get_close_matches(name, known, 1, alike)
     if not near:
         by_end = {option.split(".")[-1]: option for option in known if "." in option}
         near = [by_end[end] for end in get_close_matches(name.lstrip("-").split(".")[-1], by_end, 1, 0.7)]

@@ -86,11 +86,6 @@ def test_the_readme_names_every_example() -> None:
     assert names == set(re.findall(r"`(?:examples/)?(\w+\.py)`", TEXTS["README.md"]))
 
 
-def test_the_readme_shows_an_example_as_it_is() -> None:
-    example = (ROOT / "examples/labels_as_arrays.py").read_text(encoding="utf-8")
-    assert example in python_blocks(TEXTS["README.md"])
-
-
 def test_every_room_is_in_the_tree() -> None:
     """The table's rows begin with every room and every module of the ground."""
     rooms = {f"rpl_data/{path.parent.name}/" for path in ROOT.glob("rpl_data/*/__init__.py")}

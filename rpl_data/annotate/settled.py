@@ -93,11 +93,11 @@ def settled(live: Live, doubtful: str) -> str:
     if live.solution is not None and not live.solution.checked:
         return "every scene is placed; nothing checks the clicks against one another with this way to solve"
     weak = sorted({s.clicks[0].scene for s in weak_scenes(live)})
-    unsure = f", but scene {', '.join(weak)} not surely," if weak else ""
+    placed = "every scene is placed" + (f", but scene {', '.join(weak)} not surely" if weak else "")
     for statement in live.statements:
         if statement.kind == "unjudged":
-            return f"every scene is placed{unsure}, but {statement.text}; or, as it is"
-    return f"every scene is placed{unsure} and {_checked(live)}"
+            return f"{placed}{', and' if weak else ', but'} {statement.text}; or, as it is"
+    return f"{placed}{',' if weak else ''} and {_checked(live)}"
 
 
 def _checked(live: Live) -> str:

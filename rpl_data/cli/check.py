@@ -14,6 +14,7 @@ from rpl_data.pipeline.sources import recordings_of
 from rpl_data.recordings.open import only_format, open_scenes
 from rpl_data.types import DataError, Recording
 from rpl_data.wording import counted
+from rpl_data.workspace.paths import Paths
 
 MOST_LINES = 50
 """Faults of an export that are printed; of the others, the number is."""
@@ -61,19 +62,24 @@ def recordings_at(
 
 
 def exports_at(path: Path, dialect: str | None = None) -> list[tuple[Path, str | None]]:
-    """The export at a path, or those in the `export` folder of a workspace, each with its format.
+    """The export at a path, or those in a workspace or its `export` folder, each with its format.
 
     Args:
         path: any path; empty comes back where it is no export. The format of one that no check knows is None.
         dialect: what the folder is; guessed when left out.
 
     Raises:
-        DataError: the format is not known, or there is no such folder.
+        DataError: the format is not known, there is no such folder, or a workspace has no exports.
     """
     if dialect is not None:
         if dialect not in CHECKS:
             raise DataError(f"unknown export {dialect!r}; expected one of {', '.join(CHECKS)}")
         return [(path, dialect)]
+    if Paths(path).stages_file.exists():
+        exports = Paths(path).export("coco").parent
+        if not exports.is_dir():
+            raise DataError(f"{path} is a workspace without exports; make one: rpl export --workspace {path}")
+        path = exports
     if (known := dialect_of(path)) is not None:
         return [(path, known)]
     if not holds_exports(path) or not path.is_dir():

@@ -22,7 +22,8 @@ def init(
 
     Only faults of which it is sure are put right; what is less sure stands in the recipe as a comment. An
     object that is clicked in the recording's clicks.csv comes into the recipe with its keypoints; otherwise
-    its name and keypoints are asked for, or taken from the options.
+    its name and keypoints are asked for, or taken from the options. Every frame is labelled where three per
+    second would be fewer than 50; else three per second, until `rate:` in the recipe says otherwise.
 
     Example: rpl init my.yaml --from my-recording --object mug --keypoints handle,rim,foot,logo
 
@@ -36,7 +37,7 @@ def init(
             says when left out.
         topics: topics of a ROS bag to use, as '{"color": "/cam1/color/image_raw"}'; found when left out.
     """
-    from rpl_data.cli.new_recipe import next_commands, text_for
+    from rpl_data.cli.new_recipe import assumed, next_commands, text_for
     from rpl_data.files import write_text
     from rpl_data.pipeline.first_recipe import HowStored
     from rpl_data.pipeline.recipe_file import recipe_from_text
@@ -53,4 +54,7 @@ def init(
     written = recipe_from_text(text, source=str(recipe))  # never one that `rpl build` refuses
     write_text(recipe, text)
     clicked = all(item.clicks for item in written.objects)
-    print(f"wrote {recipe}\n{next_commands(recipe, clicked=clicked)}")
+    print(f"wrote {recipe}")
+    if not (clicked or asks) and (unsaid := assumed(object, keypoints)):
+        print(f"it assumes {unsaid}; change {recipe} where that is wrong, before anything is clicked")
+    print(next_commands(recipe, clicked=clicked))

@@ -124,6 +124,13 @@ def next_commands(recipe: Path, *, clicked: bool) -> str:
     return f"next, click the keypoints in the browser:  {annotate}\nthen make the dataset:  {build}"
 
 
+def assumed(object: str | None, keypoints: str | None) -> str:
+    """What nobody said of the object, so that a recipe has what is usual; empty where all was said."""
+    name = [f"that the object is called {USUAL_OBJECT!r}"] if object is None else []
+    number = [f"{USUAL_KEYPOINTS} keypoints without names"] if keypoints is None else []
+    return " and ".join([*name, *number])
+
+
 def _named(object: str | None, keypoints: str | None, *, asks: bool) -> tuple[str, KeypointsSaid]:
     """The object, as the options say, or as the person answers."""
     if object is None:

@@ -148,7 +148,7 @@ def check(
     Args:
         path: a folder of scenes, the folder of one scene, a recording kept in one file (`.bag`, `.db3`,
             `.mcap`, `.klg`), or a recipe (`.yaml`): then its recordings, as the recipe reads and mends them;
-            or the folder of an export, or of several.
+            or the folder of an export, or of several, or a workspace: then its exports.
         export: check the folder as an export of this format (coco, yolo, bop ...); guessed when left out.
         format: how the recording is stored; guessed when left out.
         names: only these scenes, as '["00", "01"]'.

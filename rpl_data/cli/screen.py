@@ -15,6 +15,7 @@ from rpl_data.evaluate.quality import format_table
 from rpl_data.pipeline.ledger import Ledger
 from rpl_data.pipeline.progress import Progress as BuildProgress
 from rpl_data.pipeline.results import quality_rows, split_summary, timings, worth_knowing
+from rpl_data.pipeline.stages import ORDER
 from rpl_data.types import Recording
 from rpl_data.workspace.workspace import Workspace
 
@@ -126,6 +127,7 @@ def print_results(
     """Print the results of a build: timings, split, errors against truth, click advice, and the report.
 
     Args:
+        until: the last stage that was asked for; of those after it nothing is said. All of them when None.
         fresh: names of the steps that are up to date; what others said was of an earlier state.
     """
     say = screen.console.print
@@ -141,7 +143,8 @@ def print_results(
     rows = quality_rows(ledger)
     if rows and until in (None, "quality", "report"):
         say(f"\nerrors against the truth\n{format_table(rows)}")
-    known = worth_knowing(ledger, fresh)
+    asked = ORDER[: ORDER.index(until) + 1] if until else ORDER
+    known = worth_knowing(ledger, {step for step in fresh if step.partition("/")[0] in asked})
     if known:
         say("\nWorth knowing\n" + "\n".join(f"    {line}" for line in known))
     if until in (None, "report"):

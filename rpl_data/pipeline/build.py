@@ -252,8 +252,11 @@ def save_recipe(recipe: Recipe, workspace: Workspace) -> None:
 def recipe_of(workspace: Workspace) -> Recipe:
     """Load the recipe that a workspace was built with."""
     if not workspace.recipe_file.exists():
+        inside = [*workspace.root.glob("*/stages.json"), *workspace.root.glob("workspaces/*/stages.json")]
+        named = ", ".join(str(path.parent) for path in sorted(inside))
+        make = f"make it with `rpl build RECIPE --workspace {workspace.root}` or `rpl import RECIPE ...`"
         raise DataError(
             f"{workspace.root} is not a workspace (it has no {workspace.recipe_file.name}); "
-            f"make it with `rpl build RECIPE --workspace {workspace.root}` or `rpl import RECIPE ...`"
+            + (f"name one of those in it: {named}" if named else make)
         )
     return load_recipe(Path(workspace.recipe_file))

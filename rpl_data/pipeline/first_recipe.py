@@ -99,14 +99,27 @@ def recipe_text(
             f"    keypoints: {_keypoints(keypoints)}  # how many, or names in order: [handle, spout, lid]",
         ]
         lines += [f"    clicks: {_flow(clicks)}"] if clicks else []
-    return "\n".join([*lines, "", *_REST]) + "\n"
+    return "\n".join([*lines, "", *_RECONSTRUCT, "label:", _rate(examined), *_REST]) + "\n"
 
 
-_REST = (
+USUAL_RATE_HZ, FEW_FRAMES = 3, 50
+"""Where the usual rate labels fewer frames than these of all scenes together, every frame is labelled."""
+
+
+def _rate(examined: Sequence[tuple[Recording, Diagnosis]]) -> str:
+    """The line of the rate: the paper's 3 Hz, unless that leaves next to nothing of a short recording."""
+    times_s = [[frame.timestamp_s for frame in recording.scene.frames] for recording, _ in examined]
+    labelled = sum(1 + USUAL_RATE_HZ * (max(each) - min(each)) for each in times_s if each)
+    if 0 < labelled < FEW_FRAMES:
+        return f"  rate: all  # the recording is short: every frame; or frames per second, as {USUAL_RATE_HZ}"
+    return f"  rate: {USUAL_RATE_HZ}  # frames per second that are labelled, or `all`"
+
+
+_RECONSTRUCT = (
     "reconstruct:",
     "  method: auto  # the recording's poses where its images agree with them, else computed from the images",
-    "label:",
-    "  rate: 3  # frames per second that are labelled, or `all`",
+)
+_REST = (
     "split:",
     "  test_scenes: 1  # whole scenes that are never trained on; none where there are fewer than 3 scenes",
     "  val_fraction: 0.1",

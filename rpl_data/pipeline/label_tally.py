@@ -93,8 +93,11 @@ class LabelTally:
 
 def corrected_line(video: str, item: str, moved_px: Sequence[float], labels: int, path: str) -> str:
     """Says how many labels of an object were corrected in their frames, and by how much."""
+    by = f"{np.median(moved_px):.1f} px"
+    if len(moved_px) > 1:
+        by += f" (median), {max(moved_px):.1f} px at most"
+    others = f"; the other labels keep to {path}" if len(moved_px) < labels else ""
     return (
         f"scene {video}: {item} is corrected in {len(moved_px)} of {counted(labels, 'frame')} by what is "
-        f"printed on it, by {np.median(moved_px):.1f} px (median), {max(moved_px):.1f} px at most; the other "
-        f"labels keep to {path}"
+        f"printed on it, by {by}{others}"
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
@@ -20,6 +21,11 @@ class Cell:
 def text(value: object) -> str:
     """Convert a value to escaped text."""
     return escape(str(value), quote=True)
+
+
+def prose(value: object) -> str:
+    """A sentence as escaped text, with what stands between backticks as code."""
+    return re.sub(r"`([^`]+)`", r"<code>\1</code>", text(value))
 
 
 def number(value: float | int | None, digits: int = 2) -> str:
@@ -60,7 +66,7 @@ def _cell(value: str | Cell, align: str) -> str:
 
 def section(identity: str, title: str, body: str, *, note: str = "") -> str:
     """A titled part of the page; `note` is a line of explanation under the title."""
-    line = f'<p class="note">{text(note)}</p>' if note else ""
+    line = f'<p class="note">{prose(note)}</p>' if note else ""
     return f'<section id="{text(identity)}"><h2>{text(title)}</h2>{line}{body}</section>'
 
 

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 
 from rpl_data.report.counts import SceneReport
-from rpl_data.report.html import text
+from rpl_data.report.html import prose
 from rpl_data.types import Solution
 from rpl_data.types.keypoint_names import keypoint_titles
 from rpl_data.wording import counted
@@ -79,5 +79,5 @@ def clicked_once(solution: Solution) -> list[str]:
 
 def next_steps_list(lines: Sequence[str]) -> str:
     """The lines as a numbered list at the top of the page."""
-    items = "".join(f"<li>{text(line)}</li>" for line in lines)
+    items = "".join(f"<li>{prose(line)}</li>" for line in lines)
     return f'<section id="next"><h2>What to do next</h2><ol>{items}</ol></section>'

@@ -14,13 +14,14 @@ from rpl_data.meshes import load_mesh
 from rpl_data.report.clicks import click_section, distance_table
 from rpl_data.report.counts import SceneReport, summarise_scene
 from rpl_data.report.coverage import coverage_section
-from rpl_data.report.html import Cell, folded, number, page, section, table, text
+from rpl_data.report.html import Cell, folded, number, page, prose, section, table, text
 from rpl_data.report.networks import networks_section
 from rpl_data.report.next_steps import next_steps, next_steps_list
 from rpl_data.report.pictures import contact_sheet, frames_per_scene, legends
 from rpl_data.report.solid import solid
 from rpl_data.report.tables import labels_section, quality_section, timings_section
 from rpl_data.types import QualityRow, Solution
+from rpl_data.wording import counted
 from rpl_data.workspace.workspace import Workspace
 
 
@@ -93,19 +94,23 @@ def dataset_name(workspace: Workspace) -> str:
 
 
 def _tiles(scenes: Sequence[SceneReport], solutions: Sequence[Solution]) -> str:
+    """The counts, and behind them how good: the median of how far off labels are expected to be."""
     residuals = [residual for solution in solutions for residual in solution.residuals]
-    counts = {
-        "scenes": len(scenes),
-        "objects": len(solutions),
-        "frames": sum(len(scene.recording.scene.frames) for scene in scenes),
-        "frames labelled": sum(len(scene.frames) for scene in scenes),
-        "instances": sum(tally.instances for scene in scenes for tally in scene.tallies.values()),
-        "clicks": len(residuals),
-        "wrong clicks": sum(residual.outlier for residual in residuals),
-    }
-    tiles = "".join(
-        f"<div><b>{number(count, 0)}</b><span>{name}</span></div>" for name, count in counts.items()
-    )
+    tallies = [tally for scene in scenes for tally in scene.tallies.values()]
+    sigmas_px = [sigma_px for tally in tallies for sigma_px in tally.sigmas_px]
+    counts = [
+        (len(scenes), "scene", ""),
+        (len(solutions), "object", ""),
+        (sum(len(scene.recording.scene.frames) for scene in scenes), "frame", ""),
+        (sum(len(scene.frames) for scene in scenes), "frame", " labelled"),
+        (sum(tally.instances for tally in tallies), "instance", ""),
+        (len(residuals), "click", ""),
+        (sum(residual.outlier for residual in residuals), "wrong click", ""),
+    ]
+    shown = [(number(n, 0), counted(n, noun).partition(" ")[2] + rest) for n, noun, rest in counts]
+    if sigmas_px:
+        shown.append((number(float(np.median(sigmas_px)), 1), "± px expected"))
+    tiles = "".join(f"<div><b>{figure}</b><span>{name}</span></div>" for figure, name in shown)
     return f'<div class="tiles">{tiles}</div>'
 
 
@@ -130,7 +135,7 @@ def _warnings(scenes: Sequence[SceneReport], solutions: Sequence[Solution], othe
             lines.append(f"scene {recording.scene.name} has no labels")
     if not lines:
         return ""
-    items = "".join(f"<li>{text(line)}</li>" for line in dict.fromkeys(lines))
+    items = "".join(f"<li>{prose(line)}</li>" for line in dict.fromkeys(lines))
     return f'<section class="warnings" id="warnings"><h2>Worth knowing</h2><ul>{items}</ul></section>'
 
 
@@ -148,7 +153,7 @@ def _scenes(
         parts.append(f"<h3>Scene {text(recording.name)}</h3>")
         words = [f"{len(scene.frames)} of {len(recording.frames)} frames labelled", recording.source]
         words += remarks.get(recording.name, ())
-        parts.append(f'<p class="note">{text(" · ".join(words))}</p>')
+        parts.append(f'<p class="note">{prose(" · ".join(words))}</p>')
         if scene.frames:
             parts.append(contact_sheet(workspace, recording, scene.frames, models, count=count))
     note = (

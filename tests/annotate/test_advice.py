@@ -118,6 +118,9 @@ def test_a_badly_placed_scene_wants_a_click_and_is_never_called_placed():
     step = advised(said, clicks=CLICKS + fifth, points=np.eye(5, 3))
     assert (step.text, step.scene, step.keypoint, step.action) == (said.text, "02", 4, None)
     assert advised(said).text.startswith("every scene is placed, but scene 02 not surely, and every keypoint")
+    alone = Statement("unjudged", (CLICKS[8],), "9 clicks cannot be judged")
+    settled = "every scene is placed, but scene 02 not surely, and 9 clicks cannot be judged; or, as it is: "
+    assert advised(said, alone).text.startswith(settled)
 
 
 def test_clicks_that_nothing_checked_are_not_called_checked():

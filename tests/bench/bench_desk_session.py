@@ -108,11 +108,20 @@ class Person:
             place = (step["scene"], step["frame"] or here["frame"], step["keypoint"])
             if place != (here["scene"], here["frame"], here["keypoint"]):
                 self.key("g")
-                self.page.wait_for_timeout(300)
+                self.arrive(step["scene"], step["keypoint"])
             if step["frame"] is not None:  # it is to look at a click again: it was right
                 self.key("]")
             self.mark_or_skip()
         raise AssertionError(f"after 60 actions the page still says: {step['text']}")
+
+    def arrive(self, scene: str, keypoint: int) -> None:
+        """Wait until the page shows where it leads: on a busy machine that takes longer than a click."""
+        for _ in range(200):
+            here = self.state()
+            if (here["scene"], here["keypoint"]) == (scene, keypoint):
+                return
+            self.page.wait_for_timeout(50)
+        raise AssertionError(f"G did not lead to scene {scene}, keypoint {keypoint}")
 
     def make(self, stage: str) -> float:
         """Follow the next steps until the stage is done; seconds."""

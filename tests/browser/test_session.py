@@ -110,6 +110,9 @@ def test_a_session_from_no_click_to_the_dataset(
     expect(page.locator("#sheet figure.out")).to_have_count(1)
     press_when(page, "g", "export")
     expect(page.locator("#next-text")).to_contain_text("done", timeout=180_000)
+    assert page.evaluate(
+        "document.getElementById('jobs').scrollWidth <= document.getElementById('jobs').clientWidth"
+    )
     check_dataset(Workspace(server.workspace), truth)
 
 

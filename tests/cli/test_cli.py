@@ -182,23 +182,24 @@ def test_clicks_go_out_and_in(recipe: Path, tmp_path: Path, capsys: pytest.Captu
     assert main(["clicks", "import", str(table), *at, "--replace=true", "--proposed=true"]) == 1
 
 
-@pytest.mark.parametrize(
-    ("row", "fault"),
-    [
-        ("carton,0,01,600,10,20", "scene 01 has no frame 600"),
-        ("carton,0,7,0,10,20", "clicks in scene 7; the workspace has the scenes 00, 01, 02"),
-    ],
-)
+UNUSABLE = {
+    "carton,0,01,600,10,20": "keypoint 0 top_back_left: scene 01 has no frame 600",
+    "carton,0,7,0,10,20": "clicks in scene 7; the workspace has the scenes 00, 01, 02",
+    "carton,0,01,3,320,20": "(320.0, 20.0) px lies outside the image of scene 01",
+}
+
+
 def test_clicks_that_no_solve_could_use_are_not_added(
-    recipe: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], row: str, fault: str
+    recipe: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     place, table = Workspace(tmp_path / "ws"), tmp_path / "clicks.csv"
     at = ["--workspace", str(place.root)]
     assert main(["import", str(recipe), *at]) == 0
-    table.write_text(f"object,keypoint,scene,frame,u_px,v_px\n{row}\n")
-    assert main(["clicks", "import", str(table), *at]) == 1
-    assert fault in capsys.readouterr().err
-    assert not place.load_annotation("carton").clicks
+    for row, fault in UNUSABLE.items():
+        table.write_text(f"object,keypoint,scene,frame,u_px,v_px\n{row}\n")
+        assert main(["clicks", "import", str(table), *at]) == 1
+        assert fault in capsys.readouterr().err
+        assert not place.load_annotation("carton").clicks
 
 
 def test_proposed_clicks_only_fill_in(
@@ -350,6 +351,11 @@ def test_forgotten_root(recipe: Path, tmp_path: Path, capsys: pytest.CaptureFixt
 
 def test_not_a_workspace(mistake: Callable[..., str], tmp_path: Path) -> None:
     assert "is not a workspace" in mistake("status", "--workspace", str(tmp_path / "nothing"))
+    (tmp_path / "workspaces/cup").mkdir(parents=True)
+    (tmp_path / "workspaces/cup/stages.json").write_text("{}")
+    said = mistake("status", "--workspace", str(tmp_path))
+    assert f"name one of those in it: {tmp_path / 'workspaces/cup'}" in said
+    assert "is a workspace without exports" in mistake("check", str(tmp_path / "workspaces/cup"))
 
 
 def test_quality_without_truth(mistake: Callable[..., str], plain_build: Path, tmp_path: Path) -> None:

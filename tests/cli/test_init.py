@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from rpl_data.cli.main import main
-from rpl_data.cli.new_recipe import next_commands
+from rpl_data.cli.new_recipe import assumed, next_commands
 from rpl_data.pipeline.build import recipe_of
 from rpl_data.pipeline.recipe_file import load_recipe
 from rpl_data.workspace.workspace import Workspace
@@ -30,6 +30,11 @@ def test_the_next_commands_can_be_pasted_where_a_path_holds_a_space() -> None:
     build = next_commands(Path("my recipes/mug 2.yaml"), clicked=True).split("dataset:  ")[1]
     expected = ["rpl", "build", "my recipes/mug 2.yaml", "--workspace", "workspaces/mug 2"]
     assert shlex.split(build) == expected
+
+
+def test_what_nobody_said_of_the_object_is_said() -> None:
+    assert assumed(None, "4") == "that the object is called 'object'"
+    assert assumed("mug", None) == "8 keypoints without names" and assumed("mug", "4") == ""
 
 
 def test_a_recipe_for_a_recording(

@@ -22,6 +22,7 @@ from rpl_data.pipeline.pool import Pool
 from rpl_data.pipeline.recipe import LabelRecipe, ObjectRecipe, Recipe, RefineRecipe, SceneSource
 from rpl_data.pipeline.results import quality_rows, sparse_labels, timings, worth_knowing
 from rpl_data.pipeline.stages import ORDER, track
+from rpl_data.pipeline.label_tally import corrected_line
 from rpl_data.reconstruct.spheres import joined_spheres
 from rpl_data.twin.spec import TwinSpec
 from rpl_data.types import DataError, Mesh
@@ -171,6 +172,12 @@ def test_what_the_segmentation_says_is_worth_knowing(tmp_path: Path) -> None:
         ledger.run(step, lambda done, total: None)
     assert worth_knowing(ledger) == ["solve speaks", "segment speaks"]
     assert worth_knowing(ledger, {"import/cup", "solve/cup"}) == ["solve speaks"]
+
+
+def test_corrected_frames_are_counted_in_plain_words() -> None:
+    said = corrected_line("00", "cup", [0.5], 60, "the camera path")
+    assert said.endswith("by 0.5 px; the other labels keep to the camera path")
+    assert corrected_line("00", "cup", [1.0, 2.0], 2, "it").endswith("by 1.5 px (median), 2.0 px at most")
 
 
 def test_how_many_frames_are_labelled_is_said_with_the_way_to_more() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import pytest
 import yaml
 from recordings import CAMERA
 
@@ -14,7 +15,7 @@ from rpl_data.pipeline.first_recipe import HowStored, keypoints_from, path_from,
 from rpl_data.pipeline.recipe_file import parse_recipe
 from rpl_data.pipeline.stages.import_ import _certain_faults
 from rpl_data.recordings.mend import Mend
-from rpl_data.types import Recording, Scene
+from rpl_data.types import Frame, Recording, Scene
 
 SCENE = Scene("00", CAMERA, 0.001, ())
 
@@ -52,6 +53,14 @@ def test_a_mend_that_is_right_at_one_distance_only_keeps_its_remark() -> None:
     )
     assert parse_recipe(yaml.safe_load(text), source="text").scenes[0].mend == Mend(depth_zoom=0.9)
     assert "# scene 00: depth lies beside colour; record again" in text
+
+
+@pytest.mark.parametrize(("seconds", "rate"), [(0.8, "all"), (30.0, 3.0)])
+def test_a_short_recording_is_labelled_whole(seconds: float, rate: float | str) -> None:
+    frames = tuple(Frame(k, k / 30, Path("a"), None) for k in range(round(30 * seconds)))
+    found = [(replace(each, scene=replace(SCENE, frames=frames)), said) for each, said in [examined("00")]]
+    text = recipe_text("data", HowStored("tum"), found, name="n", objects=[("m", 4)], clicks=None)
+    assert parse_recipe(yaml.safe_load(text), source="text").label.rate == rate
 
 
 def test_a_line_break_in_a_name_does_not_end_its_comment() -> None:

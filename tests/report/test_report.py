@@ -117,6 +117,14 @@ def test_every_scene_and_warning_is_there(page: str) -> None:
     assert "train 20, val 2 &amp; test 0" in page
 
 
+def test_how_good_the_labels_are_stands_at_the_top(page: str) -> None:
+    assert "<b>2</b><span>scenes</span>" in page and "<b>1</b><span>object</span>" in page
+    assert "<b>1.0</b><span>± px expected</span>" in page[: page.index("What to do next")]
+    assert (
+        "<code>sigma_px</code>" in page and "`" not in page[page.index("<main>") : page.index('id="objects"')]
+    )
+
+
 def test_names_are_escaped(page: str) -> None:
     assert "<script>alert" not in page
     assert "cup &lt;script&gt;alert(1)&lt;/script&gt;" in page

@@ -6,15 +6,19 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from rpl_data.clicks.incoming import Incoming, click_key, incoming
 from rpl_data.clicks.log import keypoints_event
 from rpl_data.clicks.table import clicks_from_csv, objects_in_csv, tables_to_csv
 from rpl_data.files import read_text
+from rpl_data.geometry import inside_image
 from rpl_data.pipeline.context import Context, step
 from rpl_data.pipeline.ledger import Advance, Ledger, Outcome, Step, stamps
 from rpl_data.pipeline.recipe import ObjectRecipe
-from rpl_data.types import Click, DataError
+from rpl_data.types import Click, DataError, Scene
 from rpl_data.types.instances import scene_of
+from rpl_data.types.keypoint_names import keypoint_titles
 from rpl_data.wording import counted
 from rpl_data.workspace.workspace import Workspace
 
@@ -132,8 +136,8 @@ def add_clicks(
         replaces: the other clicks of the objects in the file are removed.
 
     Raises:
-        DataError: the file names an object, a keypoint, a scene or a frame that is not there; nothing is
-            added then.
+        DataError: the file names an object, a keypoint, a scene or a frame that is not there, or a
+            pixel outside the image; nothing is added then.
     """
     text = read_text(path)
     named = set(objects_in_csv(text, source=str(path)))
@@ -149,7 +153,7 @@ def add_clicks(
         names = annotation.keypoints or item.keypoint_names
         clicks = clicks_from_csv(text, source=str(path), object_name=item.name, keypoints=names)
         clicks = [context.workspace.parts().click_in_scene(click) for click in clicks]
-        _refuse_unknown_frames(context.workspace, clicks, path)
+        _refuse_unknown_places(context.workspace, clicks, names, path)
         if proposed:
             decided = annotation.skipped | {(click.keypoint, click.scene) for click in annotation.clicks}
             clicks = [click for click in clicks if (click.keypoint, click.scene) not in decided]
@@ -159,9 +163,12 @@ def add_clicks(
     return found
 
 
-def _refuse_unknown_frames(workspace: Workspace, clicks: Sequence[Click], path: Path) -> None:
+def _refuse_unknown_places(
+    workspace: Workspace, clicks: Sequence[Click], keypoints: Sequence[str], path: Path
+) -> None:
     """Such a click would stop every later solve, and only the annotation page could take it back."""
     known = workspace.scene_names()
+    titles = keypoint_titles(keypoints)
     for name in dict.fromkeys(click.scene for click in clicks):
         if scene_of(name) not in known:
             raise DataError(
@@ -171,7 +178,21 @@ def _refuse_unknown_frames(workspace: Workspace, clicks: Sequence[Click], path: 
         scene = workspace.load_scene(scene_of(name))
         for click in clicks:
             if click.scene == name:
-                scene.frame(click.frame)
+                _refuse_outside(scene, click, where=f"{path}, keypoint {titles[click.keypoint]}")
+
+
+def _refuse_outside(scene: Scene, click: Click, *, where: str) -> None:
+    """Raise a DataError where a scene has no such frame, or the click is not on its image."""
+    try:
+        scene.frame(click.frame)
+    except DataError as error:
+        raise DataError(f"{where}: {error}") from error
+    camera = scene.intrinsics
+    if not inside_image(camera, np.array([[click.u_px, click.v_px]])).all():
+        raise DataError(
+            f"{where}: ({click.u_px:.1f}, {click.v_px:.1f}) px lies outside the image of scene "
+            f"{scene.name}, which has {camera.width} x {camera.height} px; give pixels of the whole image"
+        )
 
 
 def clicks_table(workspace: Workspace) -> str:

@@ -10,6 +10,9 @@ export function element(tag, properties = {}, ...children) {
   return made;
 }
 
+// A sentence as nodes, with what stands between backticks as code.
+export const prose = (text) => text.split("`").map((part, i) => (i % 2 ? element("code", { textContent: part }) : part));
+
 // New children for a list; the button with the keyboard focus keeps it: by its data-key, else by its position. While
 // something in the list is pressed they wait: an element that is gone when the mouse lets go never hears the click.
 const newest = new WeakMap();

@@ -3,7 +3,7 @@
 import { get, post, sceneOf } from "../state/api.js";
 import { openObject } from "./objects.js";
 import * as dense from "../solid/dense.js";
-import { element, refill } from "./dom.js";
+import { element, prose, refill } from "./dom.js";
 import { openScene, refreshScenes } from "../image/frames.js";
 import { addKeys } from "./keys.js";
 import { alertOnce, load as loadObject } from "../state/log.js";
@@ -49,7 +49,8 @@ export const atWork = () => runs(app.job);
 // The news of an end may arrive before the answer to the start, and is not taken back by it.
 async function heard(job) {
   const ended = !runs(job) && (atWork() || job.number !== app.job?.number);
-  change({ job });
+  if (ended) await load(); // with what is up to date now, or the step that was just done would be the next one
+  if (!(app.job?.number > job.number)) change({ job });
   if (ended) await rebuilt();
 }
 
@@ -196,9 +197,9 @@ function ending() {
     go.addEventListener("click", () => openScene(scene, frame, { keypoint, view: "mark" }));
     return [element("p", { className: "note warn", role: "alert", textContent: `Not sure: ${error}` }), go];
   }
-  if (state === "failed") return [element("p", { className: "note bad", role: "alert", textContent: error })];
+  if (state === "failed") return [element("p", { className: "note bad", role: "alert" }, ...prose(error))];
   if (state === "stopped") return [element("p", { className: "note warn", textContent: `${TITLES[stage]}: stopped; what was finished stays` })];
   if (state !== "done") return [];
-  const shown = lines.map((text) => element("p", { className: "note", textContent: text }));
+  const shown = lines.map((text) => element("p", { className: "note" }, ...prose(text)));
   return [element("p", { className: "note good", textContent: `${TITLES[stage]}: done in ${seconds} s` }), ...shown];
 }

@@ -43,7 +43,7 @@ function unmarked(name, keypoint) {
 function draw() {
   const wanted = step();
   if (!wanted) return;
-  text.textContent = wanted.text;
+  text.textContent = text.title = wanted.text; // two lines are shown; of a longer one, the rest by scrolling or pointing
   button.hidden = app.pendingGrasp != null || (wanted.scene == null && !wanted.action && !wanted.view);
   button.firstChild.textContent = wanted.label || "Take me there ";
 }

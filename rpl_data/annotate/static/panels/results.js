@@ -1,6 +1,6 @@
 // How good the result is: what the clicks contradict, errors per scene and per click, what is missing.
 
-import { element, refill } from "./dom.js";
+import { element, prose, refill } from "./dom.js";
 import { distancesFrom } from "../solid/distances.js";
 import { openScene } from "../image/frames.js";
 import { looks } from "./looks.js";
@@ -72,8 +72,8 @@ function missing(result) {
   const all = [...lines, ...result.warnings, ...unchecked.map((statement) => statement.text)];
   if (!all.length) return [];
   const rest = all.length > 6 ? [element("p", { className: "note quiet", textContent: `and ${all.length - 6} more` })] : [];
-  return [element("h2", { className: "warn", textContent: "Clicks still needed" }),
-    ...all.slice(0, 6).map((text) => element("p", { className: "note", textContent: text })), ...rest];
+  return [element("h2", { className: "warn", textContent: result.next.action === "label" ? "More clicks would tell" : "Clicks still needed" }),
+    ...all.slice(0, 6).map((text) => element("p", { className: "note" }, ...prose(text))), ...rest];
 }
 
 function ofKeypoint(result) {
@@ -96,7 +96,7 @@ function distances() {
   const rows = distancesFrom(app.keypoint).map(({ k, mm }) =>
     element("tr", {}, element("td", { textContent: `to ${keypointTitle(k)}` }), element("td", { textContent: mm.toFixed(1) })));
   if (!rows.length) return [];
-  const head = element("tr", {}, element("th", { textContent: "distance, measure one" }), element("th", { textContent: "mm" }));
+  const head = element("tr", {}, element("th", { textContent: "distance; measure one to check" }), element("th", { textContent: "mm" }));
   return [element("table", { id: "distances" }, head, ...rows)];
 }
 
