@@ -65,10 +65,11 @@ def one_line(message: str, options: Sequence[str]) -> str:
         return ", ".join(f"there is no option {name}{_meant(name, options)}" for name in given)
     if "subcommand" in message:
         return "a command is missing"
-    if found := re.match(r'Parser key "([\w.]+)":.*?<class .*valu?e: (.*)', message, re.DOTALL):
-        expected = dict.fromkeys(re.findall(r"<class '(\w+)'>", message.split("Given")[0]))
-        kinds = " or ".join(k for k in expected if k in VALUES) or "another form"
-        return f"--{found[1]}: expected {kinds}, found {found[2]!r}"
+    if found := re.match(r'Parser key "([\w.]+)":(.*?) valu?e: (.*)', message, re.DOTALL):
+        kinds = dict.fromkeys(re.findall(r"<class '(\w+)'>", found[2].split("Given")[0]))
+        words = dict.fromkeys(re.findall(r"'(\w+)'(?=[,\]])", found[2].split("Given")[0]))
+        expected = " or ".join([*(kind for kind in kinds if kind in VALUES), *words]) or "another form"
+        return f"--{found[1]}: expected {expected}, found {found[3]!r}"
     if message.startswith("the following arguments are required: "):
         name = re.sub(r"[^ ]*[.]", "", message.split(": ")[1])
         return f"--{name[:-1]} is missing" if name.endswith("_") else f"{name} is missing"

@@ -26,6 +26,8 @@ from rpl_data.pipeline.recipe_file import load_recipe
         (["register", "cube"], "rpl register: scene is missing; see `rpl register --help`"),
         (["init", "my.yaml"], "rpl init: --from is missing; see `rpl init --help`"),
         (["init", "a", "--from", "b", "--camera", "6"], "rpl init: --camera: expected another form, found"),
+        (["export", "--split", "all"], "rpl export: --split: expected train or val or test, found 'all'"),
+        (["dataset", "merge", "a", "[b]", "--images", "no"], "rpl dataset merge: --images: expected link or"),
         ([], "rpl: a command is missing; see `rpl --help`"),
     ],
 )
