@@ -24,7 +24,7 @@ def dataset_merge(
     Example: rpl dataset merge both '[workspaces/monday, workspaces/tuesday]'
 
     Args:
-        out: folder to write; it is replaced only if `rpl dataset` wrote it.
+        out: folder to write; it is replaced only if `rpl dataset` wrote it and nobody edited it.
         sources: workspaces, or folders that `rpl export` or `rpl dataset` wrote.
         images: link them where the file system can, or copy them.
         max_residual_mm: by how much the keypoints of an object may differ (root mean square); three times
@@ -51,7 +51,7 @@ def dataset_filter(
     Example: rpl dataset filter good workspaces/demo --min_visibility 0.3 --rate 1
 
     Args:
-        out: folder to write; it is replaced only if `rpl dataset` wrote it.
+        out: folder to write; it is replaced only if `rpl dataset` wrote it and nobody edited it.
         source: a workspace, or a folder that `rpl export` or `rpl dataset` wrote.
         objects: only these, and images that show one of them: '[cup, drill]'.
         scenes: only images of these.
@@ -80,7 +80,7 @@ def dataset_split(
     Example: rpl dataset split resplit both --test_scenes '[00, 05]'
 
     Args:
-        out: folder to write; it is replaced only if `rpl dataset` wrote it.
+        out: folder to write; it is replaced only if `rpl dataset` wrote it and nobody edited it.
         source: a workspace, or a folder that `rpl export` or `rpl dataset` wrote.
         test_scenes: the least number of test scenes (more if that covers every object), or their names.
         val_fraction: share of the frames of the other scenes.

@@ -15,7 +15,7 @@ from typing import IO, Literal
 from rpl_data.dataset.source import SPLITS, VERSION_FILE, Source, content_hash
 from rpl_data.export.folder import link, replacing
 from rpl_data.export.split import FrameKey, SplitName
-from rpl_data.files import write_json
+from rpl_data.files import read_json, write_json
 from rpl_data.formats.datasets.coco_entries import writing_entries
 from rpl_data.json_arrays import Json
 from rpl_data.types import DataError
@@ -140,7 +140,8 @@ def spooling(out: Path, sources: Sequence[Source], how: Images) -> Iterator[Spoo
     """Yield a spool whose folder appears as `out` when the block ends well.
 
     Raises:
-        DataError: `out` is one of the sources, or a folder that is no dataset of ours, which is not replaced.
+        DataError: `out` is one of the sources, or a folder that is not replaced: no dataset of ours, or one
+            that was edited since it was written.
     """
     _check_target(out, sources)
     with replacing(out) as building, tempfile.TemporaryFile("w+", dir=building, encoding="utf-8") as file:
@@ -163,6 +164,12 @@ def _check_target(out: Path, sources: Sequence[Source]) -> None:
         raise DataError(
             f"{out} exists and is no dataset that `rpl dataset` wrote (it has no {VERSION_FILE}), so it is "
             "not replaced; name another folder, or remove it"
+        )
+    recorded = read_json(out / VERSION_FILE).get("content_hash") if (out / VERSION_FILE).exists() else None
+    if recorded is not None and content_hash(out) != recorded:
+        raise DataError(
+            f"{out} was edited since `rpl dataset` wrote it (its content is not that of {VERSION_FILE}), so "
+            "it is not replaced; name another folder, or remove it"
         )
 
 

@@ -48,7 +48,7 @@ def read_checksums(folder: Path) -> dict[str, str]:
     """Read the checksums by file, relative to the export; none where an older version made it.
 
     Raises:
-        DataError: a line is damaged; its number is said.
+        DataError: a line is damaged; its number is said. Or there is none at all.
     """
     if not (folder / NAME).is_file():
         return {}
@@ -58,6 +58,8 @@ def read_checksums(folder: Path) -> dict[str, str]:
         if match is None:
             raise DataError(f"{NAME} is damaged in line {row}; put it back, or export again")
         found[match[2]] = match[1]
+    if not found:
+        raise DataError(f"{NAME} is empty; put it back, or export again")
     return found
 
 

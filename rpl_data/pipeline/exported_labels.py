@@ -40,7 +40,7 @@ def export_labels(context: Context) -> ExportSummary:
             raise
         raise DataError(
             f"all {counted(tally.frames, 'labelled frame')} would be left out, since a label in each has a "
-            f"quality below {least:g}: check the clicks and the trajectories, or lower `export.min_quality`"
+            f"quality below {least:g}: check the clicks and the trajectories, or lower `min_quality`"
         ) from error
     _write_card(context, summary, models)
     said = (*tally.messages(least), *corrector.messages(), *earlier_lines(context.workspace))

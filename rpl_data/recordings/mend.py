@@ -89,7 +89,11 @@ def mended(recording: Recording, mend: Mend) -> Recording:
     kept = {frame.index for frame in scene.frames}
     gone = tuple(frame.index for frame in recording.scene.frames if frame.index not in kept)
     return replace(
-        recording, scene=scene, trajectory=trajectory, notes=(*recording.notes, *lines), left_out=gone
+        recording,
+        scene=scene,
+        trajectory=trajectory,
+        notes=(*recording.notes, *lines),
+        left_out=(*recording.left_out, *gone),
     )
 
 

@@ -45,7 +45,7 @@ class InstanceDataset(Dataset[InstanceSample]):
     image_id    int                         of the COCO file
     area        float32  n                  visible pixels
     iscrowd     int64    n                  1 = a region marked as ignored, with `crowds=True`; else zeros
-    keypoints   float32  n, k, 3            x y v in px; v: 0 never clicked, 1 hidden, 2 seen
+    keypoints   float32  n, k, 3            x y v in px; v: 0 not labelled, 1 hidden, 2 seen
     points      float32  n, k, 2            x y for transforms, counted from the edge; NaN where v is 0
     visibility  int64    n, k               v of the keypoints
     ==========  =======  =================  ==============================================================

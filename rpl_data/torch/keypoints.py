@@ -67,7 +67,7 @@ class KeypointDataset(Dataset[KeypointSample]):
     heatmaps              float32  k, heatmap, heatmap     Gaussian of height 1 at each keypoint
     weights               float32  k                       1 where labelled and inside the crop, else 0
     keypoints_px          float64  k, 2                    (u, v), px of the full image; NaN = not labelled
-    visibility            int64    k                       0 never clicked, 1 hidden, 2 seen
+    visibility            int64    k                       0 not labelled, 1 hidden, 2 seen
     crop_from_image       float64  2, 3                    px of the full image -> px of the crop
     camera_matrix         float64  3, 3                    K of the full image, px
     distortion            float64  14                      OpenCV's lens coefficients

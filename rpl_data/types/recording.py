@@ -198,8 +198,8 @@ class Recording:
         trajectory: None when the recording has no poses (the camera must be tracked first).
         skipped: one line per reason for which frames were left out, with their number.
         notes: what was assumed, for example the depth unit of a format that does not state it.
-        left_out: `Frame.index` of the frames that were dropped when faults were mended, so that the doctor
-            does not count them as lost by the recorder.
+        left_out: `Frame.index` of the frames that were dropped as they have no pose, or when faults were
+            mended, so that the doctor does not count them as lost by the recorder.
         true_poses: camera_from_object by object name and `Frame.index`, where a dataset provides it: the
             truth for evaluation. No labelling stage receives it.
         moving: whether the objects are moved while the scene is filmed: each frame has its own pose.

@@ -25,7 +25,7 @@ class LabelArrays:
             frame, metres.
         keypoints_px: projected keypoints (u, v) in pixels of the colour image, possibly outside of it; NaN
             where a keypoint has no position or lies behind the camera.
-        visibility: of each keypoint: 0 never clicked, 1 hidden, 2 seen.
+        visibility: of each keypoint: 0 never clicked or outside the image, 1 hidden, 2 seen.
         boxes_px: x0, y0, x1, y1 of the visible mask with COCO's edges; NaN where nothing is visible.
         visib_fract: visible share of the object's pixels, 0 to 1.
         quality: from 1 (certain) to 0: 1 / (1 + e / 5 px), where e is the label's expected error.

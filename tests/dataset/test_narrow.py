@@ -138,11 +138,14 @@ def test_counts_are_those_of_the_files(three_scenes: Path, tmp_path: Path) -> No
     assert any(line.startswith("box") for line in stats_table(found))
 
 
-def test_a_changed_dataset_is_noticed(three_scenes: Path, tmp_path: Path) -> None:
-    filter_dataset(tmp_path / "out", three_scenes, Wanted(scenes=("x",)), images="copy")
+def test_a_changed_dataset_is_noticed_and_not_replaced(three_scenes: Path, tmp_path: Path) -> None:
+    for _ in range(2):  # as it was written, it is replaced
+        filter_dataset(tmp_path / "out", three_scenes, Wanted(scenes=("x",)), images="copy")
     assert dataset_stats(tmp_path / "out")["as_recorded"] is True
     next((tmp_path / "out/images").rglob("*.png")).write_bytes(b"gone")
     assert dataset_stats(tmp_path / "out")["as_recorded"] is False
+    with pytest.raises(DataError, match="out was edited since `rpl dataset` wrote it"):
+        filter_dataset(tmp_path / "out", three_scenes, Wanted(scenes=("x",)), images="copy")
 
 
 def test_a_dataset_is_converted_with_its_splits(three_scenes: Path, tmp_path: Path) -> None:

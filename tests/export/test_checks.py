@@ -154,9 +154,10 @@ def test_damaged_and_older_checksums_are_said(
     shutil.copytree(exports / "yolo", tmp_path / "yolo")
     assert main(["check", str(tmp_path / "yolo")]) == 0
     assert "it has no SHA256SUMS, as an older version made it" in capsys.readouterr().out
-    (tmp_path / "yolo" / NAME).write_text("0123  data.yaml\n")
-    (fault,) = check_export(tmp_path / "yolo")
-    assert str(fault) == "SHA256SUMS: damaged in line 1; put it back, or export again"
+    for content, what in (("0123  data.yaml\n", "damaged in line 1"), ("", "empty")):
+        (tmp_path / "yolo" / NAME).write_text(content)
+        (fault,) = check_export(tmp_path / "yolo")
+        assert str(fault) == f"SHA256SUMS: {what}; put it back, or export again"
 
 
 def test_what_was_edited_is_kept_when_the_export_is_made_anew(exports: Path, tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 import yaml
-from labelled_scenes import BOX, CAMERA, CAN, LAST_FRAME, labelled_scene, rle
+from labelled_scenes import BOX, CAMERA, CAN, LAST_FRAME, instance, labelled_scene, rle
 from PIL import Image, ImageDraw
 from pycocotools import mask as masks
 
@@ -287,6 +287,18 @@ def test_an_okt_folder(coco: Path, tmp_path: Path) -> None:
     image = cv2.imread(lists["train.txt"][0])
     source = next(image["file_name"] for image in data["images"] if image["id"] == one["image_id"])
     assert np.abs(image.astype(int) - cv2.imread(str(coco / source))).mean() < 3
+
+
+def test_an_okt_label_holds_keypoints_outside_the_image(tmp_path: Path) -> None:
+    """COCO does not label them, but this layout has a line per keypoint: the pose says where they are."""
+    scene = labelled_scene(tmp_path / "recording", "desk", frames=2, objects=(BOX,))
+    outside = replace(instance(BOX, 0.45), visibility=np.array([2, 0, 1, 0]))  # b is right of the image
+    labels = [scene.labels[0], replace(scene.labels[1], instances=(outside,))]
+    export_coco(tmp_path / "coco", [replace(scene, labels=labels)], [BOX], split=SplitRule(val_fraction=0.0))
+    assert export_okt(tmp_path / "okt", tmp_path / "coco").images["train"] == 2
+    written = np.loadtxt(tmp_path / "okt/box/label/label_00000.txt")
+    np.testing.assert_allclose(written, outside.keypoints_px[:3], atol=1e-3)
+    assert written[1, 0] > CAMERA.width
 
 
 def test_a_lens_with_distortion_is_refused_and_nothing_stays(tmp_path: Path) -> None:

@@ -104,6 +104,7 @@ def test_poses_are_matched_by_time_not_by_row(tree: Path) -> None:
     np.testing.assert_allclose(recording.trajectory.scene_from_camera, poses(6)[[0, 2, 3, 4]], atol=1e-8)
     assert [frame.index for frame in recording.scene.frames] == [0, 2, 3, 4]
     assert recording.skipped == ("2 frames without a pose in camera.poses at their time: 1, 5",)
+    assert recording.left_out == (1, 5), "the doctor would count them as lost by the recorder"
 
 
 def test_poses_stamped_with_the_depth_time(tree: Path) -> None:

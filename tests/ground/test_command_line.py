@@ -29,6 +29,8 @@ from rpl_data.pipeline.recipe_file import load_recipe
         (["completion", "fish"], "rpl completion: --shell: expected bash or zsh, found 'fish'; see"),
         (["export", "--split", "tst"], "rpl export: --split: expected train or val or test, found"),
         (["init", "a", "--from", "b", "--camera", "6"], "rpl init: --camera: expected another form, found"),
+        (["export", "--split", "all"], "rpl export: --split: expected train or val or test, found 'all'"),
+        (["dataset", "merge", "a", "[b]", "--images", "no"], "rpl dataset merge: --images: expected link or"),
         ([], "rpl: a command is missing; see `rpl --help`"),
     ],
 )

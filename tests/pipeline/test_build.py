@@ -17,12 +17,12 @@ from rpl_data.meshes import joined_meshes
 from rpl_data.pipeline import build as module
 from rpl_data.pipeline.build import FORGET, STAGES, Progress, alone_in, build, recipe_of, stale_steps
 from rpl_data.pipeline.context import Context
+from rpl_data.pipeline.label_tally import corrected_line
 from rpl_data.pipeline.ledger import Entry, Ledger, Outcome, Step, stamps
 from rpl_data.pipeline.pool import Pool
 from rpl_data.pipeline.recipe import LabelRecipe, ObjectRecipe, Recipe, RefineRecipe, SceneSource
 from rpl_data.pipeline.results import quality_rows, sparse_labels, timings, worth_knowing
 from rpl_data.pipeline.stages import ORDER, track
-from rpl_data.pipeline.label_tally import corrected_line
 from rpl_data.reconstruct.spheres import joined_spheres
 from rpl_data.twin.spec import TwinSpec
 from rpl_data.types import DataError, Mesh

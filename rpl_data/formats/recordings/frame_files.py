@@ -232,6 +232,7 @@ def with_poses(recording: Recording, poses: Mapping[int, Transform], *, without:
         Trajectory(indices, np.array([poses[frame.index] for frame in posed])),
         (*recording.skipped, *grouped(unposed, without)),
         recording.notes,
+        tuple(unposed),
     )
 
 
