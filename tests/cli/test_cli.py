@@ -351,11 +351,11 @@ def test_forgotten_root(recipe: Path, tmp_path: Path, capsys: pytest.CaptureFixt
 
 def test_not_a_workspace(mistake: Callable[..., str], tmp_path: Path) -> None:
     assert "is not a workspace" in mistake("status", "--workspace", str(tmp_path / "nothing"))
-    (tmp_path / "workspaces/cup").mkdir(parents=True)
-    (tmp_path / "workspaces/cup/stages.json").write_text("{}")
-    said = mistake("status", "--workspace", str(tmp_path))
-    assert f"name one of those in it: {tmp_path / 'workspaces/cup'}" in said
-    assert "is a workspace without exports" in mistake("check", str(tmp_path / "workspaces/cup"))
+    cup = tmp_path / "mine/workspaces/cup"
+    cup.mkdir(parents=True)
+    (cup / "stages.json").write_text("{}")
+    assert f"name one of those in it: {cup}" in mistake("status", "--workspace", str(tmp_path / "mine"))
+    assert "is a workspace without exports" in mistake("check", str(cup))
 
 
 def test_quality_without_truth(mistake: Callable[..., str], plain_build: Path, tmp_path: Path) -> None:
