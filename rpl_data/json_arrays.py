@@ -61,6 +61,13 @@ def flag(value: Any) -> bool:
     return value
 
 
+def mapping(value: Any) -> Json:
+    """Values by name; ValueError for anything else."""
+    if not isinstance(value, dict):
+        raise ValueError(f"{value!r:.60} is no list of names with values")
+    return value
+
+
 def each(convert: Callable[[Any], Value]) -> Callable[[Any], tuple[Value, ...]]:
     """For a list whose items are converted."""
 

@@ -21,6 +21,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from rpl_data.json_arrays import each, text, whole
+from rpl_data.json_arrays import number as finite
 from rpl_data.types import Click, DataError
 
 Event = dict[str, Any]
@@ -74,6 +76,7 @@ def replay(object_name: str, events: Iterable[Event]) -> Annotation:
             raise DataError(
                 f"clicks of {object_name}: cannot understand {event}: {error!r}; delete the line"
             ) from error
+    _refuse_unknown_keypoints(state)
     return Annotation(
         object_name,
         state.keypoints,
@@ -128,8 +131,8 @@ class _State:
                 for inner in event["events"]:
                     self.apply(inner)
             case "click" | "move":
-                key = (event["keypoint"], event["scene"], event["frame"])
-                self.marks[key] = Click(self.object, *key, float(event["u_px"]), float(event["v_px"]))
+                key = (whole(event["keypoint"]), text(event["scene"]), whole(event["frame"]))
+                self.marks[key] = Click(self.object, *key, finite(event["u_px"]), finite(event["v_px"]))
                 self.skipped.discard(key[:2])
             case "delete":
                 self.marks.pop((event["keypoint"], event["scene"], event["frame"]), None)
@@ -138,7 +141,7 @@ class _State:
             case "unskip":
                 self.skipped.discard((event["keypoint"], event["scene"]))
             case "keypoints":
-                names = tuple(event["names"])
+                names = each(text)(event["names"])
                 self._renumber({k: k for k in range(len(names))}, names)
             case "order":
                 order = [int(k) for k in event["order"]]
@@ -166,6 +169,17 @@ class _State:
             known = dict(enumerate(self.known_points))
             self.known_points = tuple(known.get(old_of[new]) for new in range(len(names)))
         self.keypoints = names
+
+
+def _refuse_unknown_keypoints(state: _State) -> None:
+    """DataError where a click is on a keypoint that the log does not name."""
+    named = len(state.keypoints)
+    for keypoint, scene, frame in state.marks:
+        if named and not 0 <= keypoint < named:
+            raise DataError(
+                f"clicks of {state.object}: scene {scene}, frame {frame} has a click on keypoint {keypoint}, "
+                f"but only {named} are named; restore the line of the names, or delete that of the click"
+            )
 
 
 def _corners(points: Sequence[Sequence[float] | None] | None) -> tuple[Corner | None, ...] | None:

@@ -18,7 +18,8 @@ from pathlib import Path
 from typing import Any
 
 from rpl_data.files import decoding, read_json, write_text
-from rpl_data.json_arrays import Json
+from rpl_data.json_arrays import Json, mapping, number, taken, text, whole
+from rpl_data.json_arrays import each as list_of
 
 IMAGE_SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff"}
 
@@ -104,7 +105,7 @@ class Ledger:
         self.entries: dict[str, Entry] = {}
         if path.exists():
             with decoding(path, "delete it, and the next build makes everything again"):
-                self.entries = {name: _entry(data) for name, data in dict(read_json(path)).items()}
+                self.entries = {name: _entry(data) for name, data in mapping(read_json(path)).items()}
 
     def key(self, step: Step) -> str:
         """The key of the step at this moment."""
@@ -175,9 +176,16 @@ class Ledger:
 
 def _entry(data: Any) -> Entry:
     """An entry as it was written; any fault of it is `decoding`'s to name."""
-    outcome = data["outcome"]
-    messages = tuple(outcome["messages"])
-    return Entry(**{**data, "outcome": Outcome(outcome["frames"], messages, outcome["details"])})
+    said = taken(mapping(data), "outcome", mapping)
+    messages = taken(said, "messages", list_of(text))
+    outcome = Outcome(taken(said, "frames", whole), messages, taken(said, "details", mapping))
+    kinds: dict[str, Callable[[Any], Any]] = {"key": text, "version": whole, "seconds": number}
+    kinds |= dict.fromkeys(("options", "sources", "after"), mapping)
+    fields = {name: taken(data, name, kind) for name, kind in kinds.items()}
+    folders = {path: mapping(made) for path, made in mapping(data.get("folders", {})).items()}
+    entry = Entry(**data | fields | {"outcome": outcome, "folders": folders})
+    json.dumps(data, allow_nan=False)  # which reading allows: it could not be written again
+    return entry
 
 
 def _same(one: Json, other: Json) -> bool:

@@ -20,26 +20,11 @@ from rpl_data.pipeline.recipe import Recipe
 from rpl_data.pipeline.recipe_faults import misfit
 from rpl_data.types import DataError
 from rpl_data.untrusted.names import MOST_KEYPOINTS, checked_keypoints, checked_name
+from rpl_data.untrusted.yaml_text import read_yaml
 
 AnyRecipe = TypeVar("AnyRecipe")
 SMALLEST_VOXEL_M, LARGEST_VOXEL_M = 0.0002, 0.1
 """A depth sensor sees nothing finer than the one; an object is lost in the other."""
-
-
-class _OnceLoader(yaml.SafeLoader):
-    """YAML with every key once: of a key that is there twice, the first would be lost without a word."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        """The mapping; YAMLError naming the key that is there twice."""
-        keys = [key for key, _ in node.value if isinstance(key.value, str)]
-        seen: set[str] = set()
-        for key in keys:
-            if key.value in seen:
-                raise yaml.MarkedYAMLError(
-                    problem=f"key {key.value!r} is there twice", problem_mark=key.start_mark
-                )
-            seen.add(key.value)
-        return super().construct_mapping(node, deep)
 
 
 def load_recipe(path: str | Path, *, root: str | Path | None = None) -> Recipe:
@@ -67,11 +52,7 @@ def load_recipe(path: str | Path, *, root: str | Path | None = None) -> Recipe:
 
 def recipe_from_text(text: str, *, source: str) -> Recipe:
     """Read a recipe from YAML text; paths stay as they are written; DataError as `load_recipe`."""
-    try:
-        data = yaml.load(text, _OnceLoader)
-    except (yaml.YAMLError, *FAULTS) as error:  # such as ValueError for a date that is none
-        raise DataError(f"{source} is not valid YAML: {' '.join(str(error).split())}") from error
-    return parse_recipe(data, source=source)
+    return parse_recipe(read_yaml(text, source=source), source=source)
 
 
 def parse_recipe(data: object, *, source: str) -> Recipe:

@@ -25,13 +25,14 @@ def recordings_of(
         sources: the sources of the scenes.
         unpack: returns an empty folder for the images of a scene whose recording is a single file; called
             once per name.
-        faults: takes the sources that cannot be read, with why, by their paths; without it, the first such
-            fault is raised.
+        faults: takes the sources that cannot be read, with why, by their paths and the names of their scenes
+            where those were chosen; without it, the first such fault is raised.
 
     Raises:
         DataError: two scenes share a name, or a source cannot be read; with `faults`, only when none can.
     """
     found: dict[str, Recording] = {}
+    unread = 0
     for source in sources:
         unpacked: set[str] = set()
 
@@ -46,9 +47,10 @@ def recordings_of(
         try:
             opened = open_scenes(**_recorded(source), unpack=None if unpack is None else fresh)
         except DataError as error:
-            if faults is None or len(faults) == len(sources) - 1:
+            unread += 1
+            if faults is None or unread == len(sources):
                 raise
-            faults[str(source.path)] = error
+            faults[_said(source)] = error
             continue
         for recording in opened:
             name = checked_name(recording.scene.name, "scene", where=str(source.path))
@@ -57,6 +59,11 @@ def recordings_of(
             found[name] = replace(recording, moving=source.moves(name))
         _refuse_unknown_moving(source, found)
     return list(found.values())
+
+
+def _said(source: SceneSource) -> str:
+    """What a source is called: several may choose scenes of one folder."""
+    return f"{source.path} ({', '.join(source.names)})" if source.names else str(source.path)
 
 
 def _recorded(source: SceneSource) -> dict[str, Any]:

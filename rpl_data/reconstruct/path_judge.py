@@ -64,6 +64,17 @@ class PathErrors:
     color_px: float
     depth_m: float
 
+    @property
+    def are_known(self) -> bool:
+        """Whether anything could be compared: under a path far off, no two frames seem to show the same."""
+        return bool(np.isfinite([self.color_px, self.depth_m]).any())
+
+    def __str__(self) -> str:
+        """The errors that are known, in words."""
+        color = [f"{self.color_px:.1f} px in colour"] if np.isfinite(self.color_px) else []
+        depth = [f"{1000 * self.depth_m:.1f} mm in depth"] if np.isfinite(self.depth_m) else []
+        return " and ".join(color + depth)
+
 
 def compare_paths(
     scene: Scene,
@@ -110,7 +121,13 @@ def compare_paths(
 
 
 def is_better(a: PathErrors, b: PathErrors) -> bool:
-    """Whether path a is clearly better than path b, in colour and depth together."""
+    """Whether path a is clearly better than path b, in colour and depth together.
+
+    A path under which nothing can be compared is worse than any other: frames that show the same do so
+    wherever the camera is said to have been.
+    """
+    if a.are_known and not b.are_known:
+        return True
     gain = 0.0
     for here, there, floor in (
         (a.color_px, b.color_px, SMALLEST_PX),

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-import yaml
 
 from rpl_data.directions import Directions, coverage
 from rpl_data.files import read_text, write_text
@@ -21,6 +20,7 @@ from rpl_data.report.pictures import contact_sheet, frames_per_scene, legends
 from rpl_data.report.solid import solid
 from rpl_data.report.tables import labels_section, quality_section, timings_section
 from rpl_data.types import QualityRow, Solution
+from rpl_data.untrusted.yaml_text import read_yaml
 from rpl_data.wording import counted
 from rpl_data.workspace.workspace import Workspace
 
@@ -84,7 +84,7 @@ def write_report(
 def dataset_name(workspace: Workspace) -> str:
     """The name in the recipe; the folder's name when the recipe has none."""
     if workspace.recipe_file.exists():
-        recipe = yaml.safe_load(read_text(workspace.recipe_file))
+        recipe = read_yaml(read_text(workspace.recipe_file), source=str(workspace.recipe_file))
         if isinstance(recipe, dict) and recipe.get("name"):
             return str(recipe["name"])
     return workspace.root.resolve().name

@@ -76,9 +76,9 @@ def _work() -> None:
         sys.stdin.buffer.read()
     )  # written by our own parent
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    resource.setrlimit(resource.RLIMIT_AS, (memory_bytes, memory_bytes))
+    _limit(resource.RLIMIT_AS, memory_bytes, memory_bytes)
     if limit_s is not None:
-        resource.setrlimit(resource.RLIMIT_CPU, (limit_s, limit_s + 5))
+        _limit(resource.RLIMIT_CPU, limit_s, limit_s + 5)
     content: tuple[Any, str | None]
     try:
         content = work(*arguments), None
@@ -86,3 +86,11 @@ def _work() -> None:
         content = None, str(error)
     Path(answer).write_bytes(pickle.dumps(content))
     os._exit(0)  # skips the destructors of libraries, which could crash after the answer is written
+
+
+def _limit(kind: int, soft: int, hard: int) -> None:
+    """Set a limit of this process, or keep that of its user (`ulimit`) where that is lower."""
+    allowed = resource.getrlimit(kind)[1]
+    if allowed != resource.RLIM_INFINITY:
+        soft, hard = min(soft, allowed), min(hard, allowed)
+    resource.setrlimit(kind, (soft, hard))

@@ -68,7 +68,7 @@ def _judge(base: Path, folder: Path, what: str) -> str:
         else:
             status = command(name, "--workspace", ws, *(["--again", "true"] if name == "export" else []))
         if status:
-            return "said"
+            return "said"  # `attack` looks whether the last net said it
     return "same" if _products(base, base) == _products(folder, base) else "difference"
 
 
@@ -99,7 +99,7 @@ def attack(base: Path, scratch: Path, rounds: int, tell: Callable[[str], None]) 
             kinds = kinds_for(target.name)
             damage = kinds[number % len(kinds)]
             end = case(base, scratch, target, damage, seed=1000 * number + len(target.name))
-            kind = end.kind
+            kind = "traceback" if "unexpected fault" in end.text else end.kind
             if kind == "difference" and "WARNING" not in end.text and _is_said(end.text):
                 kind = "said"
             counts[f"{target.relative_to(base).parts[0]} {damage.__name__}: {kind}"] += 1

@@ -82,8 +82,11 @@ def seeds(folder: Path) -> Iterator[tuple[str, Path, Parser]]:
     yield "meta data", folder / "meta.npz", meta_data.read_meta_data
     meshlab.write_picked_points(folder / "points.pp", ["0", "1", "2"], points[:3])
     yield "picked points", folder / "points.pp", meshlab.read_picked_points
-    (folder / "camera.txt").write_text("600 600 320 240\ndistortion 0.1 0.2 0 0 0\nmetres_per_unit 0.001\n")
-    yield "camera", folder / "camera.txt", camera_file.read_camera
+    (folder / "camera").mkdir()  # else it would be taken for the camera of the recordings that follow
+    (folder / "camera/camera.txt").write_text(
+        "600 600 320 240\ndistortion 0.1 0.2 0 0 0\nmetres_per_unit 0.001\n"
+    )
+    yield "camera", folder / "camera/camera.txt", camera_file.read_camera
     (folder / "poses.txt").write_text("".join(f"{t}.5 0 0 {t} 0 0 0 1\n" for t in range(9)))
     yield "poses", folder / "poses.txt", pose_lines.read_pose_lines
     rows = "".join(f"cup,{k},00,{k},5{k}.25,80\n" for k in range(3))
@@ -158,6 +161,10 @@ def attack(scratch: Path, inputs: int, tell: Callable[[str], None]) -> Counter[s
             else bytes_of
         )
         good = path.read_bytes()
+        control = ended(partial(_read_good, good, scratch / f"fed{path.suffix}", parse))
+        if control.kind != "read":  # its damaged inputs would all be refused, and prove nothing
+            counts[f"{name}: the good file: {control.kind}"] += 1
+            tell(f"{control.kind}: {name}, the good file: {control.text[-1500:]}")
         for start in range(0, inputs, BATCH):
             batch = range(start, min(start + BATCH, inputs))
             end = ended(partial(_feed, good, scratch / f"fed{path.suffix}", parse, (mutate, bytes_of), batch))
@@ -169,6 +176,12 @@ def attack(scratch: Path, inputs: int, tell: Callable[[str], None]) -> Counter[s
                 counts[f"{name}: {end.kind}"] += 1
                 tell(f"{end.kind}: {name} in inputs {batch}: {end.text[-1500:]}")
     return counts
+
+
+def _read_good(good: bytes, path: Path, parse: Parser) -> str:
+    path.write_bytes(good)
+    parse(path)
+    return "read"
 
 
 def _feed(good: bytes, path: Path, parse: Parser, kinds: tuple[Any, Any], batch: range) -> str:

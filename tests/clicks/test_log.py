@@ -51,6 +51,22 @@ def test_an_unknown_event_is_named() -> None:
         replay("cube", [a, {"op": "klick"}])
 
 
+@pytest.mark.parametrize(
+    ("names", "click", "why"),
+    [
+        (["a", ["b"], "c"], {}, "is not a text"),
+        (["a", "b"], {"keypoint": 2}, "click on keypoint 2, but only 2 are named"),
+        (["a", "b"], {"keypoint": "1"}, "is not a whole number"),
+        (["a", "b"], {"frame": [0]}, "is not a whole number"),
+        (["a", "b"], {"u_px": float("nan")}, "is not a finite number"),
+    ],
+)
+def test_a_damaged_log_is_refused(names: list[object], click: dict[str, object], why: str) -> None:
+    good = {"op": "click", "keypoint": 1, "scene": "00", "frame": 0, "u_px": 1.0, "v_px": 2.0}
+    with pytest.raises(DataError, match=why):
+        replay("cup", [{"op": "keypoints", "names": names}, good | click])
+
+
 def test_csv_round_trip() -> None:
     text = clicks_to_csv([A, B], NAMES)
     assert text.splitlines()[1] == "cube,corner,00,3,10.5000,20.2500"

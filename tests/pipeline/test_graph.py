@@ -29,6 +29,7 @@ from rpl_data.pipeline.object_store import MANIFEST
 from rpl_data.pipeline.pool import Pool
 from rpl_data.pipeline.processes import Processes
 from rpl_data.pipeline.progress import Progress
+from rpl_data.pipeline.sources import recordings_of
 from rpl_data.pipeline.worker import EngineLost, Stopped
 from rpl_data.types import DataError, Mesh
 from rpl_data.workspace.workspace import Workspace
@@ -207,13 +208,17 @@ def test_a_recording_on_a_disk_that_is_not_mounted_loses_nothing(
     recipe, seen = recipe_of(built), list[Context]()
     (source,) = recipe.scenes
     away = replace(source, path=tmp_path / "disk", names=("02",))
+    faults: dict[str, DataError] = {}
+    with pytest.raises(DataError, match="disk"):  # where none can be read, nothing is left to go on with
+        recordings_of([replace(away, names=(name,)) for name in ("00", "01", "02")], faults=faults)
+    assert list(faults) == [f"{tmp_path}/disk (00)", f"{tmp_path}/disk (01)"]
     torn = replace(recipe, scenes=(replace(source, names=("00", "01")), away))
     files = (built.scene_file("02"), built.trajectory_file("02"), built.labels_file("02"))
     before = [path.read_bytes() for path in files]
     for stage in ("track", "drift", "cut"):
         monkeypatch.setitem(module.STAGES, stage, lambda context: [])
     monkeypatch.setitem(module.STAGES, "solve", lambda context: seen.append(context) or [])
-    with pytest.raises(DataError, match=f"\n    import {tmp_path}/disk: "):
+    with pytest.raises(DataError, match=rf"\n    import {tmp_path}/disk \(02\): "):
         build(torn, built, until="solve", keep_going=True, tell=(told := Told()))
     assert [path.read_bytes() for path in files] == before
     said = [line for one in told.lines for line in one.outcome.messages]

@@ -99,6 +99,27 @@ def test_a_link_that_leads_nowhere_is_passed_over(recording: Path) -> None:
     assert str(recording / "notes.txt") not in stamps(recording)
 
 
+def test_a_ledger_with_a_damaged_field_is_one_line(tmp_path: Path) -> None:
+    path = tmp_path / "stages.json"
+    entry = {
+        "key": "k",
+        "version": 1,
+        "options": {},
+        "sources": {},
+        "after": {},
+        "seconds": 0.5,
+        "folders": {},
+    }
+    entry |= {"outcome": {"frames": 1, "messages": ["a"], "details": {}}}
+    path.write_text(json.dumps({"import": entry}))
+    assert Ledger(path).entries["import"].outcome.messages == ("a",)
+    for name in entry:
+        for strange in (None, [1], {"a": float("nan")}, *(["x"] if name != "key" else [])):
+            path.write_text(json.dumps({"import": entry | {name: strange}}))
+            with pytest.raises(DataError, match=r"stages\.json.*delete it"):
+                Ledger(path)
+
+
 @pytest.mark.parametrize(
     "content", ["[3]", "{", '{"import": {}}', '{"import": 3}', '{"import": {"more": 1}}', "9" * 5000]
 )

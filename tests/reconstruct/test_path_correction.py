@@ -133,3 +133,10 @@ def test_better_is_clearly_better_in_both_together() -> None:
     )  # a little worse in one, far better in the other
     assert is_better(PathErrors(float("nan"), 0.003), PathErrors(float("nan"), 0.006))
     assert not is_better(PathErrors(float("nan"), float("nan")), PathErrors(1.0, 0.003))
+
+
+def test_a_path_under_which_nothing_can_be_compared_is_worse() -> None:
+    nothing, depth_alone = PathErrors(float("nan"), float("nan")), PathErrors(float("nan"), 0.003)
+    assert is_better(depth_alone, nothing) and not is_better(nothing, nothing)
+    assert str(depth_alone) == "3.0 mm in depth" and not str(nothing)
+    assert str(PathErrors(2.14, 0.003)) == "2.1 px in colour and 3.0 mm in depth"

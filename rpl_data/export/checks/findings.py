@@ -10,7 +10,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-import yaml
 from jaxtyping import Float64
 
 from rpl_data.export.checks.rules import Rule, Rules, rigid
@@ -18,6 +17,7 @@ from rpl_data.files import FAULTS, read_json, read_text
 from rpl_data.formats.recordings.image_headers import probe
 from rpl_data.json_arrays import Json, number
 from rpl_data.types import DataError
+from rpl_data.untrusted.yaml_text import read_yaml
 
 
 @dataclass(frozen=True)
@@ -98,9 +98,9 @@ class Findings:
                 self.add(file, "", "", "empty")
             return None
         try:
-            data = yaml.load("\n".join(lines), Loader=LOADER)
-        except (yaml.YAMLError, *FAULTS) as error:
-            self.add(file, "", "", " ".join(str(error).split())[:200])
+            data = read_yaml("\n".join(lines), source=file)
+        except DataError as error:
+            self.add(file, "", "", str(error)[:200])
             return None
         if isinstance(data, dict):
             return data
@@ -202,9 +202,6 @@ class Findings:
             self.add(file, "", "", str(error).replace(f"{self.folder}/", ""))
             return None
 
-
-LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-"""PyYAML's loader in C, where it has one."""
 
 KINDS = {
     "color": "8 bits per channel",

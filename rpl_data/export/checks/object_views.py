@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import yaml
 
 from rpl_data.export.checks.findings import Findings, stems
 from rpl_data.export.checks.rules import camera_matrix
 from rpl_data.json_arrays import each, text
+from rpl_data.untrusted.yaml_text import read_yaml
 
 
 def looks_like_foundationpose(folder: Path) -> bool:
@@ -35,9 +35,9 @@ def check_foundationpose(findings: Findings) -> None:
 def _check_chosen(findings: Findings, file: str, views: int) -> None:
     """The file names the frame of each view."""
     try:
-        chosen = yaml.safe_load("\n".join(findings.lines(file)))
+        chosen = read_yaml("\n".join(findings.lines(file)), source=file)
         frames = each(text)(chosen["frames"])
-    except (yaml.YAMLError, TypeError, KeyError, ValueError) as error:
+    except (TypeError, KeyError, ValueError) as error:
         if (findings.folder / file).is_file():
             findings.add(
                 file, "", "frames", f"expected a list of frames: {' '.join(str(error).split())[:120]}"

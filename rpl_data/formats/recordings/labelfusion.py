@@ -25,7 +25,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from rpl_data.files import read_text
 from rpl_data.formats.recordings.camera_file import told_of
@@ -46,6 +45,7 @@ from rpl_data.formats.recordings.times import Clock, clock_beside, clock_of
 from rpl_data.formats.recordings.true_poses import with_true_poses
 from rpl_data.geometry import Transform, from_quaternion_xyzw
 from rpl_data.types import DataError, Recording
+from rpl_data.untrusted.yaml_text import read_yaml
 
 METRES_PER_UNIT = 0.001
 CAMERA: Camera = (528.0, 528.0, 320.0, 240.0)
@@ -190,10 +190,7 @@ def _object_poses(colors: Mapping[int, Path]) -> dict[str, dict[int, Transform]]
 
 
 def _read_yaml(path: Path) -> Mapping[str, Any]:
-    try:
-        content: object = yaml.safe_load(read_text(path))
-    except yaml.YAMLError as error:
-        raise DataError(f"{path} is not valid YAML: {' '.join(str(error).split())}") from error
+    content: object = read_yaml(read_text(path), source=str(path))
     if content is not None and not isinstance(content, dict):
         raise DataError(f"{path}: expected objects by name, found {type(content).__name__}")
     return content or {}

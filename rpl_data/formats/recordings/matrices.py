@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from jaxtyping import Float64
 
 from rpl_data.files import decoding, read_json, read_text
@@ -18,6 +17,7 @@ from rpl_data.formats.recordings.depth_files import read_npy
 from rpl_data.formats.recordings.frame_files import Camera
 from rpl_data.geometry import Transform, is_rotation
 from rpl_data.types import DataError
+from rpl_data.untrusted.yaml_text import read_yaml
 
 _NUMBER = re.compile(
     r"(?<![A-Za-z_\d.])[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|[-+]?(?:nan|inf)\b", re.IGNORECASE
@@ -74,10 +74,7 @@ def read_matrix_camera(path: Path) -> CameraSaid:
 def _yaml(path: Path, text: str) -> Any:
     """Content of a YAML file; OpenCV's have a first line and tags of their own."""
     plain = re.sub(r"\A%YAML[^\n]*\n|!!opencv-matrix", "", text)
-    try:
-        return yaml.safe_load(plain)
-    except yaml.YAMLError as error:
-        raise DataError(f"{path} is not valid YAML: {' '.join(str(error).split())}; correct it") from error
+    return read_yaml(plain, source=str(path))
 
 
 def _lens(values: list[float], path: Path) -> tuple[float, ...]:

@@ -146,9 +146,9 @@ def check_given_path(
         )
     except DataError:
         other = Found(given, given)
+    unsure = "too few of its frames see the same to say whether its own poses are right: they are kept"
     if len(other.trajectory.frames) < LEAST_TIED * len(given.frames) or other.trajectory is given:
-        line = "too few of its frames see the same to say whether its own poses are right: they are kept"
-        return Found(given, None, (line,), details | {"path": "given"})
+        return Found(given, None, (unsure,), details | {"path": "given"})
     read = workspace.depth_reader(scene)
     errors = compare_paths(
         scene,
@@ -158,11 +158,10 @@ def check_given_path(
     )
     ours, theirs = errors["ours"], errors["given"]
     details |= {"color_px": [theirs.color_px, ours.color_px], "depth_m": [theirs.depth_m, ours.depth_m]}
-    figures = (
-        f"its own poses are off by {theirs.color_px:.1f} px in colour and {1000 * theirs.depth_m:.1f} mm in "
-        f"depth between frames, those from its images by {ours.color_px:.1f} px and "
-        f"{1000 * ours.depth_m:.1f} mm"
-    )
+    if not ours.are_known:
+        return Found(given, None, (unsure,), details | {"path": "given"})
+    off = f"are off by {theirs} between frames" if theirs.are_known else "let no two frames show the same"
+    figures = f"its own poses {off}, those from its images are off by {ours}"
     if is_better(ours, theirs):
         taken = f"{figures}: the latter are used (`reconstruct: {{method: given}}` keeps its own)"
         return Found(other.trajectory, other.corrected, (taken, *other.lines), details | {"path": "ours"})
