@@ -33,7 +33,7 @@ def seeds(folder: Path) -> Iterator[tuple[str, Path, Parser]]:
     from rpl_data.formats.containers import klg, mat, rosbag
     from rpl_data.formats.models import meshlab, meta_data, sparse_model, surfels
     from rpl_data.formats.recordings import camera_file, pose_lines
-    from rpl_data.meshes import load_cloud, load_mesh, mesh_to_ply
+    from rpl_data.meshes import load_cloud, load_mesh, mesh_to_ply, save_cloud
     from rpl_data.pipeline.recipe_file import load_recipe
     from rpl_data.types import Mesh, PointCloud
 
@@ -53,8 +53,9 @@ def seeds(folder: Path) -> Iterator[tuple[str, Path, Parser]]:
     ]
     (folder / "text.ply").write_text("\n".join([*text, "3 0 1 2", ""]))
     yield "text PLY", folder / "text.ply", load_mesh
-    yield "PLY as a cloud", folder / "mesh.ply", load_cloud
     cloud = PointCloud(points + 1, -np.ones((12, 3)) / 3**0.5, np.zeros((12, 3), np.uint8))
+    save_cloud(folder / "cloud.ply", cloud)
+    yield "PLY as a cloud", folder / "cloud.ply", load_cloud
     surfels.write_surfels(folder / "surfels.ply", surfels.Surfels(cloud, np.ones(12)))
     yield "surfels", folder / "surfels.ply", surfels.read_surfels
     arrays = {
