@@ -23,7 +23,7 @@ from rpl_data.pipeline.build import recipe_of
 from rpl_data.types import Click, DataError
 from rpl_data.workspace.workspace import Workspace
 from training.reproduce.__main__ import COMMANDS, main
-from training.reproduce.all_experiments import PRESETS, command_lines, run_all
+from training.reproduce.all_experiments import PRESETS, TrainingOptions, command_lines, run_all
 from training.reproduce.curves import resample
 from training.reproduce.curves.slopes import before_the_fit, slope_of
 from training.reproduce.results import finite_or_none, write_results
@@ -194,9 +194,10 @@ def test_all_experiments_go_on_where_they_were(tmp_path: Path) -> None:
         write_results(tmp_path / name, name, title=name, data={}, sections=[f"<p>body of {name}</p>"])
         return 0
 
-    options: dict[str, Any] = {"weights": "scratch", "workers": 1}
+    options: dict[str, Any] = {"workers": 1}
+    quick = TrainingOptions("scratch", seeds=1, precision="bf16-mixed")
     given = PRESETS["cpu"], tmp_path / "ws", ["drill", "cup"], tmp_path
-    commands = command_lines(*given, seeds=1, **options)
+    commands = command_lines(*given, quick, **options)
     assert run_all(commands, tmp_path, run) == ["curves", "segmentation"]
     page = (tmp_path / "all.html").read_text()
     assert "failed" in page and "body of table2" in page and "body of curves" not in page
@@ -204,10 +205,16 @@ def test_all_experiments_go_on_where_they_were(tmp_path: Path) -> None:
     with pytest.raises(SystemExit):
         run_all({"ablation": ["ablation"]}, tmp_path, lambda command: INTERRUPTED)
     assert run_all(commands, tmp_path, run) == []
-    assert run_all(command_lines(*given, seeds=2, **options), tmp_path, run) == []
+    assert run_all(command_lines(*given, replace(quick, seeds=2), **options), tmp_path, run) == []
     assert ran == [*commands, "curves", "segmentation", "table2"]
     assert "body of curves" in (tmp_path / "all.html").read_text()
     parser = parser_of(COMMANDS, program="reproduce", description="", presets=[COMMANDS["table2"]])
+    assert commands["segmentation"][6:] == [
+        "--precision",
+        "bf16-mixed",
+        "--out",
+        str(tmp_path / "segmentation"),
+    ]
     for command in commands.values():  # it ends the test where it does not understand one
         parser.parse_args(with_preset_files(command))
 
@@ -225,6 +232,7 @@ def test_ablation_of_a_workspace(
     assert whole["error_2d_mean_px"] == splat["error_2d_mean_px"]  # the poses are the same
     assert splat["iou_full_mean"] < whole["iou_full_mean"]
     lines = {line.split()[0]: line.split()[1:] for line in capsys.readouterr().out.splitlines()}
+    assert lines["building"] and lines["label"][-1] == "frames"  # what is built meanwhile, step by step
     assert lines["papers_masks"][4:6] == ["+0.00", "+0.00"] and lines["papers_masks"][7].startswith("-0.")
     assert main([*command, "--parts", "[refining]"]) == 1
     assert "there is no part 'refining'" in capsys.readouterr().err

@@ -13,6 +13,8 @@ from typing import Literal
 from rpl_data.files import read_json, write_json, write_text
 from rpl_data.types import DataError
 
+from ..runs.options import Precision
+
 Run = Callable[[list[str]], int]
 """Runs a command line of `rpl reproduce`; its exit status comes back."""
 
@@ -33,6 +35,21 @@ class Preset:
     masks: str
 
 
+@dataclass(frozen=True)
+class TrainingOptions:
+    """What the person chose of the trainings.
+
+    Attributes:
+        weights: what the mask networks start from.
+        seeds: trainings per network of Table II.
+        precision: of all trainings.
+    """
+
+    weights: str | None = None
+    seeds: int = 1
+    precision: Precision | None = None
+
+
 PRESETS: Mapping[str, Preset] = {
     "cpu": Preset("training_twin.yaml", None, "table2_cpu", "masks_cpu"),
     "paper": Preset("paper_twin.yaml", 3, "table2_paper", "masks_paper"),
@@ -46,6 +63,7 @@ def reproduce_all(
     root: Path | None = None,
     weights: str | None = None,
     seeds: int = 1,
+    precision: Precision | None = None,
     workers: int | None = None,
 ) -> None:
     """All of the paper's experiments on one recording: a page with their tables and figures.
@@ -63,6 +81,7 @@ def reproduce_all(
         weights: what the mask networks start from: `scratch`, `imagenet`, or a file; the preset's when left
             out.
         seeds: trainings per network of Table II.
+        precision: of all trainings, `bf16-mixed` for example; the presets' when left out.
         workers: processes; one per core when left out.
     """
     from .commands import run_command
@@ -73,7 +92,8 @@ def reproduce_all(
         raise DataError(f"there is no recipe {source}; run this in a checkout of rpl-data, or give --recipe")
     workspace = out / "workspaces" / source.stem
     objects = _built(source, workspace, root, workers)
-    commands = command_lines(chosen, workspace, objects, out, weights=weights, seeds=seeds, workers=workers)
+    trainings = TrainingOptions(weights, seeds, precision)
+    commands = command_lines(chosen, workspace, objects, out, trainings, workers=workers)
     failed = run_all(commands, out, run_command)
     print(out / "all.html")
     if failed:
@@ -82,12 +102,13 @@ def reproduce_all(
 
 def _built(source: Path, workspace: Path, root: Path | None, workers: int | None) -> list[str]:
     """Build a recipe, or what is missing of it; the names of its objects come back."""
-    from rpl_data.pipeline.build import build
     from rpl_data.pipeline.recipe_file import load_recipe
     from rpl_data.workspace.workspace import Workspace
 
+    from .building import build_and_tell
+
     place = Workspace(workspace)
-    build(load_recipe(source, root=root), place, workers=workers)
+    build_and_tell(load_recipe(source, root=root), place, workers=workers)
     return list(place.object_names())
 
 
@@ -96,23 +117,28 @@ def command_lines(
     workspace: Path,
     objects: list[str],
     out: Path,
+    trainings: TrainingOptions,
     *,
-    weights: str | None,
-    seeds: int,
     workers: int | None,
 ) -> dict[str, list[str]]:
     """The command line of each experiment, by its name, the quick ones first."""
-    several = [] if workers is None else ["--workers", str(workers)]
-    start = [] if weights is None else ["--weights", weights]
+    several = _option("workers", workers)
     tested = f"[{', '.join(objects[: preset.objects])}]"
+    masks = [*_option("weights", trainings.weights), *_option("precision", trainings.precision)]
+    poses = [*_option("seeds", trainings.seeds), *_option("machine.precision", trainings.precision)]
     told = {
         "table1": [str(workspace), *several],
         "curves": several,
         "ablation": [str(workspace), *several],
-        "segmentation": [str(workspace), "--preset", preset.masks, *start],
-        "table2": [str(workspace), tested, "--config", preset.table2, "--seeds", str(seeds)],
+        "segmentation": [str(workspace), "--preset", preset.masks, *masks],
+        "table2": [str(workspace), tested, "--config", preset.table2, *poses],
     }
     return {name: [name, *words, "--out", str(out / name)] for name, words in told.items()}
+
+
+def _option(name: str, value: object) -> list[str]:
+    """An option of a command line; nothing where it was left out."""
+    return [] if value is None else [f"--{name}", str(value)]
 
 
 def run_all(commands: Mapping[str, list[str]], out: Path, run: Run) -> list[str]:

@@ -8,11 +8,13 @@ from dataclasses import replace
 from pathlib import Path
 
 from rpl_data.files import write_text
-from rpl_data.pipeline.build import build, context_of
+from rpl_data.pipeline.build import context_of
 from rpl_data.pipeline.context import crop_of, truth_workspace
 from rpl_data.pipeline.recipe import CropBox, ObjectRecipe, Recipe
 from rpl_data.pipeline.stages.clicks import clicks_table
 from rpl_data.workspace.workspace import Workspace
+
+from .building import build_and_tell
 
 Change = Callable[[Recipe], Recipe]
 
@@ -25,7 +27,7 @@ def built_beside(
     Steps that are up to date there are not run again.
     """
     made = Workspace(folder)
-    build(change(same_input(workspace, folder / "clicks.csv")), made, until=until, workers=workers)
+    build_and_tell(change(same_input(workspace, folder / "clicks.csv")), made, until=until, workers=workers)
     return made
 
 

@@ -65,11 +65,12 @@ def _existing(folder: Path) -> Workspace:
 
 def _filmed(name: str, folder: Path, scenes: int, workers: int | None) -> Workspace:
     """Film one object: one frame every two seconds of a slow partial orbit, which is enough to click in."""
-    from rpl_data.pipeline.build import build
     from rpl_data.workspace.workspace import Workspace
 
+    from ..building import build_and_tell
+
     place = Workspace(folder)
-    build(_recipe(name, scenes), place, until="import", workers=workers)
+    build_and_tell(_recipe(name, scenes), place, until="import", workers=workers)
     return place
 
 

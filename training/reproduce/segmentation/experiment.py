@@ -13,6 +13,7 @@ from rpl_data.files import write_json
 from rpl_data.types import DataError
 from rpl_data.wording import counted
 
+from ...runs.options import Precision
 from .progress import Progress, load_progress
 
 if TYPE_CHECKING:
@@ -32,6 +33,7 @@ def segmentation(
     epochs: int | None = None,
     weights: str | None = None,
     threads: int | None = None,
+    precision: Precision | None = None,
 ) -> None:
     """Mean IoU per class of Mask R-CNN trained on OURS and on MANUAL labels (the paper's figure).
 
@@ -48,6 +50,7 @@ def segmentation(
         weights: what both start from: `scratch`, `imagenet`, or the path of trained weights; the preset's
             when left out. From scratch all layers learn from the first epoch.
         threads: processor threads of torch; those of the preset when left out.
+        precision: `bf16-mixed`, for example; that of the preset when left out.
     """
     from rpl_data.formats.datasets.coco import read_coco
 
@@ -62,6 +65,8 @@ def segmentation(
         settings = with_weights(settings, weights)
     if threads is not None:
         settings = replace(settings, machine=replace(settings.machine, threads=threads))
+    if precision is not None:
+        settings = replace(settings, machine=replace(settings.machine, precision=precision))
     progress = load_progress(out, settings)
     while progress.epochs < settings.learning.epochs:
         progress = train_round(sources, settings, progress, out)

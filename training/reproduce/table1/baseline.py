@@ -18,13 +18,14 @@ from rpl_data.evaluate.quality import compare_workspaces, model_error
 from rpl_data.files import write_text
 from rpl_data.geometry import transform
 from rpl_data.meshes import load_cloud, load_mesh, save_cloud, select
-from rpl_data.pipeline.build import build, recipe_of
+from rpl_data.pipeline.build import recipe_of
 from rpl_data.pipeline.presets import by_method
 from rpl_data.pipeline.recipe import Recipe
 from rpl_data.raycast import RayScene
 from rpl_data.types import Click, DepthImage
 from rpl_data.workspace.workspace import Workspace
 
+from ..building import build_and_tell
 from ..variants import built_beside, copied
 from .rows import Scores, scores_of
 
@@ -60,7 +61,7 @@ def careful_scores(
     made = built_beside(workspace, folder, change, until="segment", workers=workers)
     for name in made.object_names():
         crop_by_truth(made, truth, name)
-    build(recipe_of(made), made, until="label", workers=workers)
+    build_and_tell(recipe_of(made), made, until="label", workers=workers)
     return {row.object: scores_of(row) for row in compare_workspaces(made, truth)}
 
 

@@ -72,14 +72,15 @@ def table1(
 
 def built(source: Path, folder: Path, *, root: Path | None, workers: int | None) -> Workspace:
     """Open a workspace, or build a recipe."""
-    from rpl_data.pipeline.build import build
     from rpl_data.pipeline.recipe_file import load_recipe
     from rpl_data.workspace.workspace import Workspace
+
+    from ..building import build_and_tell
 
     if not source.is_file():
         return Workspace(source)
     workspace = Workspace(folder / source.stem)
-    build(load_recipe(source, root=root), workspace, workers=workers)
+    build_and_tell(load_recipe(source, root=root), workspace, workers=workers)
     return workspace
 
 
@@ -87,9 +88,9 @@ def in_kind(
     workspace: Workspace, kind: Trajectories, out: Path, *, seed: int, workers: int | None
 ) -> Workspace:
     """The workspace itself, or one with the same pixels and other camera paths, built up to its labels."""
-    from rpl_data.pipeline.build import build
     from rpl_data.workspace.workspace import Workspace
 
+    from ..building import build_and_tell
     from .trajectories import with_trajectories
 
     if kind == "given":
@@ -97,7 +98,7 @@ def in_kind(
     name = f"{workspace.root.resolve().name}_{kind}"
     recipe = with_trajectories(workspace, kind, out / "recordings" / name, seed=seed)
     changed = Workspace(out / "workspaces" / name)
-    build(recipe, changed, until="label", workers=workers)
+    build_and_tell(recipe, changed, until="label", workers=workers)
     return changed
 
 
