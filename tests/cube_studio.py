@@ -12,7 +12,7 @@ from rpl_data.synthesize.body import Body
 from rpl_data.synthesize.light import SceneLight
 from rpl_data.synthesize.painted import PaintedMesh, grid
 from rpl_data.synthesize.storage import save_studio
-from rpl_data.synthesize.studio import Noise, Plane, Plate, Studio, Subject
+from rpl_data.synthesize.studio import DepthNoise, Noise, Plane, Plate, Studio, Subject
 from rpl_data.synthesize.views import shown_directions
 from rpl_data.types import Intrinsics
 
@@ -70,7 +70,7 @@ def cube_studio(folder: Path, *, keypoints: tuple[str, ...] = tuple("abcdefgh"))
         scenes=("00", "01"),
         subjects={"cube": subject},
         plates=(Plate("00", 3, folder / "plate.png", None, None, CAMERA, normal, Plane(normal, -0.4)),),
-        noise=Noise(0.0, 1.0, 0.0, 0.0),
+        noise=Noise(0.0, {"cube": DepthNoise()}),
         together=(1,),
         centres=np.array([[0.5, 0.5]]),
     )

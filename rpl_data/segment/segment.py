@@ -55,6 +55,11 @@ class DenseModel:
     free_share: float
     warnings: tuple[str, ...] = ()
 
+    @property
+    def carved(self) -> bool:
+        """Whether no surface was measured: the shape is what outlines leave (`carving`)."""
+        return not self.seen.any()
+
 
 @dataclass(frozen=True)
 class _Surroundings:

@@ -6,14 +6,14 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float32
+from jaxtyping import Bool, Float32, Float64
 
 from rpl_data.geometry import depth_sigma_m
 from rpl_data.raycast import PixelTable
 from rpl_data.synthesize.light import Light
 from rpl_data.synthesize.render import Alone, Drawing, Placed
 from rpl_data.synthesize.shadow import shadows
-from rpl_data.synthesize.studio import Noise, Plane
+from rpl_data.synthesize.studio import DepthNoise, Noise, Plane
 from rpl_data.types import ColorImage, DepthImage
 
 SOFT_PX = 0.5
@@ -46,34 +46,35 @@ def shadowed(
 
 
 def depth_over(
-    plate_m: DepthImage, objects: Sequence[Alone], noise: Noise, rng: np.random.Generator
+    plate_m: DepthImage, objects: Sequence[tuple[Alone, DepthNoise]], rng: np.random.Generator
 ) -> DepthImage:
-    """Lay the depth of objects over that of a plate, with the noise and holes of the recordings."""
+    """Lay the depth of objects over that of a plate, each with its noise and holes."""
     nearest = np.full(plate_m.shape, np.inf, np.float32)
-    for each in objects:
-        nearest[each.window] = np.minimum(nearest[each.window], each.depth_m)
+    which = np.zeros(plate_m.shape, np.intp)
+    for number, (each, _) in enumerate(objects):
+        before = each.depth_m < nearest[each.window]
+        nearest[each.window][before] = each.depth_m[before]
+        which[each.window][before] = number
     covered = np.isfinite(nearest)
     if not covered.any():
         return plate_m
     true_m = np.where(covered, nearest, 1).astype(np.float32)
-    sigma_m = noise.depth * np.asarray(depth_sigma_m(true_m))
+    sigma_m = np.array([noise.sigma for _, noise in objects])[which] * np.asarray(depth_sigma_m(true_m))
     measured = true_m + (sigma_m * _grain(true_m.shape, rng)).astype(np.float32)
-    measured[_lost(nearest, covered, noise, rng)] = 0
+    lost = np.array([[noise.lost_at_rim, noise.lost_inside] for _, noise in objects])[which]
+    measured[_lost(covered, lost, rng)] = 0
     return np.where(covered, measured, plate_m).astype(np.float32)
 
 
 def _lost(
-    nearest: Float32[np.ndarray, "h w"],
-    covered: Bool[np.ndarray, "h w"],
-    noise: Noise,
-    rng: np.random.Generator,
+    covered: Bool[np.ndarray, "h w"], shares: Float64[np.ndarray, "h w 2"], rng: np.random.Generator
 ) -> Bool[np.ndarray, "h w"]:
-    """Patches without depth, at the rim more than inside."""
+    """Patches without depth; of each pixel, the shares at the rim and inside."""
     inside = cv2.erode(covered.astype(np.uint8), np.ones((2 * RIM_PX + 1,) * 2, np.uint8)) > 0
-    share = np.where(inside, noise.lost_inside, noise.lost_at_rim)
+    share = np.where(inside, shares[..., 1], shares[..., 0])
     from scipy.special import ndtr
 
-    lost: Bool[np.ndarray, "h w"] = covered & (ndtr(_grain(nearest.shape, rng)) < share)
+    lost: Bool[np.ndarray, "h w"] = covered & (ndtr(_grain(covered.shape, rng)) < share)
     return lost
 
 

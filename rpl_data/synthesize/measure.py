@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import cv2
 import numpy as np
@@ -10,14 +10,15 @@ from jaxtyping import Bool, Float32
 
 from rpl_data.geometry import depth_sigma_m
 from rpl_data.synthesize.compose import RIM_PX
-from rpl_data.synthesize.studio import Noise
+from rpl_data.synthesize.studio import DepthNoise
 from rpl_data.types import ColorImage, DepthImage
 
 BLOCK_PX = 16
 FLATTEST = 10.0
 """Percentile of the blocks' noise that is taken for the camera's: the others have texture."""
 MAD_SIGMA = 1.4826
-NO_DEPTH = Noise(color=0.0, depth=1.0, lost_inside=0.0, lost_at_rim=0.0)
+LEAST_PIXELS = 100
+"""With fewer an image says nothing of an object's depth, and with fewer depths nothing of their noise."""
 
 
 def color_noise(image: ColorImage) -> float:
@@ -39,8 +40,10 @@ def depth_errors(
     model_m: Float32[np.ndarray, "h w"],
     visible: Bool[np.ndarray, "h w"],
     measured_m: DepthImage,
-) -> tuple[float, float, float] | None:
-    """Noise, share lost inside and share lost at the rim of an object in one image; None where it is small.
+) -> DepthNoise | None:
+    """The errors of an object's depth in one image; None where it is small.
+
+    The noise is NaN where hardly any depth was measured.
 
     Args:
         model_m: depth of the dense model.
@@ -51,16 +54,32 @@ def depth_errors(
     inside &= np.isfinite(model_m)
     rim = visible & ~inside
     known = inside & (measured_m > 0)
-    if known.sum() < 100:
+    if inside.sum() < LEAST_PIXELS:
         return None
+    lost = float((measured_m[inside] <= 0).mean()), float((measured_m[rim] <= 0).mean())
+    if known.sum() < LEAST_PIXELS:
+        return DepthNoise(np.nan, *lost)
     off = (measured_m[known] - model_m[known]) / np.asarray(depth_sigma_m(model_m[known]))
     sigma = MAD_SIGMA * float(np.median(np.abs(off - np.median(off))))
-    return sigma, float((measured_m[inside] <= 0).mean()), float((measured_m[rim] <= 0).mean())
+    return DepthNoise(sigma, *lost)
 
 
-def noise_of(colors: Sequence[float], depths: Sequence[tuple[float, float, float]]) -> Noise:
-    """The medians over images; no depth noise is known without depth images."""
-    color = float(np.median(colors)) if colors else 0.0
-    if not depths:
-        return Noise(color, NO_DEPTH.depth, NO_DEPTH.lost_inside, NO_DEPTH.lost_at_rim)
-    return Noise(color, *(float(value) for value in np.median(np.array(depths), axis=0)))
+def depth_noise(measured: Mapping[str, Sequence[DepthNoise]]) -> dict[str, DepthNoise]:
+    """By object, the medians over its images.
+
+    Where an object's noise is not known, it is that of all objects together; where nothing is known, that of
+    `geometry.depth_sigma_m` without holes.
+    """
+    sigmas = [one.sigma for images in measured.values() for one in images if not np.isnan(one.sigma)]
+    of_all = float(np.median(sigmas)) if sigmas else DepthNoise().sigma
+    return {name: _middle(images, of_all) for name, images in measured.items()}
+
+
+def _middle(images: Sequence[DepthNoise], otherwise: float) -> DepthNoise:
+    if not images:
+        return DepthNoise(otherwise)
+    sigma, inside, rim = np.array([[one.sigma, one.lost_inside, one.lost_at_rim] for one in images]).T
+    known = sigma[~np.isnan(sigma)]
+    return DepthNoise(
+        float(np.median(known)) if len(known) else otherwise, float(np.median(inside)), float(np.median(rim))
+    )

@@ -31,6 +31,9 @@ BEHIND_M = 0.003
 """A point this far behind the surface that an image shows is hidden there."""
 RIM_PX = 3
 """Pixels inside the outline that colour nothing: background shines through them."""
+MOST_DISAGREEING = 15.0
+"""Grey levels by which images of a carved object may differ from its colours, in the median over its texels;
+above, they show what lies behind it. The objects of `datasets/training_twin.yaml` are at 5 to 7."""
 LEAST_PAINTED = 0.5
 """Share of a triangle's texels that images must colour for it to count as seen."""
 NEIGHBOUR_M = 0.01
@@ -74,7 +77,7 @@ class _Sight:
 
 
 def paint(
-    mesh: Mesh, seen: Bool[np.ndarray, " m"], photos: Iterable[Photo]
+    mesh: Mesh, seen: Bool[np.ndarray, " m"] | None, photos: Iterable[Photo]
 ) -> tuple[PaintedMesh, dict[str, Coefficients]]:
     """Colour the texels of a mesh; also returns the light of each scene.
 
@@ -82,7 +85,8 @@ def paint(
 
     Args:
         mesh: object frame.
-        seen: for each triangle, whether depth images saw it.
+        seen: for each triangle, whether depth images saw it; None for a carved mesh, which they never saw.
+            What images colour of that one counts as seen, if they agree on its colours.
         photos: read one at a time.
     """
     steps = steps_for(mesh)
@@ -95,8 +99,12 @@ def paint(
     painted = np.isfinite(colors[:, 0])
     _fill(colors, painted, points, mesh, steps)
     texels = colors.round().clip(0, 255).astype(np.uint8).reshape(len(mesh.triangles), -1, 3)
-    share = painted.reshape(len(mesh.triangles), -1).mean(axis=1)
-    return PaintedMesh(mesh.vertices, mesh.triangles, texels, seen & (share >= LEAST_PAINTED)), lights
+    known = painted.reshape(len(mesh.triangles), -1).mean(axis=1) >= LEAST_PAINTED
+    if seen is not None:
+        known &= seen
+    elif not _disagreement(sights, colors, lights) <= MOST_DISAGREEING:  # NaN where no image shows it
+        known[:] = False
+    return PaintedMesh(mesh.vertices, mesh.triangles, texels, known), lights
 
 
 # Colours and lights -------------------------------------------------------------------------------
@@ -155,6 +163,17 @@ def _light(sights: Sequence[_Sight], colors: np.ndarray) -> Coefficients:
     ridge = RIDGE * data * np.eye(TERMS)
     solved = [np.linalg.solve(normal[c] + ridge, right[:, c] + ridge @ even) for c in range(3)]
     return np.column_stack(solved)
+
+
+def _disagreement(sights: Sequence[_Sight], colors: np.ndarray, lights: Mapping[str, Coefficients]) -> float:
+    """How far images are off the colours that were fitted to them, in grey levels; median over the texels."""
+    total, weight = np.zeros(len(colors)), np.zeros(len(colors))
+    for sight in sights:
+        off = sight.colors - _factor(sight, lights[sight.scene]) * colors[sight.rows]
+        total[sight.rows] += sight.weights * (off**2).mean(axis=1)
+        weight[sight.rows] += sight.weights
+    shown = weight > 0
+    return float(np.sqrt(np.median(total[shown] / weight[shown]))) if shown.any() else np.nan
 
 
 def _fill(

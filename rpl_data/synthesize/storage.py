@@ -15,7 +15,7 @@ from rpl_data.symmetries import symmetries_from_json, symmetries_to_json
 from rpl_data.synthesize.body import Body
 from rpl_data.synthesize.light import SceneLight
 from rpl_data.synthesize.painted import load_painted, save_painted
-from rpl_data.synthesize.studio import Noise, Plane, Plate, Studio, Subject
+from rpl_data.synthesize.studio import DepthNoise, Noise, Plane, Plate, Studio, Subject
 from rpl_data.types import DataError, Intrinsics
 
 STUDIO_FILE = "studio.json"
@@ -64,7 +64,7 @@ def load_studio(folder: Path) -> Studio:
                 name: _subject_from_json(folder, name, one) for name, one in content["subjects"].items()
             },
             plates=tuple(_plate_from_json(folder, one) for one in content["plates"]),
-            noise=Noise(**content["noise"]),
+            noise=_noise_from_json(content["noise"]),
             together=tuple(content["together"]),
             centres=np.array(content["centres"], dtype=float).reshape(-1, 2),
         )
@@ -86,7 +86,7 @@ def _subject_to_json(subject: Subject) -> Json:
         "ups": subject.ups.tolist(),
         **{
             name: getattr(subject, name)
-            for name in ("turn_deg", "nearest_m", "farthest_m", "keypoint_sigma_m")
+            for name in ("turn_deg", "nearest_m", "farthest_m", "keypoint_sigma_m", "carved")
         },
     }
 
@@ -106,6 +106,7 @@ def _subject_from_json(folder: Path, name: str, stored: Mapping[str, Any]) -> Su
         farthest_m=stored["farthest_m"],
         keypoint_sigma_m=stored["keypoint_sigma_m"],
         symmetries=symmetries_from_json(stored["symmetries"]),
+        carved=stored["carved"],
         lights={
             scene: SceneLight(
                 np.array(light["up"], dtype=float), np.array(light["coefficients"], dtype=float)
@@ -113,6 +114,10 @@ def _subject_from_json(folder: Path, name: str, stored: Mapping[str, Any]) -> Su
             for scene, light in stored["lights"].items()
         },
     )
+
+
+def _noise_from_json(stored: Mapping[str, Any]) -> Noise:
+    return Noise(stored["color"], {name: DepthNoise(**one) for name, one in stored["depth"].items()})
 
 
 def _plate_to_json(folder: Path, plate: Plate) -> Json:

@@ -66,6 +66,7 @@ class Subject:
         keypoint_sigma_m: how far off the keypoints may be on the mesh, standard deviation per axis.
         lights: as they were fitted to its colours, by scene.
         symmetries: what leaves it looking the same.
+        carved: whether its shape is that of its outlines alone, hollows filled.
     """
 
     body: Body
@@ -79,6 +80,7 @@ class Subject:
     keypoint_sigma_m: float
     lights: Mapping[str, SceneLight]
     symmetries: Symmetries = Symmetries()
+    carved: bool = False
 
     @cached_property
     def likely(self) -> Float64[np.ndarray, " d"]:
@@ -91,20 +93,31 @@ class Subject:
 
 
 @dataclass(frozen=True)
+class DepthNoise:
+    """Errors of the depth of one object: dark and shiny ones lose more of it than others.
+
+    Attributes:
+        sigma: standard deviation, in units of `geometry.depth_sigma_m`.
+        lost_inside, lost_at_rim: share of the object's pixels without depth, and of those within `RIM_PX` of
+            its outline.
+    """
+
+    sigma: float = 1.0
+    lost_inside: float = 0.0
+    lost_at_rim: float = 0.0
+
+
+@dataclass(frozen=True)
 class Noise:
     """Errors of the camera, as the recorded images show them.
 
     Attributes:
         color: standard deviation of a pixel, grey levels.
-        depth: standard deviation of depth, in units of `geometry.depth_sigma_m`.
-        lost_inside, lost_at_rim: share of an object's pixels without depth, and of those within `RIM_PX` of
-            its outline.
+        depth: by the object's name.
     """
 
     color: float
-    depth: float
-    lost_inside: float
-    lost_at_rim: float
+    depth: Mapping[str, DepthNoise]
 
 
 @dataclass(frozen=True)

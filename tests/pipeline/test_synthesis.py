@@ -191,6 +191,9 @@ def test_an_object_without_a_model_of_training_scenes_is_left_out(workspace: Wor
     without = replace(studio, subjects={})
     with pytest.raises(DataError, match="object carton: stands still in none of the training scenes"):
         run._names(without, training, ["carton"])
+    outlined = replace(studio, subjects={"carton": replace(studio.subjects["carton"], carved=True)})
+    names, lines = run._names(outlined, training, None)
+    assert names == ("carton",) and "hollows are shown filled" in lines[0]
 
 
 def test_ids_of_rendered_labels_follow_those_of_ignored_regions(tmp_path: Path) -> None:

@@ -244,6 +244,7 @@ def test_what_depth_does_not_show_is_carved() -> None:
     true, found = (np.abs(points) < SIZE_M / 2).all(axis=1), inside(dense.mesh, points)
     assert (found & true).sum() > 0.95 * true.sum() and found.sum() < 1.7 * true.sum()
     assert not dense.seen.any() and dense.open_edges == 0
+    assert dense.carved
     assert "hardly any depth is measured on it" in dense.warnings[0] and "not used" in dense.warnings[1]
 
     risen = replace(solution.model, points_object=CORNERS + [0.1, 0, 0.1])  # where the cameras saw through

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -18,12 +20,12 @@ from rpl_data.synthesize.light import (
     harmonics,
     shade,
 )
-from rpl_data.synthesize.measure import color_noise, depth_errors
+from rpl_data.synthesize.measure import color_noise, depth_errors, depth_noise
 from rpl_data.synthesize.normals import steady_normals
 from rpl_data.synthesize.paint import Photo, paint
 from rpl_data.synthesize.painted import grid, texel_positions
 from rpl_data.synthesize.render import Placed, alone, draw, finer_table
-from rpl_data.synthesize.studio import Noise, Plane
+from rpl_data.synthesize.studio import DepthNoise, Noise, Plane
 from rpl_data.types import Mesh
 
 TABLE, FINER = PixelTable.of(CAMERA), finer_table(CAMERA)
@@ -40,7 +42,7 @@ def even_light() -> Light:
 
 
 EVEN = {"cube": even_light()}
-QUIET = Noise(0.0, 0.0, 0.0, 0.0)
+QUIET = Noise(0.0, {})
 
 
 def test_a_face_has_its_colour_its_size_and_soft_edges() -> None:
@@ -108,6 +110,11 @@ def test_colours_and_lights_of_scenes_are_told_apart() -> None:
     first, second = (harmonics(normals) @ lights[scene] for scene in ("00", "01"))
     brightest = np.arange(4), COLORS[[1, 0, 5, 4]].argmax(axis=1)  # a dark channel says little of the light
     np.testing.assert_allclose((first / second)[brightest], true, rtol=0.05)
+    carved, _ = paint(body.painted.mesh, None, photos)  # no depth: what images agree on
+    np.testing.assert_array_equal(carved.seen, painted.seen)
+    rng = np.random.default_rng(0)  # a clear object shows what lies behind it
+    through = [replace(photo, color=np.full_like(photo.color, rng.integers(0, 256, 3))) for photo in photos]
+    assert not paint(body.painted.mesh, None, through)[0].seen.any()
 
 
 def test_light_draws_turn_about_the_vertical_only() -> None:
@@ -135,14 +142,34 @@ def test_noise_is_measured_and_laid_on() -> None:
     plain = np.full((120, 160, 3), 120, np.uint8)
     noisy = (120 + rng.normal(0, 3, plain.shape)).round().astype(np.uint8)
     assert color_noise(noisy) == pytest.approx(3, rel=0.2) and color_noise(plain) == 0
-    seen = [alone(TABLE, Placed(cube_body(), FACING))]
-    depth_m = depth_over(np.full((120, 160), 0.9, np.float32), seen, Noise(0.0, 1.5, 0.1, 0.5), rng)
+    seen, noise = alone(TABLE, Placed(cube_body(), FACING)), DepthNoise(1.5, 0.1, 0.5)
+    depth_m = depth_over(np.full((120, 160), 0.9, np.float32), [(seen, noise)], rng)
     model = np.full((120, 160), np.inf, np.float32)
-    model[seen[0].window] = seen[0].depth_m
-    sigma, inside, rim = depth_errors(model, np.isfinite(model), depth_m)
-    assert sigma == pytest.approx(1.5, rel=0.25)
-    assert inside == pytest.approx(0.1, abs=0.07) and rim == pytest.approx(0.5, abs=0.15)
+    model[seen.window] = seen.depth_m
+    found = depth_errors(model, np.isfinite(model), depth_m)
+    assert found.sigma == pytest.approx(1.5, rel=0.25)
+    assert found.lost_inside == pytest.approx(0.1, abs=0.07)
+    assert found.lost_at_rim == pytest.approx(0.5, abs=0.15)
     assert (depth_m[~np.isfinite(model)] == np.float32(0.9)).all()
+
+
+def test_depth_is_lost_where_each_object_loses_it() -> None:
+    rng = np.random.default_rng(0)
+    pair = [
+        alone(TABLE, Placed(cube_body(), from_rotvec(np.zeros(3), np.array([x, 0, 0.5]))))
+        for x in (-0.1, 0.1)
+    ]
+    plate_m = np.full((120, 160), 0.9, np.float32)
+    depth_m = depth_over(
+        plate_m, list(zip(pair, (DepthNoise(), DepthNoise(1.0, 1.0, 1.0)), strict=True)), rng
+    )
+    kept, lost = (depth_m[one.window][one.mask] for one in pair)
+    assert (kept > 0.4).all() and (lost == 0).all()
+    model = np.where(np.isfinite(pair[1].depth_m), pair[1].depth_m, np.inf).astype(np.float32)
+    dark = depth_errors(model, np.isfinite(model), np.zeros_like(model))
+    measured = {"dark": [dark], "plain": [DepthNoise(1.2), DepthNoise(1.6)], "far": []}
+    found = depth_noise(measured)
+    assert found == {"dark": DepthNoise(1.4, 1.0, 1.0), "plain": DepthNoise(1.4), "far": DepthNoise(1.4)}
 
 
 def test_shadows_fall_away_from_the_lamp() -> None:

@@ -29,8 +29,10 @@ SAME_MODEL_M = 1e-4
 
 def training_mesh(
     context: Context, item: CocoObject, videos: tuple[str, ...]
-) -> tuple[Mesh, Bool[np.ndarray, " m"]]:
-    """The dense model of an object in the export's frame, and which of its triangles were seen.
+) -> tuple[Mesh, Bool[np.ndarray, " m"] | None]:
+    """The dense model of an object in the export's frame, and which of its triangles depth images saw.
+
+    None in their place for a carved model: its shape is that of its outlines.
 
     Args:
         videos: recordings that it is made of; there is something in them by `can_be_made`.
@@ -55,7 +57,7 @@ def training_mesh(
         crop_m=crop_of(workspace, object_named(context, name)),
         depth_views=[view for place in places for view in depth_views(workspace, place, only)],
     )
-    return _in_export_frame(dense.mesh, item), dense.seen
+    return _in_export_frame(dense.mesh, item), None if dense.carved else dense.seen
 
 
 def can_be_made(context: Context, name: str, videos: tuple[str, ...]) -> bool:

@@ -77,7 +77,8 @@ def picture(
     depth = None
     if plate.depth is not None and plate.metres_per_unit is not None:
         behind_m = plate_depth(plate).astype(np.float32) * np.float32(plate.metres_per_unit)
-        depth_m = depth_over(behind_m, [alone for *_, alone in objects], studio.noise, rng)
+        seen = [(alone, studio.noise.depth[name]) for name, _, alone in objects]
+        depth_m = depth_over(behind_m, seen, rng)
         depth = (depth_m / plate.metres_per_unit).round().clip(0, np.iinfo(np.uint16).max).astype(np.uint16)
     instances = tuple(rendered_label(table, each, objects, studio.subjects[each[0]]) for each in objects)
     return Picture(plate, color, depth, instances, skipped)

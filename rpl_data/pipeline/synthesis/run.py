@@ -103,7 +103,12 @@ def _names(
     if not names or (hollow and wanted is not None):
         raise DataError(f"{fault}; film it from more sides, or leave it out by --objects")
     left_out = [unmade] * bool(moved) + [fault] * bool(hollow)
-    return names, [f"{why}; it is left out" for why in left_out]
+    carved = [name for name in names if studio.subjects[name].carved]
+    outlines = (
+        f"object {', '.join(carved)}: hardly any depth is measured on it, so its shape is that of its "
+        "outlines, and hollows are shown filled"
+    )
+    return names, [*(f"{why}; it is left out" for why in left_out), *[outlines] * bool(carved)]
 
 
 def pictures_in(folder: Path) -> list[Path]:

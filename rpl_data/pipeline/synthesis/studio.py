@@ -25,11 +25,11 @@ from rpl_data.pipeline.synthesis.training import Training
 from rpl_data.raycast import PixelTable
 from rpl_data.synthesize.body import Body
 from rpl_data.synthesize.light import SceneLight
-from rpl_data.synthesize.measure import color_noise, depth_errors, noise_of
+from rpl_data.synthesize.measure import color_noise, depth_errors, depth_noise
 from rpl_data.synthesize.paint import Photo, paint
 from rpl_data.synthesize.render import Placed, alone
 from rpl_data.synthesize.storage import load_studio, save_studio, studio_made_of
-from rpl_data.synthesize.studio import Studio, Subject
+from rpl_data.synthesize.studio import DepthNoise, Noise, Studio, Subject
 from rpl_data.synthesize.views import shown_directions
 from rpl_data.torch.turns import turn_by_scenes, up_in_object
 from rpl_data.types import DataError, Intrinsics, spread_evenly
@@ -37,7 +37,7 @@ from rpl_data.types.instances import scene_of
 from rpl_data.workspace.parts import Parts
 from rpl_data.workspace.workspace import Workspace
 
-VERSION = 4
+VERSION = 5
 """Increase it when the same workspace gives another studio."""
 MOST_PHOTOS = 80
 """Images per object that colour it."""
@@ -57,7 +57,7 @@ class _Gathered:
     """What is collected from object to object."""
 
     color_noise: list[float] = field(default_factory=list)
-    depth_errors: list[tuple[float, float, float]] = field(default_factory=list)
+    depth_errors: dict[str, list[DepthNoise]] = field(default_factory=dict)
     tables: dict[Intrinsics, PixelTable] = field(default_factory=dict)
 
     def table(self, camera: Intrinsics) -> PixelTable:
@@ -124,7 +124,7 @@ def _make(context: Context, training: Training, folder: Path, tell: Tell) -> Stu
         scenes=training.scenes,
         subjects=subjects,
         plates=plates,
-        noise=noise_of(gathered.color_noise, gathered.depth_errors),
+        noise=Noise(float(np.median(gathered.color_noise or [0.0])), depth_noise(gathered.depth_errors)),
         together=tuple(sorted(per_image.values())),
         centres=_centres(training),
     )
@@ -201,6 +201,7 @@ def _subject(
         keypoint_sigma_m=_keypoint_sigma_m(context, name),
         lights={scene: SceneLight(up_by_light[scene], light) for scene, light in sorted(lights.items())},
         symmetries=item.symmetries,
+        carved=seen is None,
     )
 
 
@@ -252,6 +253,7 @@ def _photos(folder: Path, labels: list[tuple[Json, Json]], gathered: _Gathered) 
 
 def _measure(folder: Path, labels: list[tuple[Json, Json]], body: Body, gathered: _Gathered) -> None:
     """Compare the model with recorded depth in some of the images."""
+    measured = gathered.depth_errors.setdefault(body.name, [])
     for image, one in _chosen(labels)[::MEASURED_EVERY]:
         if image["depth_file_name"] is None:
             continue
@@ -263,4 +265,4 @@ def _measure(folder: Path, labels: list[tuple[Json, Json]], body: Body, gathered
         measured_m = units[found.window].astype(np.float32) * np.float32(depth_unit_m(image))
         errors = depth_errors(found.depth_m, visible_mask(one)[found.window], measured_m)
         if errors is not None:
-            gathered.depth_errors.append(errors)
+            measured.append(errors)
