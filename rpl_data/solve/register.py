@@ -115,7 +115,8 @@ def register_scene(
         _covariance_in_scene(rays, state, noise, joint, model, covariance), others, state, 0
     )
     ties = describe_near_ties(others, state, [scene], model.known)
-    placed = Placed([scene], rays, state, noise, joint, {scene: in_scene}, model.known, ties)
+    strayed_m = {scene: trajectory_sigma_m}
+    placed = Placed([scene], rays, state, noise, joint, {scene: in_scene}, model.known, ties, strayed_m)
     diagnosis = diagnose(usable, keypoint_titles(model.keypoints), placed, hold_points=True)
     fitted = iter(click_residuals(usable, click_fit(rays, state, noise), diagnosis.statements))
     return Registration(
@@ -123,7 +124,7 @@ def register_scene(
         residuals=tuple(
             next(fitted) if model.known[o.click.keypoint] else _not_in_model(o, model) for o in observations
         ),
-        covariance_in_scene=in_scene + trajectory_sigma_m**2 * np.eye(3),
+        covariance_in_scene=placed.stated_covariance(scene),
         click_sigma_px=noise.click_px,
         depth_sigma_ratio=noise.depth_ratio,
         statements=diagnosis.statements,

@@ -262,7 +262,9 @@ def _solution(
         for s, name in enumerate(answer.scenes)
     }
     ties = describe_near_ties(answer.alternatives, state, answer.scenes, known)
-    placed = Placed(answer.scenes, answer.rays, state, answer.noise, joint, in_scene, known, ties)
+    placed = Placed(
+        answer.scenes, answer.rays, state, answer.noise, joint, in_scene, known, ties, trajectory_sigma_m
+    )
     solution = Solution(
         model=KeypointModel(object_name, tuple(keypoints), points, tuple(skeleton)),
         covariance=turn.T @ shape_covariance(joint, state, known) @ turn,
@@ -272,10 +274,7 @@ def _solution(
         },
         residuals=click_residuals(observations, click_fit(answer.rays, state, answer.noise)),
         warnings=describe_keypoints(titles, observations, known) + describe_one_side(titles, one_side),
-        covariance_in_scene={
-            name: covariance + trajectory_sigma_m.get(name, 0.0) ** 2 * np.eye(3)
-            for name, covariance in in_scene.items()
-        },
+        covariance_in_scene={name: placed.stated_covariance(name) for name in answer.scenes},
         trajectory_sigma_m={name: trajectory_sigma_m.get(name, 0.0) for name in answer.scenes},
         click_sigma_px=answer.noise.click_px,
         depth_sigma_ratio=answer.noise.depth_ratio,

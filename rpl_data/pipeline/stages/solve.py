@@ -35,7 +35,7 @@ from rpl_data.types import (
 from rpl_data.types.instances import frame_of, scene_of
 from rpl_data.workspace.workspace import Workspace
 
-VERSION = 7
+VERSION = 8
 """Increase it when the stage writes something else for the same input: its steps then run again."""
 SAME_PLACE_SHARE = 0.05
 """Two solid objects cannot stand so close, as a share of the diagonal around their keypoints."""
