@@ -97,7 +97,7 @@ def _tiles(scenes: Sequence[SceneReport], solutions: Sequence[Solution]) -> str:
     """The counts, and behind them how good: the median of how far off labels are expected to be."""
     residuals = [residual for solution in solutions for residual in solution.residuals]
     tallies = [tally for scene in scenes for tally in scene.tallies.values()]
-    sigmas_px = [sigma_px for tally in tallies for sigma_px in tally.sigmas_px]
+    off_px = [px for tally in tallies for px in tally.off_px]
     counts = [
         (len(scenes), "scene", ""),
         (len(solutions), "object", ""),
@@ -108,8 +108,8 @@ def _tiles(scenes: Sequence[SceneReport], solutions: Sequence[Solution]) -> str:
         (sum(residual.outlier for residual in residuals), "wrong click", ""),
     ]
     shown = [(number(n, 0), counted(n, noun).partition(" ")[2] + rest) for n, noun, rest in counts]
-    if sigmas_px:
-        shown.append((number(float(np.median(sigmas_px)), 1), "± px expected"))
+    if off_px:
+        shown.append((number(float(np.median(off_px)), 1), "± px expected"))
     tiles = "".join(f"<div><b>{figure}</b><span>{name}</span></div>" for figure, name in shown)
     return f'<div class="tiles">{tiles}</div>'
 

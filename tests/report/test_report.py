@@ -119,7 +119,9 @@ def test_every_scene_and_warning_is_there(page: str) -> None:
 
 def test_how_good_the_labels_are_stands_at_the_top(page: str) -> None:
     assert "<b>2</b><span>scenes</span>" in page and "<b>1</b><span>object</span>" in page
-    assert "<b>1.0</b><span>± px expected</span>" in page[: page.index("What to do next")]
+    root_2 = "1.4"  # px: the distance that a deviation of 1 px per axis amounts to
+    assert f"<b>{root_2}</b><span>± px expected</span>" in page[: page.index("What to do next")]
+    assert f">{root_2}</td>" in page[page.index("Off by") :]
     assert (
         "<code>sigma_px</code>" in page and "`" not in page[page.index("<main>") : page.index('id="objects"')]
     )
