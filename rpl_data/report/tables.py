@@ -117,8 +117,8 @@ def labels_section(scenes: Sequence[SceneReport]) -> str:
             )
             body.append([scene.recording.scene.name, name, *(number(count, 0) for count in counts), *means])
     note = (
-        "Off by: how far a keypoint should be from its true place in the image, which is the square root of 2 "
-        "times `sigma_px`, that of one axis (median). "
+        "Off by: how far a keypoint should be from its true place in the image, which is the square root of "
+        "2 times `sigma_px`, that of one axis (median). "
         "Quality is 1 / (1 + e / 5 px), where e is the expected error of a label: 0.5 stands for 5 px, 0.25 "
         "for 15 px. Frames with a label whose quality is too low (`export: {min_quality: ...}` in the "
         "recipe) are left out of the export."

@@ -80,7 +80,7 @@ def diagnose(
     """
     clicks = [o.click for o in observations]
     trial = first_trial(placed.rays, *placed.state, hold_points=hold_points, go_on=go_on)
-    faults, mended = find_faults(trial, np.flatnonzero(_not_followed(placed)))
+    faults, mended = find_faults(trial, np.flatnonzero(not_followed(placed)))
     words = FaultWords(placed.scenes, keypoints, clicks, mended)
     statements = [
         Statement(_kind(fault), _clicks(fault, clicks), words.of(fault), round(fault.best.gain, 1))
@@ -122,7 +122,7 @@ def left_out(
     """Clicks that the answer does not follow although nothing shows that they are wrong."""
     known = {click for statement in said for click in statement.clicks}
     error_px = _errors_px(placed)
-    for n in np.flatnonzero(_not_followed(placed)).tolist():
+    for n in np.flatnonzero(not_followed(placed)).tolist():
         click, name = clicks[n], keypoints[clicks[n].keypoint]
         if click in known:
             continue
@@ -134,7 +134,7 @@ def left_out(
         yield Statement("disagree", (click,), text)
 
 
-def _not_followed(placed: Placed) -> Bool[np.ndarray, " m"]:
+def not_followed(placed: Placed) -> Bool[np.ndarray, " m"]:
     """Clicks that the answer does not follow."""
     far_px = LEFT_OUT_SIGMAS * max(placed.noise.click_px, HAND_SIGMA_PX)
     left: Bool[np.ndarray, " m"] = (_errors_px(placed) > far_px) & placed.known[placed.rays.keypoint]
