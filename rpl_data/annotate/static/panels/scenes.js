@@ -11,11 +11,12 @@ const list = document.getElementById("scenes");
 // Class and word of a state, and whether the expected error of its labels follows.
 const WORDS = {
   checking: ["quiet", "checking …"], tied: ["good", "✓", true], found: ["good", "✓ found", true],
-  rough: ["warn", "rough", true], unfit: ["bad", "too rough", true], bad: ["bad", "✗ wrong click"],
+  weak: ["warn", "not surely", true], rough: ["warn", "rough", true], unfit: ["bad", "too rough", true], bad: ["bad", "✗ wrong click"],
   doubt: ["warn", "? doubtful"], loose: ["warn", "not placed"], few: ["warn", "too few clicks"],
 };
 const MEANINGS = {
   found: "placed by shape and colours, without clicks",
+  weak: "its clicks place the object badly there",
   rough: "labels rougher than 5 px: film it again, or add clicks where the page asks for them",
   unfit: "labels so rough that the dataset leaves them out",
   bad: "the other clicks contradict one of these", doubt: "one of some clicks is wrong, and nothing tells which",
