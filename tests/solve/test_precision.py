@@ -1,10 +1,16 @@
 """The expected error of a scene, and the further click that lowers it most."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from clicked_scenes import click_scene
 from scipy.spatial.transform import Rotation
 
 from rpl_data.geometry import rays, rigid, transform
+from rpl_data.solve.bundle_adjustment import State
+from rpl_data.solve.click_rays import Noise, rays_of
+from rpl_data.solve.precision import next_clicks
 from rpl_data.solve.solve import register_scene, solve
 from rpl_data.types import Click, Intrinsics, KeypointModel, Observation
 
@@ -61,6 +67,21 @@ def test_three_clicks_nearly_on_a_line_place_a_scene_badly_and_one_off_it_is_ask
     best = solution.next_clicks[0]
     assert best.scene == "03" and best.keypoint in (3, 4, 5)
     assert f"marking keypoint {best.keypoint} {NAMES[best.keypoint]} in frame 0 should leave" in weak.text
+
+
+def test_a_click_where_depth_is_worse_than_stated_brings_less():
+    """Known to 4 mm along the line of sight; a depth good to 2 x 3 mm leaves the root of 16 x 36 / 52 mm."""
+    at = rigid(np.eye(3), np.array([0, 0, 0.6]))
+    points = np.array([[0.05, 0, 0], [0, 0, 0]])
+    (only,) = click_scene("00", points, at, [np.eye(4)], np.random.default_rng(1), keypoints=[0])
+    rays_there = rays_of([replace(only, depth_sigmas_m=np.array([0.003]))], ["00"])
+    joint, in_scene = np.zeros((12, 12)), np.zeros((1, 2, 3, 3))
+    joint[11, 11] = in_scene[0, 1, 2, 2] = 0.004**2  # z of keypoint 1, on the optical axis
+    state = State(at[None], points)
+    (found,) = next_clicks(rays_there, state, Noise(2.0, 2.0), joint, in_scene, [only.click], [0, 1], most=9)
+    left_mm = np.sqrt(16 * 36 / 52)
+    assert (found.keypoint, found.gain_mm) == (1, pytest.approx((4 - left_mm) / 2)), "mean of two keypoints"
+    assert found.left_mm == pytest.approx(left_mm / np.sqrt(2))
 
 
 @pytest.mark.parametrize("strayed_m", [0.0, 0.005])
