@@ -46,8 +46,7 @@ export function step(by) {
 
 // Open a scene to mark the keypoints that are not marked there yet.
 async function open(name) {
-  await openScene(name);
-  selectOpen();
+  if (await openScene(name)) selectOpen();
 }
 
 // Mark another instance of the object in this scene, from 2 on, at the same frame.
@@ -56,8 +55,7 @@ async function openAnother() {
   const name = sceneOf(app.scene), taken = places();
   let number = 2;
   while (taken.includes(`${name}/${number}`)) number++;
-  await openScene(`${name}/${number}`, frame());
-  selectOpen();
+  if (await openScene(`${name}/${number}`, frame())) selectOpen();
 }
 
 function draw() {
