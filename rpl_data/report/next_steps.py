@@ -46,8 +46,8 @@ def next_steps(
                 f"Click {', '.join(once)} of {solution.model.name} once more, in another scene: "
                 f"nothing checks {what} clicked only once."
             )
-    names = [scene.recording.scene.name for scene in scenes if not scene.frames]
-    unlabelled = [name for name in names if name not in clicked]
+    unlabelled = [scene.recording.scene.name for scene in scenes if not scene.frames]
+    unlabelled = [name for name in unlabelled if name not in clicked]
     if unlabelled:
         lines.append(f"Click keypoints in scene {', '.join(unlabelled)}, which has no labels yet.")
     low = {
