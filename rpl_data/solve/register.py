@@ -100,11 +100,7 @@ def register_scene(
     points = np.nan_to_num(model.points_object)
     poses = likely_poses(rays, points, candidates, known_poses=np.zeros((0, 4, 4)), samples=600)
     if not len(poses.cost):
-        raise DataError(
-            f"object {model.name}, scene {scene}: no three clicks fit the model within 15 mm: one is in the "
-            "wrong place, or the depth there is that of what lies before or behind the keypoint; check them, "
-            "and click one more keypoint"
-        )
+        raise _fits_nowhere(model, scene)
     prior = Noise(click_sigma_px or USUAL.click_px, depth_sigma_ratio or USUAL.depth_ratio)
     states = [State(pose[None], points) for pose in poses.scene_from_model]
     state, noise = adjust_with_noise(rays, states[0], prior=prior, hold_points=True)
@@ -131,6 +127,14 @@ def register_scene(
         next_clicks=diagnosis.next_clicks,
         alternatives=poses.scene_from_model[1:][excess[1:] < SAID_BELOW],
         trajectory_sigma_m=trajectory_sigma_m,
+    )
+
+
+def _fits_nowhere(model: KeypointModel, scene: str) -> DataError:
+    return DataError(
+        f"object {model.name}, scene {scene}: no three clicks fit the model within 15 mm: one is in the "
+        "wrong place, or the depth there is that of what lies before or behind the keypoint; check them, "
+        "and click one more keypoint"
     )
 
 
