@@ -66,6 +66,13 @@ def test_dotted_names_are_there(document: str) -> None:
 
 
 @pytest.mark.parametrize("document", TEXTS)
+def test_tables_have_a_head(document: str) -> None:
+    """A row that lost its table is shown as it is written."""
+    tables = re.findall(r"(?:^\|.*(?:\n|$))+", TEXTS[document], re.M)
+    assert all(re.match(r"\|.*\n\|[-: |]+\|\n", table) for table in tables), document
+
+
+@pytest.mark.parametrize("document", TEXTS)
 def test_classes_are_there(document: str) -> None:
     """A name in CamelCase within backticks is a class of ours, from the front doors or the nouns."""
     known = {*rpl_data.__all__, *rpl_data.torch.__all__, *dir(types)}

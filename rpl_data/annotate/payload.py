@@ -12,6 +12,7 @@ from rpl_data.annotate.advice import next_step
 from rpl_data.annotate.live import FEWEST
 from rpl_data.annotate.log import Revision
 from rpl_data.annotate.session import Result
+from rpl_data.annotate.settled import weak_scenes
 from rpl_data.annotate.stores.scenes import PosedScene
 from rpl_data.clicks.log import Annotation, Event
 from rpl_data.json_arrays import Json, numbers, rows_to_json
@@ -195,4 +196,6 @@ def _state(result: Result, scene: str, residuals: Sequence[ClickResidual]) -> st
         return "checking"
     if expected_px > rough_px:
         return "unfit" if expected_px > left_out_px else "rough"
+    if any(statement.clicks[0].scene == scene for statement in weak_scenes(live)):
+        return "weak"
     return "tied" if clicked else "found"

@@ -13,7 +13,7 @@ from jaxtyping import Float64
 
 from rpl_data.annotate import Address, Work
 from rpl_data.annotate.work import Tell
-from rpl_data.geometry import transform
+from rpl_data.geometry import invert
 from rpl_data.label.certainty import HALF_QUALITY_PX, expected_error_px
 from rpl_data.pipeline.automatic import find_step
 from rpl_data.pipeline.build import (
@@ -136,8 +136,10 @@ def _expected_px(workspace: Workspace, solution: Solution, scene: str) -> float:
     recorded = scene_of(scene)
     files = workspace.scene_file(recorded), workspace.trajectory_file(recorded)
     camera, poses = _camera(workspace, recorded, *(path.stat().st_mtime_ns for path in files))
-    points = transform(solution.scene_from_object[scene], solution.model.points_object)
-    return expected_px(solution.covariance_at(scene), points, camera, poses)
+    object_from_camera = invert(solution.scene_from_object[scene]) @ poses
+    return expected_px(
+        solution.covariance_at(scene), solution.model.points_object, camera, object_from_camera
+    )
 
 
 @lru_cache(256)

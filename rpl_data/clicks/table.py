@@ -6,15 +6,13 @@ import csv
 import io
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import TypeVar
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from rpl_data.types import Click, DataError
 from rpl_data.types.instances import instance_of, placed_as, scene_of
 from rpl_data.types.keypoint_names import keypoint_rows
 from rpl_data.untrusted.names import checked_name
-
-Number = TypeVar("Number", int, float)
+from rpl_data.untrusted.numbers import plain_number
 
 _SEPARATOR = re.compile(r"sep=.\n", re.IGNORECASE)
 CSV_COLUMNS = ["object", "keypoint", "scene", "frame", "u_px", "v_px"]
@@ -91,9 +89,9 @@ def clicks_from_csv(text: str, *, source: str, object_name: str, keypoints: Sequ
             )
         try:
             u_px, v_px, frame = (
-                _plain(float, row["u_px"]),
-                _plain(float, row["v_px"]),
-                _plain(int, row["frame"]),
+                plain_number(float, row["u_px"]),
+                plain_number(float, row["v_px"]),
+                plain_number(int, row["frame"]),
             )
         except (TypeError, ValueError) as error:
             raise DataError(
@@ -168,10 +166,3 @@ def _rows(text: str, source: str) -> Iterator[tuple[int, dict[str, str]]]:
     except csv.Error as error:
         line = reader.line_num + bool(said)
         raise DataError(f"{source} line {line}: {error}; repair or delete the line") from error
-
-
-def _plain(kind: Callable[[str], Number], text: str) -> Number:
-    """A number as a table holds it; Python's own `1_000` is a slip of the finger."""
-    if "_" in text or not text.isascii():
-        raise ValueError(f"{text!r:.40} is no number")
-    return kind(text)

@@ -6,12 +6,11 @@ import hashlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import Any
 
 from rpl_data.export.split import SplitName
-from rpl_data.files import file_hash, read_json
+from rpl_data.files import decoding, file_hash, read_json
 from rpl_data.formats.datasets.coco_parts import ByImage, read_packed
-from rpl_data.json_arrays import Json
+from rpl_data.json_arrays import Json, mapping, optional, text
 from rpl_data.types import DataError
 from rpl_data.untrusted.names import checked_name
 from rpl_data.workspace.workspace import Workspace
@@ -135,7 +134,14 @@ def content_hash(folder: Path) -> str:
     return f"sha256:{digest.hexdigest()}"
 
 
-def recorded_hash(source: Source) -> Any:
-    """The hash in the version file of a dataset; None where there is no such file."""
-    path = source.folder / VERSION_FILE
-    return read_json(path).get("content_hash") if path.exists() else None
+def recorded_hash(folder: Path) -> str | None:
+    """The hash in the version file of a dataset; None where there is none, as in other programs' files.
+
+    Raises:
+        DataError: the file cannot be read.
+    """
+    path = folder / VERSION_FILE
+    if not path.exists():
+        return None
+    with decoding(path, "repair it, or remove it"):
+        return optional(text)(mapping(read_json(path)).get("content_hash"))

@@ -120,6 +120,6 @@ def _coverage(tally: _Tally) -> Json | None:
 
 
 def _version(source: Source) -> Json:
-    found, recorded = content_hash(source.folder), recorded_hash(source)
+    found, recorded = content_hash(source.folder), recorded_hash(source.folder)
     same = None if recorded is None else recorded == found
     return {"content_hash": found, "as_recorded": same}

@@ -12,10 +12,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Literal
 
-from rpl_data.dataset.source import SPLITS, VERSION_FILE, Source, content_hash
+from rpl_data.dataset.source import SPLITS, VERSION_FILE, Source, content_hash, recorded_hash
+from rpl_data.export.checksums import edited_files
 from rpl_data.export.folder import link, replacing
 from rpl_data.export.split import FrameKey, SplitName
-from rpl_data.files import read_json, write_json
+from rpl_data.files import write_json
 from rpl_data.formats.datasets.coco_entries import writing_entries
 from rpl_data.json_arrays import Json
 from rpl_data.types import DataError
@@ -160,16 +161,20 @@ def refuse_overlap(out: Path, sources: Sequence[Source]) -> None:
 
 def _check_target(out: Path, sources: Sequence[Source]) -> None:
     refuse_overlap(out, sources)
-    if out.exists() and not (out / VERSION_FILE).exists() and not (out.is_dir() and not any(out.iterdir())):
+    if not out.exists() or (out.is_dir() and not any(out.iterdir())):
+        return
+    recorded = recorded_hash(out)
+    if recorded is None:
         raise DataError(
-            f"{out} exists and is no dataset that `rpl dataset` wrote (it has no {VERSION_FILE}), so it is "
-            "not replaced; name another folder, or remove it"
-        )
-    recorded = read_json(out / VERSION_FILE).get("content_hash") if (out / VERSION_FILE).exists() else None
-    if recorded is not None and content_hash(out) != recorded:
-        raise DataError(
-            f"{out} was edited since `rpl dataset` wrote it (its content is not that of {VERSION_FILE}), so "
+            f"{out} exists and is no dataset that `rpl dataset` wrote (it has no {VERSION_FILE} of it), so "
             "it is not replaced; name another folder, or remove it"
+        )
+    edited = edited_files(out)
+    if edited or content_hash(out) != recorded:
+        named = f"see {edited[0]}" if edited else f"its content is not that of {VERSION_FILE}"
+        raise DataError(
+            f"{out} was edited since `rpl dataset` wrote it ({named}), so it is not replaced; name another "
+            "folder, or remove it"
         )
 
 

@@ -10,7 +10,7 @@ from jaxtyping import Float64
 
 from rpl_data.geometry import Transform, fit_rigid
 from rpl_data.pipeline.context import path_key
-from rpl_data.types import Click, KeypointModel, Observation, Placement, Solution
+from rpl_data.types import Click, ClickResidual, KeypointModel, Observation, Placement, Solution
 from rpl_data.types.instances import instance_of, scene_of
 from rpl_data.wording import counted
 from rpl_data.workspace.workspace import Workspace
@@ -170,6 +170,32 @@ def with_placements(solution: Solution, placements: Mapping[str, Placement]) -> 
         residuals=(*kept.residuals, *(r for one in added for r in one.residuals)),
         statements=(*(s for one in added for s in one.statements), *kept.statements),
         next_clicks=(*kept.next_clicks, *(click for one in added for click in one.next_clicks)),
+    )
+
+
+def after_alignment(
+    placement: Placement,
+    scene_from_object: Transform,
+    covariance_in_scene: Float64[np.ndarray, "k 3 3"],
+    residuals: Sequence[ClickResidual],
+    checked: str,
+) -> Placement:
+    """The placement once it was aligned.
+
+    That its clicks place it badly, and what a further one would bring, was said of the clicks alone.
+
+    Args:
+        covariance_in_scene: without what the poses of the scene stray.
+    """
+    return replace(
+        placement,
+        scene_from_object=scene_from_object,
+        covariance_in_scene=covariance_in_scene + placement.trajectory_sigma_m**2 * np.eye(3),
+        residuals=tuple(residuals),
+        statements=tuple(said for said in placement.statements if said.kind != "weak scene"),
+        next_clicks=(),
+        how="aligned",
+        checked=checked,
     )
 
 

@@ -13,7 +13,7 @@ from rpl_data.meshes import load_cloud, moved_cloud
 from rpl_data.pipeline.context import Context, crop_of, model_key, path_key
 from rpl_data.pipeline.ledger import Advance, Ledger, Outcome, Step
 from rpl_data.pipeline.lifted_clicks import observe
-from rpl_data.pipeline.placements import with_placements
+from rpl_data.pipeline.placements import after_alignment, with_placements
 from rpl_data.pipeline.recipe import ObjectRecipe
 from rpl_data.pipeline.stages.segment import depth_views
 from rpl_data.pipeline.stages.solve import solve_step, trajectory_sigmas_m
@@ -204,13 +204,7 @@ def _aligned(
     from rpl_data.refine.align import align_scene
 
     solution = context.workspace.load_placed(item.name)
-    alone = replace(
-        solution,
-        scene_from_object={scene: clicked.scene_from_object},
-        covariance_in_scene={},
-        residuals=clicked.residuals,
-        statements=clicked.statements,
-    )
+    alone = alone_in(solution, scene, clicked)
     region = _region(context, item, alone, scene, advance)
     clicks = joint_clicks(alone, observations, hold_points=True)
     found = align_scene(
@@ -233,17 +227,22 @@ def _aligned(
         "its clicks, free space, and parts of its surface and colours that the alignment did not use: they "
         f"agree better by {found.verdict.gain_sigmas:.1f} standard errors than where the clicks put it"
     )
-    aligned = replace(
-        placement,
-        scene_from_object=found.scene_from_object,
-        covariance_in_scene=covariance + placement.trajectory_sigma_m**2 * np.eye(3),
-        residuals=posed.residuals,
-        how="aligned",
-        checked=checked,
-    )
+    aligned = after_alignment(placement, found.scene_from_object, covariance, posed.residuals, checked)
     return aligned, (
         f"was aligned to the surface and colours of scene {scene}, checked by {checked}; its keypoints "
         f"are now expected to be {expected_error(context, scene, aligned)} off"
+    )
+
+
+def alone_in(solution: Solution, scene: str, clicked: Registration) -> Solution:
+    """A known object in the one scene in which its clicks place it; for no other is anything stated."""
+    return replace(
+        solution,
+        scene_from_object={scene: clicked.scene_from_object},
+        covariance_in_scene={},
+        trajectory_sigma_m={scene: clicked.trajectory_sigma_m},
+        residuals=clicked.residuals,
+        statements=clicked.statements,
     )
 
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Bool, Float64
 
 from rpl_data.refine.evidence import (
     ClickCosts,
@@ -91,9 +91,7 @@ def refine_scenes(
         if not against:
             final = tuple(rejected.get(n, verdict) for n, verdict in enumerate(judged))
             return Refined(found.scene_from_object, found.points_object, found.normal, final)
-        # What shows another print spoils the agreement of the others, which are judged again without it.
-        strange = [n for n in against if another[n]]
-        for worst in _turned_down_now(strange or against, judged, pairs):
+        for worst in _turned_down_now(against, judged, another, pairs):
             rejected[worst] = judged[worst]
             surfaces[worst] = None
     alone = without_surface() if len(rejected) == unseen else left_alone()
@@ -110,12 +108,15 @@ def _registered(
     )
 
 
-def _turned_down_now(against: Sequence[int], judged: Sequence[Verdict], pairs: Pairs) -> list[int]:
-    """The scenes to be turned down before the others are judged again.
+def _turned_down_now(
+    against: Sequence[int], judged: Sequence[Verdict], another_print: Bool[np.ndarray, " s"], pairs: Pairs
+) -> list[int]:
+    """The scenes to be turned down before the others are judged again: first those with another print.
 
     A wrong scene spoils the agreement of those that it is compared with, so of these only the worst is turned
     down. Of eight and more the worst quarter is, so that there are not as many rounds as scenes.
     """
+    against = [n for n in against if another_print[n]] or against
     rank = {n: place for place, n in enumerate(sorted(against, key=lambda n: judged[n].gain_sigmas))}
     spared = {a for a, b in pairs if a in rank and b in rank and rank[b] < rank[a]}
     return [n for n in against if n not in spared or rank[n] + 1 <= WORST_SHARE * len(against)]

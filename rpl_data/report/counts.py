@@ -31,7 +31,8 @@ class Tally:
 
     Attributes:
         directions: from the object to the camera, unit vectors in the object frame, one per label.
-        sigmas_px: median over the keypoints of how far off each label should be.
+        off_px: how far off the keypoints of each label should be in the image: root mean square distance,
+            which is the square root of 2 times `sigma_px`, that of one axis; median over the keypoints.
     """
 
     instances: int = 0
@@ -43,7 +44,7 @@ class Tally:
     quality: float = 0.0
     low_quality: int = 0
     directions: list[np.ndarray] = field(default_factory=list)
-    sigmas_px: list[float] = field(default_factory=list)
+    off_px: list[float] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -83,5 +84,5 @@ def _add(tallies: dict[str, Tally], label: FrameLabel, min_quality: float) -> No
         towards = invert(instance.camera_from_object)[:3, 3]
         tally.directions.append(towards / max(float(np.linalg.norm(towards)), 1e-9))
         known = instance.sigma_px[np.isfinite(instance.sigma_px)]
-        tally.sigmas_px += [float(np.median(known))] if len(known) else []
+        tally.off_px += [float(np.sqrt(2) * np.median(known))] if len(known) else []
         tally.low_quality += instance.box is not None and instance.quality < min_quality

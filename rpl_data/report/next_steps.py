@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 from rpl_data.report.counts import SceneReport
 from rpl_data.report.html import prose
@@ -18,12 +18,17 @@ LITTLE_SEEN = 0.3
 
 
 def next_steps(
-    scenes: Sequence[SceneReport], solutions: Sequence[Solution], coverage: Mapping[str, float]
+    scenes: Sequence[SceneReport],
+    solutions: Sequence[Solution],
+    coverage: Mapping[str, float],
+    *,
+    clicked: Collection[str] = (),
 ) -> list[str]:
     """Lines of advice; one line that says so when there is none.
 
     Args:
         coverage: share of all directions from which each object was seen.
+        clicked: recordings with clicks; without labels they were left out of the build, which says why.
     """
     lines = []
     for solution in solutions:
@@ -42,6 +47,7 @@ def next_steps(
                 f"nothing checks {what} clicked only once."
             )
     unlabelled = [scene.recording.scene.name for scene in scenes if not scene.frames]
+    unlabelled = [name for name in unlabelled if name not in clicked]
     if unlabelled:
         lines.append(f"Click keypoints in scene {', '.join(unlabelled)}, which has no labels yet.")
     low = {

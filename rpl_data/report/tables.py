@@ -111,13 +111,14 @@ def labels_section(scenes: Sequence[SceneReport]) -> str:
             counts = (tally.instances, tally.seen, tally.hidden, tally.unlabelled, tally.truncated)
             means = (
                 f"{100 * tally.visib_fract / tally.instances:.0f} %",
-                number(float(np.median(tally.sigmas_px)), 1) if tally.sigmas_px else "–",
+                number(float(np.median(tally.off_px)), 1) if tally.off_px else "–",
                 number(tally.quality / tally.instances),
                 number(tally.low_quality, 0),
             )
             body.append([scene.recording.scene.name, name, *(number(count, 0) for count in counts), *means])
     note = (
-        "Off by: how far a keypoint should be from its true place, as `sigma_px` states it (median). "
+        "Off by: how far a keypoint should be from its true place in the image, which is the square root of "
+        "2 times `sigma_px`, that of one axis (median). "
         "Quality is 1 / (1 + e / 5 px), where e is the expected error of a label: 0.5 stands for 5 px, 0.25 "
         "for 15 px. Frames with a label whose quality is too low (`export: {min_quality: ...}` in the "
         "recipe) are left out of the export."

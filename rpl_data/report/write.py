@@ -74,7 +74,7 @@ def write_report(
     place = f'<p class="sub">{text(workspace.root.resolve())}</p>'
     head = f"<header><h1>{text(title)}</h1>{place}<nav>{links}</nav></header>"
     seen = {name: coverage(np.concatenate(list(by_scene.values()))) for name, by_scene in views.items()}
-    advice = next_steps_list(next_steps(scenes, solutions, seen))
+    advice = next_steps_list(next_steps(scenes, solutions, seen, clicked=_clicked(workspace)))
     top = _tiles(scenes, solutions) + advice + _warnings(scenes, solutions, warnings)
     body = head + top + "".join(parts.values())
     write_text(workspace.report, page(f"{title} · rpl report", body))
@@ -97,7 +97,7 @@ def _tiles(scenes: Sequence[SceneReport], solutions: Sequence[Solution]) -> str:
     """The counts, and behind them how good: the median of how far off labels are expected to be."""
     residuals = [residual for solution in solutions for residual in solution.residuals]
     tallies = [tally for scene in scenes for tally in scene.tallies.values()]
-    sigmas_px = [sigma_px for tally in tallies for sigma_px in tally.sigmas_px]
+    off_px = [px for tally in tallies for px in tally.off_px]
     counts = [
         (len(scenes), "scene", ""),
         (len(solutions), "object", ""),
@@ -108,10 +108,17 @@ def _tiles(scenes: Sequence[SceneReport], solutions: Sequence[Solution]) -> str:
         (sum(residual.outlier for residual in residuals), "wrong click", ""),
     ]
     shown = [(number(n, 0), counted(n, noun).partition(" ")[2] + rest) for n, noun, rest in counts]
-    if sigmas_px:
-        shown.append((number(float(np.median(sigmas_px)), 1), "± px expected"))
+    if off_px:
+        shown.append((number(float(np.median(off_px)), 1), "± px expected"))
     tiles = "".join(f"<div><b>{figure}</b><span>{name}</span></div>" for figure, name in shown)
     return f'<div class="tiles">{tiles}</div>'
+
+
+def _clicked(workspace: Workspace) -> set[str]:
+    """The recordings with clicks."""
+    parts = workspace.parts()
+    clicks = [c for name in workspace.object_names() for c in workspace.load_annotation(name).clicks]
+    return {parts.video_of(click.scene) for click in clicks}
 
 
 def _views(scenes: Sequence[SceneReport]) -> dict[str, dict[str, Directions]]:

@@ -17,10 +17,10 @@ from rpl_data.solve.precision import next_clicks
 from rpl_data.solve.trial import Fault, Trial
 from rpl_data.solve.unnoticed import unjudged
 from rpl_data.solve.wrong_names import FEW_IN_SCENE
-from rpl_data.types import Click, NextClick, Observation, Statement, StatementKind
+from rpl_data.types import Click, NextClick, Observation, Statement, StatementKind, expected_mm
 
 WEAK_MM = 10.0
-"""A scene whose keypoints should be farther off than this is placed badly."""
+"""A scene whose keypoints should be farther off than this, by its clicks alone, is placed badly."""
 LEFT_OUT_SIGMAS = 6.0
 """A click this far from its keypoint, in standard deviations, has no say in the answer."""
 MOST_NEXT = 40
@@ -36,6 +36,7 @@ class Placed(NamedTuple):
         joint: covariance of all unknowns (`noise.joint_covariance`).
         covariance_in_scene: of each keypoint's position in each scene, from the clicks alone, in m^2.
         ties: lines about the scenes in which the object could stand elsewhere just as well, by scene.
+        trajectory_sigma_m: how far the poses of each scene stray (see `Solution`), which no click lowers.
     """
 
     scenes: Sequence[str]
@@ -46,6 +47,13 @@ class Placed(NamedTuple):
     covariance_in_scene: Mapping[str, Float64[np.ndarray, "k 3 3"]]
     known: Bool[np.ndarray, " k"]
     ties: Mapping[str, str]
+    trajectory_sigma_m: Mapping[str, float]
+
+    def stated_covariance(self, scene: str) -> Float64[np.ndarray, "k 3 3"]:
+        """Covariance of the keypoints' positions in a scene, in m^2, with what its poses stray."""
+        strayed_m = self.trajectory_sigma_m.get(scene, 0.0)
+        stated: Float64[np.ndarray, "k 3 3"] = self.covariance_in_scene[scene] + strayed_m**2 * np.eye(3)
+        return stated
 
 
 class Diagnosis(NamedTuple):
@@ -72,7 +80,7 @@ def diagnose(
     """
     clicks = [o.click for o in observations]
     trial = first_trial(placed.rays, *placed.state, hold_points=hold_points, go_on=go_on)
-    faults, mended = find_faults(trial, np.flatnonzero(_not_followed(placed)))
+    faults, mended = find_faults(trial, np.flatnonzero(not_followed(placed)))
     words = FaultWords(placed.scenes, keypoints, clicks, mended)
     statements = [
         Statement(_kind(fault), _clicks(fault, clicks), words.of(fault), round(fault.best.gain, 1))
@@ -92,7 +100,7 @@ def diagnose(
         placed.state,
         placed.noise,
         placed.joint,
-        np.stack([placed.covariance_in_scene[name] for name in placed.scenes]),
+        np.stack([placed.stated_covariance(name) for name in placed.scenes]),
         clicks,
         np.flatnonzero(placed.known).tolist(),
         most=MOST_NEXT,
@@ -114,7 +122,7 @@ def left_out(
     """Clicks that the answer does not follow although nothing shows that they are wrong."""
     known = {click for statement in said for click in statement.clicks}
     error_px = _errors_px(placed)
-    for n in np.flatnonzero(_not_followed(placed)).tolist():
+    for n in np.flatnonzero(not_followed(placed)).tolist():
         click, name = clicks[n], keypoints[clicks[n].keypoint]
         if click in known:
             continue
@@ -126,7 +134,7 @@ def left_out(
         yield Statement("disagree", (click,), text)
 
 
-def _not_followed(placed: Placed) -> Bool[np.ndarray, " m"]:
+def not_followed(placed: Placed) -> Bool[np.ndarray, " m"]:
     """Clicks that the answer does not follow."""
     far_px = LEFT_OUT_SIGMAS * max(placed.noise.click_px, HAND_SIGMA_PX)
     left: Bool[np.ndarray, " m"] = (_errors_px(placed) > far_px) & placed.known[placed.rays.keypoint]
@@ -185,14 +193,14 @@ def _weak(
 ) -> Iterator[Statement]:
     """Scenes that their clicks place badly, such as three on a line; and what would help there."""
     for scene in placed.scenes:
-        covariance = placed.covariance_in_scene[scene][placed.known]
-        mm = 1e3 * float(np.sqrt(np.trace(covariance, axis1=1, axis2=2).mean()))
+        by_clicks_mm = expected_mm(placed.covariance_in_scene[scene])
+        mm = expected_mm(placed.stated_covariance(scene))
         own = tuple(click for click in clicks if click.scene == scene)
         if scene in contradicted:
             continue
         if scene in placed.ties:
             yield Statement("weak scene", own, placed.ties[scene], round(mm, 1))
-        elif mm > WEAK_MM:
+        elif by_clicks_mm > WEAK_MM:
             yield Statement(
                 "weak scene", own, _placed_badly(scene, own, mm, helpful, keypoints), round(mm, 1)
             )
@@ -210,8 +218,8 @@ def _placed_badly(
     )
     names = ", ".join(keypoints[k] for k in sorted({click.keypoint for click in own}))
     return (
-        f"scene {scene}: its clicks (keypoints {names}) place the object badly, its keypoints are "
-        f"expected to be {mm:.0f} mm off there; {advice}"
+        f"scene {scene}: its clicks (keypoints {names}) place the object badly, by them alone its keypoints "
+        f"are expected to be {mm:.0f} mm off there; {advice}"
     )
 
 

@@ -12,24 +12,28 @@ from rpl_data.types import Intrinsics
 
 
 def expected_px(
-    covariance_in_scene: Float64[np.ndarray, "k 3 3"],
-    points_scene: Float64[np.ndarray, "k 3"],
+    covariance: Float64[np.ndarray, "k 3 3"],
+    points: Float64[np.ndarray, "k 3"],
     intrinsics: Intrinsics,
-    scene_from_camera: Float64[np.ndarray, "f 4 4"],
+    frame_from_camera: Float64[np.ndarray, "f 4 4"],
 ) -> float:
     """Root mean square error of the projected keypoints over all frames of a scene.
 
     Each covariance is propagated to first order through the pinhole projection; keypoints behind a camera do
     not count.
+
+    Args:
+        covariance: of the points, along the axes of their frame: that of the scene or that of the object.
+        frame_from_camera: to the same frame, per image.
     """
-    known = np.isfinite(points_scene).all(axis=1)
+    known = np.isfinite(points).all(axis=1)
     squares = []
-    for camera_from_scene in invert(scene_from_camera):
-        ahead = transform(camera_from_scene, points_scene[known])[:, 2] > NEAREST_M
+    for camera_from_frame in invert(frame_from_camera):
+        ahead = transform(camera_from_frame, points[known])[:, 2] > NEAREST_M
         squares.append(
             2
             * projected_variance(
-                intrinsics, camera_from_scene, points_scene[known][ahead], covariance_in_scene[known][ahead]
+                intrinsics, camera_from_frame, points[known][ahead], covariance[known][ahead]
             )
         )
     return float(np.sqrt(np.concatenate(squares).mean()))

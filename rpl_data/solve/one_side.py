@@ -7,6 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
+from rpl_data.solve.diagnosis import Placed, not_followed
+from rpl_data.solve.noise import directions_in_model
 from rpl_data.wording import counted
 
 ONE_SIDE_RAD = np.deg2rad(15.0)
@@ -14,6 +16,13 @@ ONE_SIDE_RAD = np.deg2rad(15.0)
 depth at a corner is stated to 5-10 mm."""
 MOST_NAMED = 4
 """Of more keypoints the number is said."""
+
+
+def one_sided(placed: Placed) -> list[int]:
+    """Keypoints that are seen from one side only by the clicks that have a say in the answer."""
+    rays = placed.rays.of(~not_followed(placed))
+    measured = np.isfinite(rays.depths_m[:, 0])
+    return seen_from_one_side(rays.keypoint, directions_in_model(rays, placed.state), measured, placed.known)
 
 
 def seen_from_one_side(

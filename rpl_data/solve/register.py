@@ -100,11 +100,7 @@ def register_scene(
     points = np.nan_to_num(model.points_object)
     poses = likely_poses(rays, points, candidates, known_poses=np.zeros((0, 4, 4)), samples=600)
     if not len(poses.cost):
-        raise DataError(
-            f"object {model.name}, scene {scene}: no three clicks fit the model within 15 mm: one is in the "
-            "wrong place, or the depth there is that of what lies before or behind the keypoint; check them, "
-            "and click one more keypoint"
-        )
+        raise _fits_nowhere(model, scene)
     prior = Noise(click_sigma_px or USUAL.click_px, depth_sigma_ratio or USUAL.depth_ratio)
     states = [State(pose[None], points) for pose in poses.scene_from_model]
     state, noise = adjust_with_noise(rays, states[0], prior=prior, hold_points=True)
@@ -115,7 +111,8 @@ def register_scene(
         _covariance_in_scene(rays, state, noise, joint, model, covariance), others, state, 0
     )
     ties = describe_near_ties(others, state, [scene], model.known)
-    placed = Placed([scene], rays, state, noise, joint, {scene: in_scene}, model.known, ties)
+    strayed_m = {scene: trajectory_sigma_m}
+    placed = Placed([scene], rays, state, noise, joint, {scene: in_scene}, model.known, ties, strayed_m)
     diagnosis = diagnose(usable, keypoint_titles(model.keypoints), placed, hold_points=True)
     fitted = iter(click_residuals(usable, click_fit(rays, state, noise), diagnosis.statements))
     return Registration(
@@ -123,13 +120,21 @@ def register_scene(
         residuals=tuple(
             next(fitted) if model.known[o.click.keypoint] else _not_in_model(o, model) for o in observations
         ),
-        covariance_in_scene=in_scene + trajectory_sigma_m**2 * np.eye(3),
+        covariance_in_scene=placed.stated_covariance(scene),
         click_sigma_px=noise.click_px,
         depth_sigma_ratio=noise.depth_ratio,
         statements=diagnosis.statements,
         next_clicks=diagnosis.next_clicks,
         alternatives=poses.scene_from_model[1:][excess[1:] < SAID_BELOW],
         trajectory_sigma_m=trajectory_sigma_m,
+    )
+
+
+def _fits_nowhere(model: KeypointModel, scene: str) -> DataError:
+    return DataError(
+        f"object {model.name}, scene {scene}: no three clicks fit the model within 15 mm: one is in the "
+        "wrong place, or the depth there is that of what lies before or behind the keypoint; check them, "
+        "and click one more keypoint"
     )
 
 

@@ -33,7 +33,6 @@ from rpl_data.solve.initial_guess import Start, join_clean, join_scenes
 from rpl_data.solve.near_ties import describe_near_ties, widened_for_near_ties
 from rpl_data.solve.noise import (
     adjust_with_noise,
-    directions_in_model,
     estimate_noise,
     joint_covariance,
     points_in_scene_covariance,
@@ -41,7 +40,7 @@ from rpl_data.solve.noise import (
     widened_for_all_scenes,
 )
 from rpl_data.solve.object_frame import object_frame
-from rpl_data.solve.one_side import describe_one_side, seen_from_one_side
+from rpl_data.solve.one_side import describe_one_side, one_sided
 from rpl_data.solve.procrustes import Adjusted, Fragments, Loss, adjust_points
 from rpl_data.solve.refusals import refuse_bad, refuse_few, refuse_loose, refuse_untied
 from rpl_data.solve.register import register, register_scene
@@ -251,9 +250,6 @@ def _solution(
     model_from_object, points = object_frame(state, known)
     turn = model_from_object[:3, :3]
     titles = keypoint_titles(keypoints)
-    rays = answer.rays
-    measured = np.isfinite(rays.depths_m[:, 0])
-    one_side = seen_from_one_side(rays.keypoint, directions_in_model(rays, state), measured, known)
     joint = joint_covariance(answer.rays, state, noise=answer.noise)
     in_scene = {
         name: widened_for_near_ties(
@@ -262,7 +258,10 @@ def _solution(
         for s, name in enumerate(answer.scenes)
     }
     ties = describe_near_ties(answer.alternatives, state, answer.scenes, known)
-    placed = Placed(answer.scenes, answer.rays, state, answer.noise, joint, in_scene, known, ties)
+    placed = Placed(
+        answer.scenes, answer.rays, state, answer.noise, joint, in_scene, known, ties, trajectory_sigma_m
+    )
+    one_side = one_sided(placed)
     solution = Solution(
         model=KeypointModel(object_name, tuple(keypoints), points, tuple(skeleton)),
         covariance=turn.T @ shape_covariance(joint, state, known) @ turn,
@@ -272,10 +271,7 @@ def _solution(
         },
         residuals=click_residuals(observations, click_fit(answer.rays, state, answer.noise)),
         warnings=describe_keypoints(titles, observations, known) + describe_one_side(titles, one_side),
-        covariance_in_scene={
-            name: covariance + trajectory_sigma_m.get(name, 0.0) ** 2 * np.eye(3)
-            for name, covariance in in_scene.items()
-        },
+        covariance_in_scene={name: placed.stated_covariance(name) for name in answer.scenes},
         trajectory_sigma_m={name: trajectory_sigma_m.get(name, 0.0) for name in answer.scenes},
         click_sigma_px=answer.noise.click_px,
         depth_sigma_ratio=answer.noise.depth_ratio,

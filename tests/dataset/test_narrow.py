@@ -138,6 +138,28 @@ def test_counts_are_those_of_the_files(three_scenes: Path, tmp_path: Path) -> No
     assert any(line.startswith("box") for line in stats_table(found))
 
 
+def test_nothing_of_others_is_lost_where_a_dataset_is_written(three_scenes: Path, tmp_path: Path) -> None:
+    """Many programs have a file of that name, and people put their notes beside a result."""
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "photo.jpg").write_bytes(b"dear")
+    for content, why in (
+        ('{"title": "photos"}', "is no dataset that `rpl dataset` wrote"),
+        ("[]", "dataset.json is damaged"),
+        ('{"content_hash": 1}', "dataset.json is damaged"),
+    ):
+        (out / "dataset.json").write_text(content)
+        with pytest.raises(DataError, match=why):
+            filter_dataset(out, three_scenes, Wanted(scenes=("x",)))
+        assert (out / "photo.jpg").read_bytes() == b"dear"
+    written = tmp_path / "written"
+    filter_dataset(written, three_scenes, Wanted(scenes=("x",)))
+    (written / "notes.txt").write_text("dear")
+    with pytest.raises(DataError, match=r"edited since `rpl dataset` wrote it \(see notes.txt\)"):
+        filter_dataset(written, three_scenes, Wanted(scenes=("x",)))
+    assert (written / "notes.txt").read_text() == "dear"
+
+
 def test_a_changed_dataset_is_noticed_and_not_replaced(three_scenes: Path, tmp_path: Path) -> None:
     for _ in range(2):  # as it was written, it is replaced
         filter_dataset(tmp_path / "out", three_scenes, Wanted(scenes=("x",)), images="copy")

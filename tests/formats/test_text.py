@@ -55,6 +55,18 @@ def test_commas_alone_are_refused(path: Path, old: str, new: str) -> None:
         read_pose_rows(path)
 
 
+def test_what_only_python_takes_for_a_number_is_refused(path: Path) -> None:
+    """A slip of the finger would move a camera by hundreds of pixels, or a pose by metres, in silence."""
+    whole = path.read_text()
+    path.write_text(whole.replace("0.100000 ", "0_1.100000 "))
+    with pytest.raises(DataError, match=r"camera.poses line 2: '0_1.100000' is no number"):
+        read_pose_rows(path)
+    for text in ("600 600 3_07.5 240", "600 600 307.5 240\ndistortion 0_1 0 0 0"):
+        path.write_text(text)
+        with pytest.raises(DataError, match="_"):
+            read_camera(path)
+
+
 LOST = (
     "nan nan nan nan nan nan nan",
     "-inf 0 0 0 0 0 1",

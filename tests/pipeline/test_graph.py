@@ -222,7 +222,7 @@ def test_a_recording_on_a_disk_that_is_not_mounted_loses_nothing(
         build(torn, built, until="solve", keep_going=True, tell=(told := Told()))
     assert [path.read_bytes() for path in files] == before
     said = [line for one in told.lines for line in one.outcome.messages]
-    assert any(line.startswith("scene 02: it is not among") for line in said)
+    assert any(line.startswith("scene 02: it was not read") for line in said)
     assert seen[0].lost == {"02"}
     module.FORGET["label"](seen[0])
     assert built.labelled_scene_names() == ["00", "01"]

@@ -6,11 +6,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from clicked_scenes import CUBE, NAMES, cameras, click_scene, pose
 
-from rpl_data.clicks.log import click_event, keypoints_event
+from rpl_data.clicks.log import Annotation, click_event, keypoints_event
 from rpl_data.geometry import from_rotvec, invert, transform
 from rpl_data.pipeline.context import path_key
 from rpl_data.pipeline.placements import (
+    after_alignment,
     fallen,
     fallen_lines,
     standing,
@@ -18,12 +20,17 @@ from rpl_data.pipeline.placements import (
     thin_lines,
     with_placements,
 )
+from rpl_data.pipeline.register import alone_in
+from rpl_data.pipeline.stages.solve import place_known
+from rpl_data.solve.joint import joint_clicks
+from rpl_data.solve.register import register_scene
 from rpl_data.types import (
     Click,
     ClickResidual,
     Frame,
     Intrinsics,
     KeypointModel,
+    NextClick,
     Observation,
     Placement,
     Recording,
@@ -106,6 +113,44 @@ def test_a_placement_holds_with_its_clicks_and_poses_only(tmp_path: Path) -> Non
         assert (set(standing(workspace, "egg")) == {"07"}) is holds, name
         assert (fallen(workspace, "egg") == []) is holds
         assert len(fallen_lines(workspace, "egg")) == (0 if holds else 1)
+
+
+def test_what_its_clicks_alone_leave_open_is_not_said_of_an_aligned_scene() -> None:
+    badly = Statement("weak scene", (CLICK.click,), "scene 07: its clicks place the object badly")
+    by_clicks = replace(
+        PLACED,
+        how="clicks",
+        trajectory_sigma_m=0.002,
+        statements=(SAID, badly),
+        next_clicks=(NextClick("07", 3, 2, 4.0, 8.0),),
+    )
+    aligned = after_alignment(by_clicks, np.eye(4), PLACED.covariance_in_scene, (), "its print")
+    assert (aligned.statements, aligned.next_clicks, aligned.how) == ((SAID,), (), "aligned")
+    np.testing.assert_allclose(aligned.covariance_in_scene, np.tile(5e-6 * np.eye(3), (4, 1, 1)))
+
+
+def test_clicks_of_a_scene_that_is_aligned_say_no_more_than_its_straying_path_lets_them() -> None:
+    random = np.random.default_rng(1)
+    observations = click_scene("07", CUBE, pose(random), cameras(2), random, noise_px=1.0)
+    model = KeypointModel("cube", NAMES, CUBE)
+    clicked = register_scene(model, observations, trajectory_sigma_m=0.005)
+    whole = Solution(model, np.zeros((8, 3, 3)), {"00": np.eye(4)}, click_sigma_px=1.0, depth_sigma_ratio=1.0)
+    clicks = joint_clicks(alone_in(whole, "07", clicked), observations, hold_points=True)
+    assert (clicks.rays.strayed_m == 0.005).all()
+
+
+def test_a_given_model_is_known_as_well_as_its_clicks_lie_on_it() -> None:
+    """Root mean square distance in space, of which each axis has a third of the square."""
+    random = np.random.default_rng(1)
+    observations = click_scene(
+        "00", CUBE, pose(random), cameras(3), random, depths=lambda k, f, z: [z + random.normal(0, 0.004)]
+    )
+    given = Annotation("cube", NAMES, (), known_points=tuple((x, y, z) for x, y, z in CUBE.tolist()))
+    found = place_known(given, observations)
+    errors_m = [residual.error_m for residual in found.residuals if residual.error_m is not None]
+    off_m = np.sqrt(np.mean(np.square(errors_m)))
+    assert len(errors_m) == 24 and 0.003 < off_m < 0.005
+    np.testing.assert_allclose(np.sqrt(np.trace(found.covariance, axis1=1, axis2=2)), off_m)
 
 
 def test_of_another_model_nothing_is_kept() -> None:

@@ -82,9 +82,12 @@ def test_a_wrong_scene_takes_no_other_along_unless_there_are_many() -> None:
     for many, turned_down in {5: [0], 8: [0, 1]}.items():
         judged = [Verdict(False, gain, 0.0, "wrong") for gain in np.arange(many) - 9.0]
         pairs = list(permutations(range(many), 2))
-        assert _turned_down_now(range(many), judged, pairs) == turned_down
+        assert _turned_down_now(range(many), judged, np.zeros(many, bool), pairs) == turned_down
     apart = [(0, 1), (1, 0), (2, 3), (3, 2)]
-    assert _turned_down_now(range(4), judged[:4], apart) == [0, 2], "the worst of each group"
+    alike = np.zeros(4, bool)
+    assert _turned_down_now(range(4), judged[:4], alike, apart) == [0, 2], "the worst of each group"
+    another = np.array([False, True, False, False])
+    assert _turned_down_now(range(4), judged[:4], another, apart) == [1], "it may have spoilt the others"
 
 
 def test_the_last_scene_is_told_why_it_is_alone() -> None:

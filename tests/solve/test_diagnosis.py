@@ -267,6 +267,7 @@ def placed_at(places, observations, ties):
         {name: np.tile(3e-6 * np.eye(3), (len(POINTS), 1, 1)) for name in names},
         np.ones(len(POINTS), dtype=bool),
         ties,
+        {},
     )
 
 

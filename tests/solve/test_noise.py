@@ -9,6 +9,7 @@ from rpl_data.geometry import fit_rigid, invert, rigid, transform
 from rpl_data.solve.bundle_adjustment import State, linearise, moved
 from rpl_data.solve.click_rays import Noise, misfit, rays_of
 from rpl_data.solve.noise import (
+    estimate_noise,
     joint_covariance,
     points_in_scene_covariance,
     shape_covariance,
@@ -196,6 +197,24 @@ def test_scenes_that_see_a_keypoint_from_nearly_the_same_side_share_its_error():
     shared = 0.5 * np.exp(-((2 * np.sin(np.deg2rad(20))) ** 2) / (2 * np.deg2rad(25) ** 2))
     found = widened_for_all_scenes(rays, State(poses, middle)).depth_sigmas_m[:, 0]
     np.testing.assert_allclose(found, DEPTH_SIGMA_M * np.sqrt(1 + shared), rtol=1e-6)
+
+
+def test_depths_that_share_an_error_count_for_the_noise_as_often_as_they_were_measured():
+    """Four keypoints have depths in three frames of one view, 1 sigma off; four in one frame, 2 sigmas off.
+
+    The adjustment takes the former for sqrt(2.8) times as uncertain, and weighs them by that, but each counts
+    as one of the others. At the truth, with a prior of 3 residuals of 1:
+    """
+    at = pose(np.random.default_rng(9))
+    observations = click_scene(
+        "00", CUBE, at, cameras(3, 0.0), np.random.default_rng(9),
+        depths=lambda k, f, z: [z + (1 if k < 4 else 2) * DEPTH_SIGMA_M] if k < 4 or f == 0 else [],
+    )  # fmt: skip
+    rays, prior = rays_of(observations, ["00"]), Noise(2.0, 1.0)
+    found = estimate_noise(rays, State(at[None], CUBE), noise=Noise(0.1, 1.0), prior=prior, hold_points=True)
+    often, once = 12 * (1 + 1 / 2.8 / 9) ** -2, 4 * (1 + 4 / 9) ** -2  # sums of weights
+    by_hand = (3 + (often * 1 + once * 4) / 0.733) / (3 + often + once)
+    assert found.depth_ratio**2 == pytest.approx(by_hand, rel=0.02)
 
 
 def scenes_from_one_side(random, depth_ratio):

@@ -25,6 +25,7 @@ from rpl_data.files import write_text
 from rpl_data.formats.recordings.frame_files import Camera
 from rpl_data.formats.recordings.pose_lines import data_lines, split_words
 from rpl_data.types import DataError, Intrinsics
+from rpl_data.untrusted.numbers import plain_number
 
 WHAT = "one line: fx fy cx cy, in pixels of the colour images, or the 3x3 matrix K"
 
@@ -50,7 +51,8 @@ def read_camera(path: Path) -> CameraFile:
     lines = [line for _, line in data_lines(path)] or [""]
     first, rows = lines[0], _matrix_rows(lines)
     try:
-        fx, fy, cx, cy = camera_of_matrix([float(word) for row in lines[:rows] for word in split_words(row)])
+        words = [word for row in lines[:rows] for word in split_words(row)]
+        fx, fy, cx, cy = camera_of_matrix([plain_number(float, word) for word in words])
     except ValueError as error:
         raise DataError(f"{path}: expected {WHAT}; found {first!r}") from error
     if not all(map(math.isfinite, (fx, fy, cx, cy))) or fx <= 0 or fy <= 0:
@@ -195,7 +197,7 @@ def _said(path: Path, lines: Sequence[str]) -> Mapping[str, tuple[float, ...]]:
         if key not in counts:
             continue
         try:
-            said[key] = tuple(float(token) for token in tokens)
+            said[key] = tuple(plain_number(float, token) for token in tokens)
         except ValueError as error:
             raise DataError(f"{path}: {error} in {line!r}; repair or delete the line") from error
         if len(said[key]) not in counts[key]:

@@ -35,6 +35,7 @@ from rpl_data.formats.recordings.scene_folders import chosen_scenes
 from rpl_data.formats.recordings.times import FRAME_RATE_HZ
 from rpl_data.geometry import Transform
 from rpl_data.types import DataError, Intrinsics, Recording
+from rpl_data.untrusted.numbers import plain_number
 
 _COLOR = re.compile(r"frame-(\d+)\.color\.(?:jpg|jpeg|png)")
 
@@ -119,7 +120,7 @@ def _pose_file(color: Path) -> Path:
 def _read_pose(path: Path) -> Transform | None:
     """Read scene_from_camera; None where a lost tracker left no rigid transform."""
     try:
-        values = [float(token) for token in read_text(path).split()]
+        values = [plain_number(float, token) for token in read_text(path).split()]
     except ValueError:  # 7-Scenes' tracker writes "-1.#IND"
         return None
     return rigid_or_none(values) if len(values) == 16 else None

@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from rpl_data.files import read_text, write_text
 from rpl_data.geometry import Transform, from_quaternion_xyzw, rigid, to_quaternion_xyzw
 from rpl_data.types import DataError
+from rpl_data.untrusted.numbers import plain_number
 from rpl_data.wording import counted
 
 
@@ -65,7 +66,7 @@ def finite_numbers(tokens: Sequence[str], path: Path, number: int) -> list[float
 def numbers(tokens: Sequence[str], path: Path, number: int) -> list[float]:
     """Convert the words of a line to numbers, NaN and infinity too; DataError naming the line for others."""
     try:
-        return [math.nan if _WINDOWS_NAN.fullmatch(token) else float(token) for token in tokens]
+        return [math.nan if _WINDOWS_NAN.fullmatch(token) else plain_number(float, token) for token in tokens]
     except ValueError as error:
         raise DataError(f"{path} line {number}: {error}; repair or delete the line") from error
 

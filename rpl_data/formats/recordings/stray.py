@@ -41,6 +41,7 @@ from rpl_data.formats.recordings.scene_folders import chosen_scenes
 from rpl_data.geometry import Transform, from_quaternion_xyzw
 from rpl_data.types import DataError, Recording
 from rpl_data.untrusted.child import in_child
+from rpl_data.untrusted.numbers import plain_number
 
 RATE_HZ = 60.0
 """Assumed frame rate of a video without times."""
@@ -154,7 +155,7 @@ def read_odometry(path: Path) -> Mapping[int, Row]:
     found: dict[int, Row] = {}
     for line in lines:
         try:
-            values = [float(line[column]) for column in columns]
+            values = [plain_number(float, line[column]) for column in columns]
         except (ValueError, IndexError):  # cut off in the middle
             continue
         norm = math.hypot(*values[5:])

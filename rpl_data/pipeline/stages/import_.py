@@ -28,8 +28,8 @@ NOT_REGISTERED = (
 )
 """Said at once: the stage that refuses it comes after all the clicking."""
 KEPT_APART = (
-    "scene {}: it is not among the recordings that can be read now; what was made of it is kept, and left "
-    "out of this build"
+    "scene {}: it was not read, as it or another scene of the same source in the recipe cannot be read now; "
+    "what was made of it is kept, and left out of this build"
 )
 
 

@@ -8,7 +8,7 @@ from rpl_data.pipeline.placements import placement_lines
 from rpl_data.pipeline.results import quality_rows, split_summary, timings, worth_knowing
 from rpl_data.workspace.workspace import Workspace
 
-VERSION = 4
+VERSION = 5
 """Increase it when the stage writes something else for the same input: its steps then run again."""
 
 

@@ -35,7 +35,7 @@ from rpl_data.types import (
 from rpl_data.types.instances import frame_of, scene_of
 from rpl_data.workspace.workspace import Workspace
 
-VERSION = 7
+VERSION = 8
 """Increase it when the stage writes something else for the same input: its steps then run again."""
 SAME_PLACE_SHARE = 0.05
 """Two solid objects cannot stand so close, as a share of the diagonal around their keypoints."""
@@ -219,8 +219,8 @@ def place_known(
 ) -> Solution:
     """A known model placed in every clicked scene (paper III-F); its origin moves to its centroid.
 
-    The covariance is that of the clicks about the model, the same for all keypoints: how good a given
-    model is cannot be known.
+    The covariance is that of the clicks about the model, alike in all directions and the same for all
+    keypoints: how good a given model is cannot be known.
 
     Args:
         trajectory_sigma_m: how far the poses of each scene stray, standard deviation per axis.
@@ -244,10 +244,10 @@ def place_known(
         (r.click.keypoint, r.click.scene, r.click.frame): r for one in found.values() for r in one.residuals
     }
     errors_m = [r.error_m for r in residuals.values() if r.error_m is not None and not r.outlier]
-    sigma_m = max(float(np.sqrt(np.mean(np.square(errors_m)))) if errors_m else 0.0, 1e-3)
+    off_m = max(float(np.sqrt(np.mean(np.square(errors_m)))) if errors_m else 0.0, 1e-3)
     return Solution(
         model=model,
-        covariance=np.where(model.known[:, None, None], sigma_m**2 * np.eye(3), np.nan),
+        covariance=np.where(model.known[:, None, None], off_m**2 / 3 * np.eye(3), np.nan),
         scene_from_object={scene: one.scene_from_object for scene, one in found.items()},
         residuals=tuple(residuals[o.click.keypoint, o.click.scene, o.click.frame] for o in observations),
         covariance_in_scene={scene: one.covariance_in_scene for scene, one in found.items()},

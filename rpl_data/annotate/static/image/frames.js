@@ -8,14 +8,19 @@ const pictures = new Map(); // address -> {image, ready}
 
 const PATIENCE_MS = 600;
 
-// Open a scene at a frame; by default the one last shown, last marked, or best to begin with.
+// Open a scene at a frame; by default the one last shown, last marked, or best to begin with. Returns false where
+// another one was asked for meanwhile: a click would land in a scene that nobody waits for any more.
 const leftAt = {};
+let openings = 0;
 export async function openScene(name, index = null, part = {}) {
+  const opening = ++openings;
   const wanted = index ?? leftAt[name] ?? clicksIn(name).at(-1)?.frame;
   const [first] = await Promise.all([wanted === undefined ? beginning(name) : wanted, ensureScene(name)]);
+  if (opening !== openings) return false;
   if (app.scene !== null) leftAt[app.scene] = frame();
   const row = first === null ? app.poses[name].index.length >> 1 : rowOf(name, first);
   change({ ...part, scene: name, row });
+  return true;
 }
 
 // The suggested frame that is near and sharp; null when the server does not answer soon.

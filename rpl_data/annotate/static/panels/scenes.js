@@ -11,11 +11,12 @@ const list = document.getElementById("scenes");
 // Class and word of a state, and whether the expected error of its labels follows.
 const WORDS = {
   checking: ["quiet", "checking …"], tied: ["good", "✓", true], found: ["good", "✓ found", true],
-  rough: ["warn", "rough", true], unfit: ["bad", "too rough", true], bad: ["bad", "✗ wrong click"],
+  weak: ["warn", "not surely", true], rough: ["warn", "rough", true], unfit: ["bad", "too rough", true], bad: ["bad", "✗ wrong click"],
   doubt: ["warn", "? doubtful"], loose: ["warn", "not placed"], few: ["warn", "too few clicks"],
 };
 const MEANINGS = {
   found: "placed by shape and colours, without clicks",
+  weak: "its clicks place the object badly there",
   rough: "labels rougher than 5 px: film it again, or add clicks where the page asks for them",
   unfit: "labels so rough that the dataset leaves them out",
   bad: "the other clicks contradict one of these", doubt: "one of some clicks is wrong, and nothing tells which",
@@ -45,8 +46,7 @@ export function step(by) {
 
 // Open a scene to mark the keypoints that are not marked there yet.
 async function open(name) {
-  await openScene(name);
-  selectOpen();
+  if (await openScene(name)) selectOpen();
 }
 
 // Mark another instance of the object in this scene, from 2 on, at the same frame.
@@ -55,8 +55,7 @@ async function openAnother() {
   const name = sceneOf(app.scene), taken = places();
   let number = 2;
   while (taken.includes(`${name}/${number}`)) number++;
-  await openScene(`${name}/${number}`, frame());
-  selectOpen();
+  if (await openScene(`${name}/${number}`, frame())) selectOpen();
 }
 
 function draw() {
