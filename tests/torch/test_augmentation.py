@@ -208,7 +208,7 @@ def test_auto_is_decided_by_the_dataset_and_refused_elsewhere(folder):
     data = KeypointDataset(folder, split="train", object="box", augment=Augmentation(rotation_deg="auto"))
     assert data.augment.rotation_deg == 30.0
     with pytest.raises(DataError, match="rotation_deg is auto"):
-        Augmentation(rotation_deg="auto").largest_turn_deg  # noqa: B018
+        RandomAffine(Augmentation(rotation_deg="auto"))
 
 
 def test_keypoints_stay_on_their_pixels_in_full_turns(folder):

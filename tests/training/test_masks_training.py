@@ -234,6 +234,11 @@ def test_crops_repeat_and_change_with_the_epoch(coco):
     assert torch.equal(before, torch.random.get_rng_state())
 
 
+def test_a_turn_that_only_one_object_can_decide_is_refused_at_once(coco):
+    with pytest.raises(DataError, match="rotation_deg is auto, which is for one object's crops"):
+        SquareCrops(coco / "train.json", 64, Augmentation(rotation_deg="auto"))
+
+
 def test_squares_stay_inside_the_image_without_shift():
     rng = np.random.default_rng(0)
     still = Augmentation(scale=0.0, shift=0.0, rotation_deg=0.0)
