@@ -128,6 +128,28 @@ def test_unreadable_image_is_named_skipped_and_counted(coco, tmp_path, capsys):
         assert trained_epochs(tmp_path / str(cache) / "last.ckpt") == 2
 
 
+def test_a_training_that_can_read_nothing_ends(coco, tmp_path):
+    place = tmp_path / "coco"
+    shutil.copytree(coco, place)
+    for image in (place / "images" / "desk").iterdir():
+        image.write_bytes(b"no image")
+    with pytest.raises(DataError, match=r"no image of epoch 1 could be read.* cannot read the image .*desk"):
+        train_keypoints(place, out=tmp_path / "run", network=TINY, learning=FAST, machine=ONE)
+    assert not list((tmp_path / "run").glob("*.ckpt"))
+
+
+def test_instances_without_a_labelled_keypoint_are_not_judged(monkeypatch):
+    """The mean over none would be NaN, and with it that of the epoch, so that no best would be kept."""
+    module, logged = untrained(WEDGE, TINY, FAST).eval(), []
+    monkeypatch.setattr(module, "log_validated", lambda name, value, **_: logged.append((name, float(value))))
+    batch = {"image": torch.zeros(1, 3, 32, 32), "heatmaps": torch.zeros(1, 5, 8, 8)}
+    batch |= {"weights": torch.zeros(1, 5), "keypoints_px": torch.full((1, 5, 2), torch.nan)}
+    batch |= {"crop_from_image": torch.eye(3)[None, :2], "square_box": torch.ones(1, 3)}
+    with torch.no_grad():
+        module.validation_step((batch, ()), 1)
+    assert logged == [("loss", 0.0)]
+
+
 def test_loss_that_is_no_number_names_the_batch(coco, tmp_path):
     module = untrained(WEDGE, TINY, FAST)
     batch = {"image": torch.full((2, 3, 32, 32), torch.nan), "heatmaps": torch.zeros(2, 5, 8, 8)}
