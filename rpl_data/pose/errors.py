@@ -30,8 +30,8 @@ class PoseErrors:
     adds_m: float
 
 
-INFINITE = PoseErrors(np.inf, np.pi, np.inf, np.inf)
-"""Of a failure."""
+INFINITE = PoseErrors(np.inf, np.inf, np.inf, np.inf)
+"""Of a failure. Of two medians of failures there is no ratio; half a turn, the largest angle, would give 1."""
 
 
 def pose_errors(

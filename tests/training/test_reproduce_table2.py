@@ -85,9 +85,10 @@ def test_ratio_of_medians_by_hand() -> None:
 def test_ratio_counts_failures_as_infinite() -> None:
     fine = [judged(1.0)] * 5
     broken = [judged(1.0)] * 2 + [judged(0.0, failed=True)] * 3
-    position = ratios([(cell("OURS"), [broken]), (cell("MANUAL"), [fine])])[0]
-    assert position.value == np.inf and position.high == np.inf
-    assert np.isnan(ratios([(cell("OURS"), [broken]), (cell("MANUAL"), [broken])])[0].value)
+    for ratio in ratios([(cell("OURS"), [broken]), (cell("MANUAL"), [fine])]):
+        assert ratio.value == np.inf and ratio.high == np.inf and verdict(ratio) == "no, not surely"
+    for ratio in ratios([(cell("OURS"), [broken]), (cell("MANUAL"), [broken])]):
+        assert np.isnan(ratio.value) and verdict(ratio) == "no ratio"
 
 
 def test_intervals_cover_frames_and_seeds() -> None:

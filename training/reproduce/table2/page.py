@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from itertools import product
@@ -174,6 +175,8 @@ def _ratios(compared: Sequence[Ratio], valid: Mapping[str, Mapping[str, bool]]) 
 
 def verdict(ratio: Ratio) -> str:
     """Whether OURS is within the claim, and whether the interval leaves it open."""
+    if math.isnan(ratio.value):
+        return "no ratio"  # most instances of both have no pose
     within = "yes" if ratio.value <= CLAIMED else "no"
     return f"{within}, not surely" if ratio.low <= CLAIMED < ratio.high else within
 
