@@ -270,14 +270,20 @@ def test_predictions(coco, run, detector, tmp_path):
         predict(tmp_path / "out" / "overlays" / "none", [run / "last.ckpt"], detector, camera)
 
 
-def test_evaluation_counts_what_is_missing(coco, run, detector, tmp_path):
+def with_mesh(coco: Path, place: Path) -> None:
+    """Put a training split whose first object has a mesh into a folder; images stay where they are."""
     corners = np.random.default_rng(0).uniform(-0.1, 0.1, (51, 3))
-    save_mesh(tmp_path / "mesh.ply", Mesh(corners, np.arange(51).reshape(-1, 3)))
+    save_mesh(place / "mesh.ply", Mesh(corners, np.arange(51).reshape(-1, 3)))
     data = read_coco(coco / "train.json")
     data["rpl"]["objects"][0]["mesh"] = "mesh.ply"
-    write_coco(tmp_path / "train.json", data)
-    (tmp_path / "images").symlink_to(coco / "images")
-    (tmp_path / "depth").symlink_to(coco / "depth")
+    write_coco(place / "train.json", data)
+    (place / "images").symlink_to(coco / "images")
+    (place / "depth").symlink_to(coco / "depth")
+
+
+def test_evaluation_counts_what_is_missing(coco, run, detector, tmp_path):
+    with_mesh(coco, tmp_path)
+    data = read_coco(coco / "train.json")
     for crops in ("given", "detected"):
         out = tmp_path / crops
         evaluate_pose(
@@ -295,6 +301,32 @@ def test_evaluation_counts_what_is_missing(coco, run, detector, tmp_path):
         assert figures["bop"]["average_recall"] is not None  # the export says the unit of its depth
         poses = read_bop_results(out / "consensus_rpl-train.csv")
         assert len(poses) == figures["instances"] - figures["failures"]
+
+
+def test_an_object_without_a_network_needs_no_mesh(run, tmp_path, capsys):
+    """Views of an object that stood still in no training scene are not rendered, nor is its mesh exported."""
+    both = exported(tmp_path / "both", models=(WEDGE, BOX), frames=3)
+    (tmp_path / "meshes").mkdir()
+    with_mesh(both, tmp_path / "meshes")
+    wished = {"split": "train", "crops": "given"}
+    evaluate_pose(tmp_path / "meshes", run / "last.ckpt", methods=["epnp", "epnp"], **wished)
+    said = capsys.readouterr().out
+    assert said.count("2 instances") == 1 and "depth" not in said  # once each, and EPnP uses no depth
+    data = read_coco(tmp_path / "meshes" / "train.json")
+    data["rpl"]["objects"][0]["mesh"] = None
+    write_coco(tmp_path / "meshes" / "train.json", data)
+    with pytest.raises(DataError, match="wedge has no mesh"):
+        evaluate_pose(tmp_path / "meshes", run / "last.ckpt", **wished)
+    with pytest.raises(DataError, match="--methods names none"):
+        evaluate_pose(tmp_path / "meshes", run / "last.ckpt", methods=[], **wished)
+
+
+def test_a_detector_that_does_not_know_the_object_is_refused(run, detector, tmp_path):
+    content = torch.load(detector, weights_only=True)
+    content["hyper_parameters"]["names"] = ["background", "box"]
+    torch.save(content, tmp_path / "other.ckpt")
+    with pytest.raises(DataError, match=r"other\.ckpt: the detector does not know wedge"):
+        load_pipeline([run / "last.ckpt"], tmp_path / "other.ckpt")
 
 
 def test_evaluation_refuses_another_objects_dataset(run, tmp_path):
