@@ -110,7 +110,7 @@ def _validation(coco_json: Path, scenes: Collection[str] | None) -> InstanceData
     """None where there is nothing to validate on."""
     from rpl_data.torch.instances import InstanceDataset
 
-    dataset = InstanceDataset(coco_json, scenes=scenes) if coco_json.exists() else None
+    dataset = InstanceDataset(coco_json, crowds=True, scenes=scenes) if coco_json.exists() else None
     return dataset if dataset is not None and len(dataset) else None
 
 

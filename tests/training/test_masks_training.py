@@ -275,6 +275,15 @@ def test_checkpoint_rebuilds_the_network(coco, tmp_path):
         train(replace(ONCE, network=replace(SMALL, hidden=32)), coco, tmp_path, resume=True)
 
 
+def test_what_is_found_in_a_crowd_is_not_judged():
+    left, right = torch.zeros(2, 4, 8, dtype=torch.uint8)
+    left[:, :4], right[:, 4:] = 1, 1
+    target = {"labels": torch.tensor([1, 1]), "masks": torch.stack([left, right])}
+    everywhere = {"scores": torch.ones(1), "labels": torch.ones(1), "masks": torch.ones(1, 1, 4, 8)}
+    assert class_ious(everywhere, target | {"iscrowd": torch.tensor([0, 1])}) == [1.0]
+    assert class_ious(everywhere, target | {"iscrowd": torch.tensor([1, 1])}) == []
+
+
 def test_validated_iou_is_that_of_the_scores(coco, monkeypatch):
     """Random weights that find something everywhere, judged by the module and by the evaluation."""
     import training.masks.module as module
