@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 
 from rpl_data.pose.errors import INFINITE, PoseErrors
+from rpl_data.types import DataError
 from rpl_data.workspace.workspace import Workspace
 from training.pose.scores import Judged, PoseScore
-from training.reproduce.table2.experiment import table2
+from training.reproduce.table2.experiment import check_objects, table2
 from training.reproduce.table2.page import interval_note, verdict
 from training.reproduce.table2.pose_comparison import (
     PROTOCOLS,
@@ -62,6 +63,14 @@ def test_table_of_a_workspace_is_made_once(
     assert "does not count" in page and (tmp_path / "table2_curves.png").exists()
     assert "s of CPU time" not in run(1)
     assert run(2).count("s of CPU time") == 2  # the hourglasses go on, the detectors are done
+
+
+def test_unknown_objects_are_refused_before_any_training(tiny_workspace: Workspace) -> None:
+    labels = tiny_workspace.export("coco") / "train.json"
+    check_objects(["carton"], labels)
+    for names, said in ((["carton", "cartn"], "no object cartn; .* carton"), ([], "no object is named")):
+        with pytest.raises(DataError, match=said):
+            check_objects(names, labels)
 
 
 def judged(position_mm: float, *, failed: bool = False) -> Judged:
