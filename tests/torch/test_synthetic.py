@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import pickle
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -100,7 +101,7 @@ def test_what_cannot_be_rendered_is_said(folder: Path, tmp_path: Path) -> None:
         views(folder)[5]
 
 
-def test_views_of_a_scene_that_is_tested_by_now_are_refused(folder: Path, tmp_path: Path) -> None:
+def test_views_of_a_tested_scene_or_of_other_keypoints_are_refused(folder: Path, tmp_path: Path) -> None:
     rendered = views(folder)
     (tmp_path / "test.json").write_text(json.dumps({"images": [{"scene": rendered.scenes[0]}]}))
 
@@ -118,3 +119,6 @@ def test_views_of_a_scene_that_is_tested_by_now_are_refused(folder: Path, tmp_pa
         partly_synthetic(Recorded(), folder, 0.5)
     (tmp_path / "test.json").unlink()
     assert len(partly_synthetic(Recorded(), folder, 0.5)) == 3
+    Recorded.model = replace(rendered.model, points_object=rendered.model.points_object + 0.002)
+    with pytest.raises(DataError, match="keypoints of cube at other places"):
+        partly_synthetic(Recorded(), folder, 0.5)
