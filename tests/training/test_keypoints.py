@@ -23,7 +23,7 @@ from training.evaluate_pose import evaluate_pose
 from training.keypoints.module import load_keypoints, untrained
 from training.pose.evaluation import evaluate
 from training.pose.pipeline import PosePipeline, SeenKeypoints, load_pipeline, read_depth_like
-from training.predict import predict
+from training.predict import predict, refuse_no_camera
 from training.runs.folder import trained_epochs
 from training.runs.options import DetectorNetwork, Learning, Machine, Network
 from training.runs.program import main
@@ -268,6 +268,17 @@ def test_predictions(coco, run, detector, tmp_path):
     assert clicks.read_text().startswith("object,keypoint,scene,frame,u_px,v_px")
     with pytest.raises(DataError, match="holds no image"):
         predict(tmp_path / "out" / "overlays" / "none", [run / "last.ckpt"], detector, camera)
+
+
+@pytest.mark.parametrize(("camera", "distortion", "unit", "said"), [
+    ([0.0, 150.0, 80.0, 60.0], [], 0.001, "focal lengths are above 0"),
+    ([150.0, 150.0, np.nan, 60.0], [], 0.001, "--camera is"),
+    ([150.0] * 4, [0.1, 0.2, 0.3], 0.001, "4, 5, 8, 12 or 14"),
+    ([150.0] * 4, [], -1.0, "above 0: 0.001 for millimetres"),
+])  # fmt: skip
+def test_what_is_no_camera_is_refused(camera, distortion, unit, said):
+    with pytest.raises(DataError, match=said):
+        refuse_no_camera(camera, distortion, unit)
 
 
 def with_mesh(coco: Path, place: Path) -> None:
