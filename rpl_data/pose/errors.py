@@ -31,7 +31,7 @@ class PoseErrors:
 
 
 INFINITE = PoseErrors(np.inf, np.inf, np.inf, np.inf)
-"""Of a failure. Of two medians of failures there is no ratio; half a turn, the largest angle, would give 1."""
+"""Of a failure. Half a turn, the largest angle there is, would be a figure that can be compared."""
 
 
 def pose_errors(
