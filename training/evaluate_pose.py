@@ -34,12 +34,13 @@ def evaluate_pose(
     out: Path | None = None,
     threads: int | None = None,
 ) -> None:
-    """Median position and orientation error, ADD, ADD-S, recall and PCK against true poses.
+    """Median position and orientation error, ADD, recalls and PCK against true poses.
 
     The strict protocol is the default: scenes that training never saw, crops of the detector, and failures
-    that count as infinite errors. The paper's is `--split val --crops given`. For example: rpl evaluate poses
+    that count as infinite errors. Instances that show less than a tenth of themselves are not judged. The
+    paper's is `--split val --crops given`. For example: rpl evaluate poses
     my-workspace/export/coco_truth --keypoints '[drill/last.ckpt]' --detector detector/last.ckpt. With --out,
-    writes <split>_poses.json: the figures and every instance.
+    writes <split>_poses.json: the figures, ADD-S among them, and every instance.
 
     Args:
         coco: folder with true labels: export/coco_truth (or export/coco to see how well labels are learned).

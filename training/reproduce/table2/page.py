@@ -84,7 +84,8 @@ def write_page(out: Path, workspace: Path, objects: Sequence[str], seeds: int) -
 def interval_note(seeds: int) -> str:
     """What was resampled for the intervals."""
     also = f" and {seeds} seeds" if seeds > 1 else "; one seed, so how trainings differ is not in them"
-    return f"Intervals: 95 % of 2000 bootstrap resamples of frames{also}."
+    alike = "Frames of one scene are alike: how other scenes would differ is not in them."
+    return f"Intervals: 95 % of 2000 bootstrap resamples of frames{also}. {alike}"
 
 
 TITLES = {
