@@ -93,10 +93,7 @@ def evaluate_pose(
     figures = figures_of(judged, surfaces, methods)
     if bop and out is not None:
         add_benchmark(figures, judged, coco_json, out, metres_per_unit)
-    for name, found in figures.items():
-        print(f"{name:24s} {line_of(found)}")
-        if bop:
-            print(f"{'':24s} {benchmark_line(found['bop'])}")
+    say_figures(figures)
     say_left_out(unreadable)
     if out is not None:
         write_figures(out / f"{split}_poses.json", figures, judged)
@@ -164,6 +161,14 @@ def add_benchmark(
         results.setdefault(method, []).extend(benchmark.results(mine))
     for method, poses in results.items():
         write_bop_results(out / f"{method}_rpl-{coco_json.stem}.csv", poses)
+
+
+def say_figures(figures: Mapping[str, Mapping[str, Any]]) -> None:
+    """A line per object and method, and one of the benchmark's scores where there are any."""
+    for name, found in figures.items():
+        print(f"{name:24s} {line_of(found)}")
+        if "bop" in found:
+            print(f"{'':24s} {benchmark_line(found['bop'])}")
 
 
 def benchmark_line(found: Mapping[str, Any]) -> str:

@@ -13,11 +13,11 @@ from rpl_data.pose.estimate import Method, PoseEstimate, PoseFailure
 from rpl_data.types import Click, DataError, Intrinsics
 from rpl_data.wording import counted
 
+from .runs.options import IMAGE_SUFFIXES
+
 TYPE_CHECKING = False  # not typing's: the parser of the options would import what follows, torch and all
 if TYPE_CHECKING:
     from .pose.pipeline import PosePipeline, SeenKeypoints
-
-SUFFIXES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp"}
 
 DISTORTION_LENGTHS = (0, 4, 5, 8, 12, 14)
 """How many coefficients OpenCV's models of a lens have."""
@@ -127,9 +127,10 @@ def images_of(place: Path) -> list[Path]:
     """
     if place.is_file():
         return [place]
-    files = sorted(path for path in place.rglob("*") if path.suffix.lower() in SUFFIXES)
+    files = sorted(path for path in place.rglob("*") if path.suffix.lower() in IMAGE_SUFFIXES)
     if not files:
-        raise DataError(f"{place} holds no image ({', '.join(sorted(SUFFIXES))}); name an image or a folder")
+        known = ", ".join(sorted(IMAGE_SUFFIXES))
+        raise DataError(f"{place} holds no image ({known}); name an image or a folder")
     return files
 
 

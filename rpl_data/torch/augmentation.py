@@ -8,6 +8,9 @@ from typing import Literal
 
 from rpl_data.types import DataError
 
+PICTURES = {".jpg", ".jpeg", ".png", ".bmp", ".webp"}
+"""Endings of the pictures that are looked for in a folder of backgrounds."""
+
 
 @dataclass(frozen=True)
 class Augmentation:
