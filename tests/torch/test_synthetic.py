@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import pickle
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -56,6 +57,18 @@ def test_keypoints_lie_where_opencv_projects_them(folder: Path) -> None:
     u, v = (affine[:, :2] @ uv[nearest, 0] + affine[:, 2]).round().astype(int)
     shown = 255 * sample["image"][:, v, u].numpy()
     assert np.abs(shown - 90).max() > 20 and shown.max() <= COLORS.max() * 1.2
+
+
+def test_the_crop_of_one_keypoint_shows_the_whole_object(folder: Path, tmp_path: Path) -> None:
+    shutil.copytree(folder / "studio", tmp_path / "studio")
+    file = tmp_path / "studio" / "studio.json"
+    content = json.loads(file.read_text())
+    for name in ("keypoints", "points_object"):
+        content["subjects"]["cube"][name] = content["subjects"]["cube"][name][:1]
+    file.write_text(json.dumps(content))
+    torch.manual_seed(0)
+    sample = views(tmp_path)[0]
+    assert sample["square_box"][2] > 30 and sample["image"].std() > 0.02
 
 
 def test_a_seed_gives_the_same_views_in_any_process(folder: Path) -> None:
