@@ -7,6 +7,7 @@ import json
 import runpy
 import sys
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -179,6 +180,13 @@ def test_evaluate_writes_results_that_pycocotools_reads(coco, segmenter, tmp_pat
     assert len(results.getAnnIds()) > 0 and set(results.getCatIds()) == {1, 2}
     written = json.loads((tmp_path / "train_scores.json").read_text())
     assert written["threshold"] == 0.5 and written["mask_ap"] == score.mask_ap
+
+
+def test_a_network_of_other_objects_is_not_scored(coco, segmenter):
+    """Results name classes by number, so a can would be judged as a box."""
+    turned = replace(segmenter, names=("background", "can", "box"))
+    with pytest.raises(DataError, match="has the objects box, can, the checkpoint can, box"):
+        evaluate(turned, coco / "train.json")
 
 
 def test_predict_a_folder_an_image_and_a_video(coco, segmenter, tmp_path):
