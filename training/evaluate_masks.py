@@ -27,7 +27,7 @@ def evaluate_masks(
         masks: checkpoint of `rpl train masks`.
         split: train, val or test.
         out: folder for the results and the scores; nothing is written when left out.
-        threshold: least score of what counts as found for IoU, missed and false; AP uses everything.
+        threshold: least score of what counts as found for IoU, missed and false; AP takes all from 0.05 on.
         threads: processor threads of torch; None leaves the number to torch.
     """
     from rpl_data.torch.splits import split_file

@@ -34,12 +34,13 @@ def evaluate_pose(
     out: Path | None = None,
     threads: int | None = None,
 ) -> None:
-    """Median position and orientation error, ADD, ADD-S, recall and PCK against true poses.
+    """Median position and orientation error, ADD, recalls and PCK against true poses.
 
     The strict protocol is the default: scenes that training never saw, crops of the detector, and failures
-    that count as infinite errors. The paper's is `--split val --crops given`. For example: rpl evaluate poses
+    that count as infinite errors. Instances that show less than a tenth of themselves are not judged. The
+    paper's is `--split val --crops given`. For example: rpl evaluate poses
     my-workspace/export/coco_truth --keypoints '[drill/last.ckpt]' --detector detector/last.ckpt. With --out,
-    writes <split>_poses.json: the figures and every instance.
+    writes <split>_poses.json: the figures, ADD-S among them, and every instance.
 
     Args:
         coco: folder with true labels: export/coco_truth (or export/coco to see how well labels are learned).
@@ -65,16 +66,15 @@ def evaluate_pose(
     from .pose.pipeline import load_pipeline
     from .runs.program import say_left_out, use_threads
 
-    if out is not None and out.suffix == ".json":
-        raise DataError(f"--out is a folder, {split}_poses.json is written into it; got the file {out}")
-    if bop and out is None:
-        raise DataError("--bop writes the poses as CSV files: give their folder as --out")
+    refuse_contradictions(split, methods, bop=bop, out=out)
+    methods = list(dict.fromkeys(methods))
     use_threads(threads)
-    pipeline = load_pipeline([keypoints] if isinstance(keypoints, Path) else keypoints, detector)
+    networks = [keypoints] if isinstance(keypoints, Path) else keypoints
+    pipeline = load_pipeline(networks, detector if crops == "detected" else None)
     coco_json = split_file(coco, split)
-    truth = true_objects(coco_json)
+    truth = true_objects(coco_json, pipeline.networks)
     if depth == "auto":
-        say_depth(coco_json, metres_per_unit)
+        say_depth(coco_json, metres_per_unit, methods)
     unreadable: Counter[str] = Counter()
     judged = list(
         evaluate(
@@ -93,24 +93,36 @@ def evaluate_pose(
     figures = figures_of(judged, surfaces, methods)
     if bop and out is not None:
         add_benchmark(figures, judged, coco_json, out, metres_per_unit)
-    for name, found in figures.items():
-        print(f"{name:24s} {line_of(found)}")
-        if bop:
-            print(f"{'':24s} {benchmark_line(found['bop'])}")
+    say_figures(figures)
     say_left_out(unreadable)
     if out is not None:
         write_figures(out / f"{split}_poses.json", figures, judged)
 
 
-def say_depth(coco_json: Path, metres_per_unit: float | None) -> None:
-    """Say how many images have depth that the poses will use."""
+def refuse_contradictions(split: str, methods: Sequence[Method], *, bop: bool, out: Path | None) -> None:
+    """Raise a DataError where options do not go together, before anything is read."""
+    if not methods:
+        raise DataError("--methods names none; give some of epnp, sqpnp, ransac and consensus")
+    if out is not None and out.suffix == ".json":
+        raise DataError(f"--out is a folder, {split}_poses.json is written into it; got the file {out}")
+    if bop and out is None:
+        raise DataError("--bop writes the poses as CSV files: give their folder as --out")
+
+
+def say_depth(coco_json: Path, metres_per_unit: float | None, methods: Sequence[Method]) -> None:
+    """Say how many images have depth that the poses will use, where a method uses any."""
     from rpl_data.formats.datasets.coco_parts import read_packed
 
     from .pose.evaluation import has_depth
+    from .pose.pipeline import WEIGHING
 
+    using = [method for method in methods if method in WEIGHING]
+    if not using:
+        return
     images = read_packed(coco_json, {"annotations": (), "crowds": ()})["images"]
     known = sum(has_depth(image, metres_per_unit) for image in images)
-    print(f"ransac and consensus use the depth of {known} of {counted(len(images), 'image')}")
+    use = "uses" if len(using) == 1 else "use"
+    print(f"{' and '.join(using)} {use} the depth of {known} of {counted(len(images), 'image')}")
 
 
 def figures_of(
@@ -149,6 +161,14 @@ def add_benchmark(
         results.setdefault(method, []).extend(benchmark.results(mine))
     for method, poses in results.items():
         write_bop_results(out / f"{method}_rpl-{coco_json.stem}.csv", poses)
+
+
+def say_figures(figures: Mapping[str, Mapping[str, Any]]) -> None:
+    """A line per object and method, and one of the benchmark's scores where there are any."""
+    for name, found in figures.items():
+        print(f"{name:24s} {line_of(found)}")
+        if "bop" in found:
+            print(f"{'':24s} {benchmark_line(found['bop'])}")
 
 
 def benchmark_line(found: Mapping[str, Any]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -10,12 +11,16 @@ from typing import Any
 
 from rpl_data.pose.estimate import Method, PoseEstimate, PoseFailure
 from rpl_data.types import Click, DataError, Intrinsics
+from rpl_data.wording import counted
+
+from .runs.options import IMAGE_SUFFIXES
 
 TYPE_CHECKING = False  # not typing's: the parser of the options would import what follows, torch and all
 if TYPE_CHECKING:
     from .pose.pipeline import PosePipeline, SeenKeypoints
 
-SUFFIXES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp"}
+DISTORTION_LENGTHS = (0, 4, 5, 8, 12, 14)
+"""How many coefficients OpenCV's models of a lens have."""
 
 SURE = 0.5
 """Least confidence of a keypoint that is proposed as a click."""
@@ -67,6 +72,7 @@ def predict(
     use_threads(threads)
     files = images_of(images)
     pipeline = load_pipeline([keypoints] if isinstance(keypoints, Path) else keypoints, detector)
+    refuse_no_camera(camera, distortion, metres_per_unit)
     entries: list[dict[str, Any]] = []
     proposals: list[Click] = []
     unreadable: Counter[str] = Counter()
@@ -95,10 +101,22 @@ def predict(
     say_left_out(unreadable)
 
 
+def refuse_no_camera(camera: Sequence[float], distortion: Sequence[float], metres_per_unit: float) -> None:
+    """Raise a DataError where options describe no camera."""
+    if len(camera) != 4:
+        raise DataError(f"--camera is four numbers, '[fx, fy, cx, cy]'; got {len(camera)}: {camera}")
+    if not all(map(math.isfinite, camera)) or min(camera[:2]) <= 0:
+        raise DataError(f"--camera is {camera}; focal lengths are above 0: '[fx, fy, cx, cy]', in pixels")
+    if len(distortion) not in DISTORTION_LENGTHS or not all(map(math.isfinite, distortion)):
+        raise DataError(f"--distortion is {distortion}; OpenCV has 4, 5, 8, 12 or 14 coefficients, or none")
+    if not 0 < metres_per_unit < math.inf:
+        raise DataError(f"--metres_per_unit is {metres_per_unit}; it is above 0: 0.001 for millimetres")
+
+
 def _counted(entries: Sequence[dict[str, Any]]) -> str:
     objects = [each for entry in entries for each in entry["objects"]]
     with_pose = sum(each["camera_from_object"] is not None for each in objects)
-    return f"{len(entries)} images, {len(objects)} objects, {with_pose} of them with a pose"
+    return f"{counted(len(entries), 'image')}, {counted(len(objects), 'object')}, {with_pose} with a pose"
 
 
 def images_of(place: Path) -> list[Path]:
@@ -109,9 +127,10 @@ def images_of(place: Path) -> list[Path]:
     """
     if place.is_file():
         return [place]
-    files = sorted(path for path in place.rglob("*") if path.suffix.lower() in SUFFIXES)
+    files = sorted(path for path in place.rglob("*") if path.suffix.lower() in IMAGE_SUFFIXES)
     if not files:
-        raise DataError(f"{place} holds no image ({', '.join(sorted(SUFFIXES))}); name an image or a folder")
+        known = ", ".join(sorted(IMAGE_SUFFIXES))
+        raise DataError(f"{place} holds no image ({known}); name an image or a folder")
     return files
 
 
@@ -171,8 +190,6 @@ def _entry(seen: SeenKeypoints, result: PoseEstimate | PoseFailure) -> dict[str,
 
 
 def _intrinsics(camera: Sequence[float], distortion: Sequence[float], image: Any) -> Intrinsics:
-    if len(camera) != 4:
-        raise DataError(f"--camera is four numbers, '[fx, fy, cx, cy]'; got {len(camera)}: {camera}")
     height, width = image.shape[:2]
     fx, fy, cx, cy = camera
     return Intrinsics(fx, fy, cx, cy, width, height, tuple(distortion))

@@ -7,6 +7,7 @@ from collections import Counter
 from pathlib import Path
 
 from rpl_data.types import DataError
+from rpl_data.wording import counted
 
 from .masks.settings import SCORE_THRESHOLD
 
@@ -28,7 +29,7 @@ def predict_masks(
         images: an image, a folder of images, or a video.
         masks: checkpoint of `rpl train masks`.
         out: folder for everything that is written.
-        threshold: least score of what is drawn; results.json has everything.
+        threshold: least score of what is drawn; results.json has all from a score of 0.05 on.
         threads: processor threads of torch; None leaves the number to torch.
     """
     from .masks.prediction import predict_to
@@ -40,7 +41,9 @@ def predict_masks(
         raise DataError(f"the overlays would replace the images of {out}; choose another --out")
     unreadable: Counter[str] = Counter()
     count, drawn = predict_to(load_segmenter(masks), images, out, threshold=threshold, unreadable=unreadable)
-    print(f"{out}: {count} images, {drawn} objects with a score of {threshold:g} or more")
+    print(
+        f"{out}: {counted(count, 'image')}, {counted(drawn, 'object')} with a score of {threshold:g} or more"
+    )
     say_left_out(unreadable)
 
 

@@ -53,19 +53,22 @@ def show_batch(
     import numpy as np
     import torch
 
+    from rpl_data.files import write_bytes
     from rpl_data.torch.keypoints import KeypointDataset
     from rpl_data.types import DataError
 
     if columns < 1:
         raise DataError(f"columns is {columns}; give 1 or more")
+    if out.suffix.lower() != ".png":
+        raise DataError(f"--out is {out}; the picture is a PNG: give it a name that ends in .png")
     strips = []
     for name, alone in _alone(augment).items():
         data = KeypointDataset(coco, split=split, object=object, input_px=input_px, augment=alone)
         rows = np.linspace(0, len(data) - 1, columns).round().astype(int)
         torch.manual_seed(seed)
         strips.append(_strip(name, [data[int(row)] for row in rows]))
-    out.parent.mkdir(parents=True, exist_ok=True)
-    cv2.imwrite(str(out), cv2.cvtColor(np.vstack(strips), cv2.COLOR_RGB2BGR))
+    png = cv2.imencode(".png", cv2.cvtColor(np.vstack(strips), cv2.COLOR_RGB2BGR))[1]
+    write_bytes(out, png.tobytes())
     print(out)
     return out
 

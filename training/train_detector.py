@@ -83,15 +83,8 @@ def train_detector(
         check_same_network(resumed, (trained.names, trained.options), (module.names, network))
     say(f"{', '.join(train.names[1:])}: {len(train)} images to train on, {len(val or [])} to validate on")
     say_held_out(scenes, len(unseen or []))
-    lesson = Lesson(
-        module,
-        train,
-        val,
-        collate=collate_readable_lists,
-        figure="found",
-        settings={"augment": asdict(augment), "weights": weights, HELD_OUT: list(scenes.unseen)},
-        unseen=unseen,
-    )
+    settings = {"augment": asdict(augment), "weights": weights, HELD_OUT: list(scenes.unseen)}
+    lesson = Lesson(module, train, val, collate_readable_lists, "found", settings, unseen=unseen)
     return fit(lesson, run, resumed=resumed)
 
 

@@ -80,15 +80,7 @@ def train_keypoints(
     from .runs.trainer import Lesson, fit, say, say_held_out, start
     from .runs.weights import start_from
 
-    if not 0 <= synthetic <= 1:
-        raise DataError(f"--synthetic is {synthetic}; give the share of rendered crops, 0 to 1")
-    if rendered is not None and not synthetic:
-        raise DataError("--rendered names what nothing uses; say by --synthetic which share is rendered")
-    if synthetic and validate_scenes:
-        raise DataError(
-            "--synthetic renders what all training scenes show, those that --validate_scenes holds out too, "
-            "so they would not be unseen; leave one of the two out"
-        )
+    refuse_contradictions(synthetic, rendered, validate_scenes)
     run = Run(out, learning, machine, validate_every, seed, resume, overwrite, until)
     resumed = start(run)
     data = KeypointDataModule(
@@ -107,29 +99,35 @@ def train_keypoints(
         say(start_from(start_of(module.network, network), weights))
     else:
         check_resumable(resumed, module)
-    name = data.train.model.name
     train: Any = data.train
     if synthetic:
         folder = rendered or coco.parent / "synthetic"
         train = partly_synthetic(data.train, folder, synthetic, canonical=canonical)
-    say(f"{name}: {len(data.train)} instances to train on, {len(data.val or [])} to validate on")
+    counts = f"{len(data.train)} instances to train on, {len(data.val or [])} to validate on"
+    say(f"{data.train.model.name}: {counts}")
     say_held_out(data.scenes, len(data.unseen or []))
-    lesson = Lesson(
-        module,
-        train,
-        data.val,
-        collate=collate_readable,
-        figure="pck",
-        settings={
-            "augment": asdict(data.train.augment or augment),
-            "canonical": canonical,
-            "weights": weights,
-            HELD_OUT: list(data.scenes.unseen),
-            "synthetic": synthetic,
-        },
-        unseen=data.unseen,
-    )
+    settings = {
+        "augment": asdict(data.train.augment or augment),
+        "canonical": canonical,
+        "weights": weights,
+        HELD_OUT: list(data.scenes.unseen),
+        "synthetic": synthetic,
+    }
+    lesson = Lesson(module, train, data.val, collate_readable, "pck", settings, unseen=data.unseen)
     return fit(lesson, run, resumed=resumed)
+
+
+def refuse_contradictions(synthetic: float, rendered: Path | None, validate_scenes: int) -> None:
+    """Raise a DataError where options about rendered crops do not go together, before anything is read."""
+    if not 0 <= synthetic <= 1:
+        raise DataError(f"--synthetic is {synthetic}; give the share of rendered crops, 0 to 1")
+    if rendered is not None and not synthetic:
+        raise DataError("--rendered names what nothing uses; say by --synthetic which share is rendered")
+    if synthetic and validate_scenes:
+        raise DataError(
+            "--synthetic renders what all training scenes show, those that --validate_scenes holds out too, "
+            "so they would not be unseen; leave one of the two out"
+        )
 
 
 def check_resumable(checkpoint: Path, module: KeypointTraining) -> None:

@@ -87,18 +87,14 @@ def train_masks(
         check_resumable(resumed, module)
     say(f"{', '.join(train.names[1:])}: {len(train)} images to train on, {len(val or [])} to validate on")
     say_held_out(scenes, len(unseen or []))
+    settings = {"augment": asdict(augment), "weights": weights, "head_epochs": head_epochs}
     lesson = Lesson(
         module,
         train,
         val,
-        collate=collate_readable_lists,
-        figure="iou",
-        settings={
-            "augment": asdict(augment),
-            "weights": weights,
-            "head_epochs": head_epochs,
-            HELD_OUT: list(scenes.unseen),
-        },
+        collate_readable_lists,
+        "iou",
+        settings | {HELD_OUT: list(scenes.unseen)},
         unseen=unseen,
         drop_last=len(train) > learning.batch,  # batch norm learns little from a last batch of one image
         val_batch=1,  # whole images are larger than the training's crops
@@ -110,7 +106,7 @@ def _validation(coco_json: Path, scenes: Collection[str] | None) -> InstanceData
     """None where there is nothing to validate on."""
     from rpl_data.torch.instances import InstanceDataset
 
-    dataset = InstanceDataset(coco_json, scenes=scenes) if coco_json.exists() else None
+    dataset = InstanceDataset(coco_json, crowds=True, scenes=scenes) if coco_json.exists() else None
     return dataset if dataset is not None and len(dataset) else None
 
 

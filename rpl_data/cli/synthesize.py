@@ -21,7 +21,8 @@ def synthesize(
     """Render new images of the labelled objects, from their own meshes, for training.
 
     Meshes, colours, light, backgrounds and noise are all made of the training scenes of export/coco: nothing
-    of a test scene enters. Objects stand on the recorded tables as they did, turned anew, or are shown from
+    of a test scene enters but by the keypoints and poses, which all scenes were solved for together. Objects
+    stand on the recorded tables as they did, turned anew, or are shown from
     sides that the recordings lack. What no training scene saw is never shown. The labels are exact.
 
     The folder, export/synthetic of the workspace when --out is left out, is a COCO export like export/coco;

@@ -30,8 +30,8 @@ class PoseErrors:
     adds_m: float
 
 
-INFINITE = PoseErrors(np.inf, np.pi, np.inf, np.inf)
-"""Of a failure."""
+INFINITE = PoseErrors(np.inf, np.inf, np.inf, np.inf)
+"""Of a failure. Half a turn, the largest angle there is, would be a figure that can be compared."""
 
 
 def pose_errors(

@@ -16,6 +16,9 @@ from rpl_data.synthesize.normals import steady_normals
 from rpl_data.synthesize.painted import PaintedMesh, steps_of, texel_positions
 from rpl_data.types import Mesh
 
+SAME_MODEL_M = 1e-4
+"""Keypoints that are nearer than this to where they were are those of the same solve."""
+
 
 @dataclass(frozen=True)
 class Body:

@@ -60,7 +60,7 @@ class Subject:
         keypoints: their names.
         views: directions from the object to the camera in the recorded images, object frame.
         shown: for each of `spread_directions`, whether the mesh was seen from there.
-        ups: what was up, or out of the table, in each scene; object frame.
+        ups: what was up, or out of the table, for each instance in each scene; object frame.
         turn_deg: largest turn of the image against upright.
         nearest_m, farthest_m: recorded distances.
         keypoint_sigma_m: how far off the keypoints may be on the mesh, standard deviation per axis.

@@ -8,6 +8,9 @@ from typing import Literal
 
 from rpl_data.types import DataError
 
+PICTURES = {".jpg", ".jpeg", ".png", ".bmp", ".webp"}
+"""Endings of the pictures that are looked for in a folder of backgrounds."""
+
 
 @dataclass(frozen=True)
 class Augmentation:
@@ -69,12 +72,13 @@ class Augmentation:
         return float(self.rotation_deg)
 
 
-def refuse_pasting(augmentation: Augmentation) -> None:
-    """Refuse options that change what is around one object, where images show several.
+def refuse_for_one_object(augmentation: Augmentation) -> None:
+    """Refuse options that one object's crops alone can have, where images show several objects.
 
     Raises:
-        DataError: `background` or `occluders` is set.
+        DataError: `background` or `occluders` is set, or `rotation_deg` is `auto`.
     """
+    _ = augmentation.largest_turn_deg  # which refuses `auto`
     if augmentation.background or augmentation.occluders:
         raise DataError(
             "augment.background and augment.occluders are for the crops of KeypointDataset: give 0"

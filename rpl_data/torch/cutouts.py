@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float64, UInt8
 
+from rpl_data.torch.augmentation import PICTURES
 from rpl_data.torch.image_files import read_image
 from rpl_data.torch.keypoint_rows import KeypointRows
 from rpl_data.torch.pixel_cache import Rectangle
@@ -33,8 +34,6 @@ MOSTLY_SEEN = 0.8
 
 SMALLEST_SHARE = 0.003
 """Share of the image that an object must fill to be cut out: 30 x 30 px of 640 x 480."""
-
-PICTURES = {".jpg", ".jpeg", ".png", ".bmp", ".webp"}
 
 Alpha = UInt8[np.ndarray, "height width"]
 

@@ -13,7 +13,7 @@ from torch import Tensor
 from torch.utils.data import Dataset
 
 from rpl_data.formats.datasets.coco_parts import read_packed
-from rpl_data.torch.augmentation import refuse_pasting
+from rpl_data.torch.augmentation import refuse_for_one_object
 from rpl_data.torch.colours import jittered
 from rpl_data.torch.image_files import read_image, to_unit_range
 from rpl_data.torch.scenes import only_scenes
@@ -85,7 +85,7 @@ class DetectionDataset(Dataset[tuple[Tensor, DetectionTarget]]):
         if augment is not None and augment.rotation_deg:
             raise DataError(f"rotation_deg is {augment.rotation_deg}; a rotated box is not upright: give 0")
         if augment is not None:
-            refuse_pasting(augment)
+            refuse_for_one_object(augment)
         coco_json = split_file(path, split)
         data = only_scenes(read_packed(coco_json, {"images": IMAGE_KEYS, "annotations": BOX_KEYS}), scenes)
         if not data["images"]:

@@ -27,11 +27,12 @@ class KeypointRows:
     """The annotations of one object as arrays, one row per instance.
 
     Arrays, not dictionaries: worker processes share their memory, while a list of dictionaries would be
-    copied as soon as reference counts change. `masks` are packed as COCO packs them.
+    copied as soon as reference counts change. `masks` are packed as COCO packs them; `places` name the scene
+    and, where a scene shows the object several times, the instance.
     """
 
     files: np.ndarray
-    scenes: np.ndarray
+    places: np.ndarray
     masks: np.ndarray
     image_ids: Int64[np.ndarray, " n"]
     annotation_ids: Int64[np.ndarray, " n"]
@@ -65,7 +66,7 @@ def choose_object(data: dict[str, Any], name: str | None, source: Path) -> tuple
 IMAGE_KEYS = ("id", "file_name", "scene", "width", "height", "cam_K", "distortion")
 ANNOTATION_KEYS = (
     *("id", "image_id", "category_id", "segmentation", "area", "bbox", "keypoints"),
-    *("camera_from_object", "visib_fract", "square_box"),
+    *("camera_from_object", "visib_fract", "square_box", "instance"),
 )
 """What `keypoint_rows` and the cutouts of `pasting_of` need of a COCO file."""
 
@@ -79,10 +80,12 @@ def keypoint_rows(data: Mapping[str, Any], category_id: int, folder: Path) -> Ke
 def _keypoint_rows(data: Mapping[str, Any], category_id: int, folder: Path) -> KeypointRows:
     images = _ImageColumns.of(data["images"], folder)
     masks: list[bytes] = []
+    instances: list[str] = []
     own, poses, keypoints, boxes = array("q"), array("d"), array("d"), array("d")
     for annotation in data["annotations"]:
         if annotation["category_id"] == category_id:
             masks.append(annotation["segmentation"]["counts"].encode())
+            instances.append(annotation.get("instance", ""))
             own.extend((annotation["id"], annotation["image_id"]))
             poses.extend(annotation["camera_from_object"])
             keypoints.extend(annotation["keypoints"])
@@ -92,7 +95,7 @@ def _keypoint_rows(data: Mapping[str, Any], category_id: int, folder: Path) -> K
     count = len(rows)
     return KeypointRows(
         files=images.files[rows],
-        scenes=images.scenes[rows],
+        places=np.array([f"{images.scenes[row]}/{one}" for row, one in zip(rows, instances, strict=True)]),
         masks=np.array(masks, dtype=np.bytes_),
         image_ids=ids[:, 1],
         annotation_ids=ids[:, 0],

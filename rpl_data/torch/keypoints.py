@@ -40,7 +40,7 @@ from rpl_data.torch.transforms import (
     reach,
     warped,
 )
-from rpl_data.torch.turns import turn_by_scenes
+from rpl_data.torch.turns import turn_by_places
 from rpl_data.torch.views import WHOLE, Transforms, View, transformed
 from rpl_data.types import DataError
 from rpl_data.wording import counted
@@ -151,7 +151,7 @@ class KeypointDataset(Dataset[KeypointSample]):
         if canonical:
             self._rows = canonical_rows(self._rows, chosen)
         if augment is not None and augment.rotation_deg == "auto":
-            turn = turn_by_scenes(self._rows.scenes, self._rows.camera_from_object)
+            turn = turn_by_places(self._rows.places, self._rows.camera_from_object)
             augment = replace(augment, rotation_deg=turn)
         self.augment = augment
         self._pasting = pasting_of(

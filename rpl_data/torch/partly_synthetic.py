@@ -6,9 +6,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from torch.utils.data import Dataset
 
+from rpl_data.synthesize.body import SAME_MODEL_M
 from rpl_data.torch.keypoint_sample import KeypointSample
 from rpl_data.torch.keypoints import KeypointDataset
 from rpl_data.torch.splits import scenes_of
@@ -66,8 +68,8 @@ def partly_synthetic(
         canonical: as the recorded crops were opened.
 
     Raises:
-        DataError: the views were rendered from a scene that is in the test split by now, and as of
-            `SyntheticKeypoints` and `PartlySynthetic`.
+        DataError: the views were rendered from a scene that is in the test split by now, or with keypoints
+            elsewhere on the object, and as of `SyntheticKeypoints` and `PartlySynthetic`.
     """
     augment = recorded.augment
     if augment is not None:
@@ -88,4 +90,12 @@ def partly_synthetic(
             f"{folder} was rendered from scene {', '.join(sorted(tested))}, which {recorded.folder} has "
             "in its test split; run `rpl synthesize` again"
         )
-    return PartlySynthetic(recorded, synthetic, share)
+    both = PartlySynthetic(recorded, synthetic, share)
+    ours, theirs = recorded.model.points_object, synthetic.model.points_object
+    if not np.allclose(ours, theirs, rtol=0, atol=SAME_MODEL_M, equal_nan=True):
+        raise DataError(
+            f"{folder} was rendered with the keypoints of {recorded.model.name} at other places than "
+            f"{recorded.folder} has them: run `rpl synthesize` again after an export with other clicks; "
+            "rendered views of true labels (coco_truth) there are none"
+        )
+    return both

@@ -38,7 +38,7 @@ def canonical_label(
         return camera_from_object, keypoints, box
     placed = canonical_keypoints(keypoints, camera_from_object, symmetry, points_object, camera)
     around = placed[placed[:, 2] > 0, :2]
-    if len(around):
+    if len(around) > 1:  # else it is the box of the mask
         box = np.array(asdict_values(square_box(around)))
     return camera_from_object @ symmetry, placed, box
 

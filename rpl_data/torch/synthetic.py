@@ -14,7 +14,8 @@ import torch
 from jaxtyping import Float64
 from torch.utils.data import Dataset, get_worker_info
 
-from rpl_data.geometry import Transform, inside_image, project, rays, square_box, transform
+from rpl_data.geometry import Pixels, Transform, inside_image, project, rays, square_box, transform
+from rpl_data.json_arrays import asdict_values
 from rpl_data.synthesize.arrange import draw_pose
 from rpl_data.synthesize.compose import laid_over, shadowed
 from rpl_data.synthesize.light import draw_lights
@@ -142,7 +143,7 @@ class SyntheticKeypoints(Dataset[KeypointSample]):
         rng = np.random.default_rng(int(torch.randint(2**62, ()).item()))
         plate, pose = self._posed(rng)
         keypoints = self._keypoints(plate.camera, pose)
-        square = np.array(_square(keypoints[:, :2]))
+        square = self._square(keypoints[:, :2], plate.camera, pose)
         shown = pose
         if self._canonical:
             label = (pose, keypoints, square)
@@ -199,6 +200,14 @@ class SyntheticKeypoints(Dataset[KeypointSample]):
         seen = body.around.faces(body.rays, pose)
         return np.column_stack([uv, np.where(inside, np.where(seen, 2, 1), 0)])
 
+    def _square(self, keypoints_px: Pixels, camera: Intrinsics, pose: Transform) -> Float64[np.ndarray, "3"]:
+        """The paper's square box; around the whole object where fewer than two keypoints project."""
+        around = keypoints_px[np.isfinite(keypoints_px).all(axis=1)]
+        if len(around) < 2:
+            around = project(camera, transform(pose, self._subject.body.hull))
+            around = around[np.isfinite(around).all(axis=1)]
+        return np.array(asdict_values(square_box(around)))
+
     def _crop_from_image(self, square: Float64[np.ndarray, "3"], rng: np.random.Generator) -> Affine:
         if self.augment is None:
             return crop_from_square(square[:2], square[2], input_px=self.input_px)
@@ -244,9 +253,3 @@ class SyntheticKeypoints(Dataset[KeypointSample]):
     def __getstate__(self) -> dict[str, Any]:
         """Without what each worker makes for itself: the decoded plates above all."""
         return {name: value for name, value in self.__dict__.items() if name not in ("_pictures", "_grid")}
-
-
-def _square(keypoints_px: Float64[np.ndarray, "k 2"]) -> tuple[float, float, float]:
-    """The paper's square box around the keypoints that project."""
-    found = square_box(keypoints_px[np.isfinite(keypoints_px).all(axis=1)])
-    return found.cx_px, found.cy_px, found.side_px

@@ -18,14 +18,16 @@ PRIOR = 0.02
 """Weight of the images' upward axis against the horizontal ones of all frames."""
 
 
-def turn_by_scenes(scenes: np.ndarray, camera_from_object: Float64[np.ndarray, "n 4 4"]) -> float:
-    """Return 180 deg where the object lies on different sides in different scenes, else 30 deg.
+def turn_by_places(places: np.ndarray, camera_from_object: Float64[np.ndarray, "n 4 4"]) -> float:
+    """Return 180 deg where the object lies on different sides in different places, else 30 deg.
+
+    A place is a scene, or one of the instances in it.
 
     A camera held upright sees an object that always stands on the same side upright, too, and turning its
     crops only makes the task harder. Where the object lies on other sides in other scenes, a scene nobody
     trained on may show any side up, so any turn is to be expected.
     """
-    ups = [up_in_object(camera_from_object[scenes == scene]) for scene in np.unique(scenes)]
+    ups = [up_in_object(camera_from_object[places == place]) for place in np.unique(places)]
     angles = [np.rad2deg(np.arccos(np.clip(a @ b, -1, 1))) for a, b in combinations(ups, 2)]
     return ANY_TURN_DEG if max(angles, default=0.0) > SIDE_DEG else USUAL_TURN_DEG
 

@@ -15,7 +15,7 @@ from jaxtyping import Float64, UInt8
 from torch import Tensor
 from torchvision import tv_tensors
 
-from rpl_data.geometry import square_box
+from rpl_data.geometry import Pixels, square_box
 from rpl_data.json_arrays import asdict_values
 from rpl_data.torch.image_files import to_unit_range
 from rpl_data.torch.keypoint_rows import KeypointRows
@@ -70,12 +70,15 @@ def transformed(pixels: Image, rows: KeypointRows, row: int, transforms: Transfo
             "the transforms returned a plain tensor for points; wrap them as they came: "
             "tv_tensors.wrap(moved, like=target['points'])"
         )
+    unmoved = View(pixels, WHOLE, rows.keypoints[row], rows.square_boxes[row], lambda: rows.mask(row))
     if len(after["points"]) != 1 or not bool((after["visibility"] > 0).any()):
-        return View(pixels, WHOLE, rows.keypoints[row], rows.square_boxes[row], lambda: rows.mask(row))
+        return unmoved
     keypoints = _keypoints(after)
     known = keypoints[:, 2] > 0
     moved = np.abs(keypoints - rows.keypoints[row])[known].max() > MOVED_PX
-    box = np.array(asdict_values(square_box(keypoints[known, :2]))) if moved else rows.square_boxes[row]
+    box = _square_box(keypoints[known, :2], after) if moved else rows.square_boxes[row]
+    if not box[2] > 0:
+        return unmoved
     levels = (image.as_subclass(Tensor).clamp(0, 1) * 255).round_().to(torch.uint8)
     mask = after["masks"][0].as_subclass(Tensor).numpy()
     pixels = np.ascontiguousarray(levels.permute(1, 2, 0).numpy())
@@ -102,6 +105,14 @@ def _target(rows: KeypointRows, row: int) -> InstanceTarget:
         "points": points_from_keypoints(keypoints, size),
         "visibility": keypoints[..., 2].to(torch.int64),
     }
+
+
+def _square_box(known_px: Pixels, target: InstanceTarget) -> Float64[np.ndarray, "3"]:
+    """The square around the moved keypoints; around the moved mask where fewer than two are known."""
+    if len(known_px) < 2:
+        edges = target["boxes"].as_subclass(Tensor).numpy().astype(float)
+        known_px = edges.reshape(2, 2) - EDGE_FROM_CENTRE_PX
+    return np.array(asdict_values(square_box(known_px)))
 
 
 def _keypoints(target: InstanceTarget) -> Float64[np.ndarray, "k 3"]:

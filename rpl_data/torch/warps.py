@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 from torchvision import tv_tensors
 
-from rpl_data.torch.augmentation import refuse_pasting
+from rpl_data.torch.augmentation import refuse_for_one_object
 from rpl_data.torch.colours import jittered
 from rpl_data.torch.image_files import to_unit_range
 from rpl_data.torch.targets import InstanceSample, InstanceTarget, points_from_keypoints
@@ -29,7 +29,7 @@ class RandomAffine:
 
     def __init__(self, augmentation: Augmentation) -> None:
         """Take the amounts; `augmentation.shift` is a share of the image's longer side."""
-        refuse_pasting(augmentation)
+        refuse_for_one_object(augmentation)
         self._augmentation = augmentation
 
     def __call__(self, image: Tensor, target: InstanceTarget) -> InstanceSample:

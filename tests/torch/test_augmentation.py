@@ -6,8 +6,11 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from labelled_scenes import BOX, exported
+from labelled_scenes import BOX, exported, two_boxes
 
+from rpl_data.export import export_coco
+from rpl_data.export.split import SplitRule
+from rpl_data.formats.datasets.coco import read_coco, write_coco
 from rpl_data.geometry import from_rotvec
 from rpl_data.torch.augmentation import Augmentation
 from rpl_data.torch.colours import jittered
@@ -17,7 +20,7 @@ from rpl_data.torch.epochs import SeededRows
 from rpl_data.torch.keypoints import KeypointDataset
 from rpl_data.torch.pasting import Pasting, hide, pasted
 from rpl_data.torch.transforms import moved, warped
-from rpl_data.torch.turns import turn_by_scenes, up_in_object
+from rpl_data.torch.turns import turn_by_places, up_in_object
 from rpl_data.torch.warps import RandomAffine
 from rpl_data.types import DataError
 
@@ -198,17 +201,30 @@ def test_crops_turn_fully_where_scenes_show_other_sides_up():
     rng = np.random.default_rng(1)
     scenes = np.repeat(["a", "b", "c"], 30)
     standing = [orbit(lying([0, 0, yaw]), rng) for yaw in (0.0, 2.0, 4.0)]
-    assert turn_by_scenes(scenes, np.concatenate(standing)) == 30.0
+    assert turn_by_places(scenes, np.concatenate(standing)) == 30.0
     fallen = [*standing[:2], orbit(lying([np.pi / 2, 0, 0]), rng)]
-    assert turn_by_scenes(scenes, np.concatenate(fallen)) == 180.0
-    assert turn_by_scenes(scenes[:30], standing[0]) == 30.0  # one scene says nothing
+    assert turn_by_places(scenes, np.concatenate(fallen)) == 180.0
+    assert turn_by_places(scenes[:30], standing[0]) == 30.0  # one scene says nothing
+
+
+def test_two_instances_of_a_scene_may_lie_on_different_sides(tmp_path):
+    export_coco(tmp_path / "coco", [two_boxes(tmp_path)], [BOX], split=SplitRule(val_fraction=0.0))
+    data, over = read_coco(tmp_path / "coco" / "train.json"), lying([np.pi / 2, 0, 0])
+    for one in data["annotations"]:
+        if one.get("instance") == "2":
+            one["camera_from_object"] = (
+                (np.reshape(one["camera_from_object"], (4, 4)) @ over).ravel().tolist()
+            )
+    write_coco(tmp_path / "coco" / "train.json", data)
+    found = KeypointDataset(tmp_path / "coco", split="train", augment=Augmentation(rotation_deg="auto"))
+    assert found.augment.rotation_deg == 180.0
 
 
 def test_auto_is_decided_by_the_dataset_and_refused_elsewhere(folder):
     data = KeypointDataset(folder, split="train", object="box", augment=Augmentation(rotation_deg="auto"))
     assert data.augment.rotation_deg == 30.0
     with pytest.raises(DataError, match="rotation_deg is auto"):
-        Augmentation(rotation_deg="auto").largest_turn_deg  # noqa: B018
+        RandomAffine(Augmentation(rotation_deg="auto"))
 
 
 def test_keypoints_stay_on_their_pixels_in_full_turns(folder):

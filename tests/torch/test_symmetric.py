@@ -13,7 +13,7 @@ from rpl_data.formats.datasets.coco import CocoObject, header, instance_to_coco
 from rpl_data.geometry import from_rotvec, project, square_box, transform
 from rpl_data.symmetries import symmetry_transforms, turn
 from rpl_data.torch import KeypointDataModule, KeypointDataset
-from rpl_data.torch.symmetric import canonical_keypoints, canonical_symmetry
+from rpl_data.torch.symmetric import canonical_keypoints, canonical_label, canonical_symmetry
 from rpl_data.types import Symmetries, SymmetryAxis
 
 UPRIGHT = SymmetryAxis((0.0, 0.6, 0.8), (0.01, 0.0, 0.02))
@@ -53,6 +53,15 @@ def test_visibility_goes_with_the_place():
     assert found[:, 2].tolist() == [2, 2, 1, 0]  # on the axis; the two that change places; never clicked
     np.testing.assert_allclose(found[1, :2], project(CAMERA, transform(pose, points[2:3]))[0])
     assert canonical_symmetry(half, pose).tolist() == np.eye(4).tolist()
+
+
+def test_the_box_of_one_keypoint_stays():
+    box, pose = np.array([40.0, 30.0, 25.0]), turn(ACROSS, np.pi)
+    pose[2, 3] += 0.7
+    found = canonical_label(
+        pose, np.array([[10.0, 10.0, 2.0]]), box, Symmetries((HALF,)), np.array([[0.0, 0.03, 0.05]]), CAMERA
+    )
+    assert not np.allclose(found[0], pose) and found[2] is box
 
 
 def test_a_dataset_of_two_equal_views_has_two_equal_labels(tmp_path):

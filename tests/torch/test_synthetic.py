@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import pickle
+import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -57,6 +59,18 @@ def test_keypoints_lie_where_opencv_projects_them(folder: Path) -> None:
     assert np.abs(shown - 90).max() > 20 and shown.max() <= COLORS.max() * 1.2
 
 
+def test_the_crop_of_one_keypoint_shows_the_whole_object(folder: Path, tmp_path: Path) -> None:
+    shutil.copytree(folder / "studio", tmp_path / "studio")
+    file = tmp_path / "studio" / "studio.json"
+    content = json.loads(file.read_text())
+    for name in ("keypoints", "points_object"):
+        content["subjects"]["cube"][name] = content["subjects"]["cube"][name][:1]
+    file.write_text(json.dumps(content))
+    torch.manual_seed(0)
+    sample = views(tmp_path)[0]
+    assert sample["square_box"][2] > 30 and sample["image"].std() > 0.02
+
+
 def test_a_seed_gives_the_same_views_in_any_process(folder: Path) -> None:
     dataset = views(folder, augment=PLAIN)
     torch.manual_seed(3)
@@ -100,7 +114,7 @@ def test_what_cannot_be_rendered_is_said(folder: Path, tmp_path: Path) -> None:
         views(folder)[5]
 
 
-def test_views_of_a_scene_that_is_tested_by_now_are_refused(folder: Path, tmp_path: Path) -> None:
+def test_views_of_a_tested_scene_or_of_other_keypoints_are_refused(folder: Path, tmp_path: Path) -> None:
     rendered = views(folder)
     (tmp_path / "test.json").write_text(json.dumps({"images": [{"scene": rendered.scenes[0]}]}))
 
@@ -118,3 +132,6 @@ def test_views_of_a_scene_that_is_tested_by_now_are_refused(folder: Path, tmp_pa
         partly_synthetic(Recorded(), folder, 0.5)
     (tmp_path / "test.json").unlink()
     assert len(partly_synthetic(Recorded(), folder, 0.5)) == 3
+    Recorded.model = replace(rendered.model, points_object=rendered.model.points_object + 0.002)
+    with pytest.raises(DataError, match="keypoints of cube at other places"):
+        partly_synthetic(Recorded(), folder, 0.5)

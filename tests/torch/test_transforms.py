@@ -1,5 +1,6 @@
 """Transforms of whole images before crops are cut: by torchvision, albumentations and kornia."""
 
+import json
 import re
 from pathlib import Path
 
@@ -102,6 +103,22 @@ def test_the_crop_follows_the_moved_object(folder):
         assert b["camera_matrix"].isnan().all() and b["camera_from_object"].isnan().all()
         on_crop = moved(b["crop_from_image"].numpy(), b["keypoints_px"].numpy())
         assert np.isfinite(on_crop[:3]).all()
+
+
+def test_the_crop_of_one_keypoint_is_around_the_mask(folder, tmp_path):
+    """Around a point there is no square."""
+    data = json.loads((folder / "train.json").read_text())
+    data["categories"][0] |= {"keypoints": ["a"], "skeleton": []}
+    data["rpl"]["objects"][0]["points_object"] = data["rpl"]["objects"][0]["points_object"][:1]
+    data["annotations"] = [one for one in data["annotations"] if one["category_id"] == 1]
+    for one in data["annotations"]:
+        one |= {"keypoints": one["keypoints"][:3], "num_keypoints": 1, "sigma_px": one["sigma_px"][:1]}
+    (tmp_path / "train.json").write_text(json.dumps(data))
+    (tmp_path / "images").symlink_to(folder / "images")
+    sample = KeypointDataset(tmp_path, split="train", object="box", input_px=64, transforms=shifted)[0]
+    x, y, width, height = data["annotations"][0]["bbox"]
+    centre = [x + width / 2 - 0.5 + 7, y + height / 2 - 0.5 - 4]
+    assert sample["square_box"].tolist() == pytest.approx([*centre, 1.5 * max(width, height)], abs=1e-3)
 
 
 def test_colours_leave_the_camera_known(folder):

@@ -8,10 +8,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from labelled_scenes import BOX, CAN, exported
+from labelled_scenes import BOX, CAN, exported, two_boxes
 
 from rpl_data.evaluate.truth import box_mesh
+from rpl_data.export import export_coco
 from rpl_data.export.bop_models import EVALUATED_TRIANGLES as EXPORTED_TRIANGLES
+from rpl_data.export.split import SplitRule
 from rpl_data.formats.datasets.coco import instance_from_coco, read_coco, write_coco
 from rpl_data.meshes import save_mesh
 from rpl_data.pose.benchmark import EVALUATED_TRIANGLES
@@ -21,13 +23,18 @@ from training.pose.benchmark import Benchmark
 from training.pose.pipeline import SeenKeypoints
 from training.pose.scores import Judged
 
+MISSED = ("epnp", "not detected", INFINITE, np.full(3, np.inf), None, None)
 CORNERS = np.array([[x, y, z] for x in (-0.1, 0.1) for y in (-0.1, 0.1) for z in (0.0, 0.05)])
 
 
 @pytest.fixture(scope="module")
 def truth(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Five images with a box and a can each; the box has a mesh."""
-    folder = exported(tmp_path_factory.mktemp("benchmark"), models=(BOX, CAN))
+    return with_mesh(exported(tmp_path_factory.mktemp("benchmark"), models=(BOX, CAN)))
+
+
+def with_mesh(folder: Path) -> Path:
+    """The training split of an export whose first object, the box, has got a mesh."""
     save_mesh(folder / "box.ply", box_mesh(CORNERS))
     data = read_coco(folder / "train.json")
     data["rpl"]["objects"][0]["mesh"] = "box.ply"
@@ -72,6 +79,22 @@ def test_a_unit_that_contradicts_the_file_is_refused(truth: Path) -> None:
         Benchmark(truth, metres_per_unit=0.0002).score(perfect(truth))
 
 
+def test_each_of_two_instances_has_its_own_estimate(tmp_path: Path) -> None:
+    """Crops that are given give one each; the one that a detector finds may be of either instance."""
+    export_coco(tmp_path / "coco", [two_boxes(tmp_path)], [BOX], split=SplitRule(val_fraction=0.0))
+    coco_json = without_units(with_mesh(tmp_path / "coco"))
+    benchmark, both = Benchmark(coco_json, metres_per_unit=None), perfect(coco_json)
+    for found in ((True, True), (True, False), (False, True)):
+        judged = [
+            each if found[row % 2] else Judged(each.object, each.image, *MISSED)
+            for row, each in enumerate(both)
+        ]
+        score, share = benchmark.score(judged), sum(found) / 2
+        assert (score.recall_mssd, score.recall_mspd) == (share, share)
+        assert score.oks_ap == pytest.approx(share, abs=0.01)
+        assert len(list(benchmark.results(judged))) == 5 * sum(found)
+
+
 def without_units(coco_json: Path) -> Path:
     """The file as earlier versions wrote it."""
     data = read_coco(coco_json)
@@ -91,9 +114,7 @@ def test_older_exports_need_the_unit_said(truth: Path) -> None:
 def test_a_miss_counts_in_each_figure(truth: Path) -> None:
     """One of five is not detected, one is 30 mm (0.1047 diameters) off across the view."""
     judged = perfect(truth)
-    judged[0] = Judged(
-        "box", judged[0].image, "epnp", "not detected", INFINITE, np.full(3, np.inf), None, None
-    )
+    judged[0] = Judged("box", judged[0].image, *MISSED)
     moved = judged[1].pose.copy()
     moved[0, 3] += 0.03
     errors = pose_errors(moved, judged[1].pose, CORNERS, centre_object=np.zeros(3))

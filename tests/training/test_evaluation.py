@@ -14,8 +14,7 @@ from rpl_data.geometry import project, transform
 from rpl_data.pose.estimate import PoseEstimate
 from rpl_data.types import DataError, InstanceLabel, Intrinsics, KeypointModel, Rle, SquareBox
 from training.pose.evaluation import TrueObject, _judged, _seen_of
-from training.pose.looking import check_detected
-from training.pose.pipeline import PosePipeline, SeenKeypoints
+from training.pose.pipeline import PosePipeline, SeenKeypoints, check_detected
 
 IMAGE = np.zeros((4, 4, 3), dtype=np.uint8)
 RLE = Rle(size=[4, 4], counts="0")

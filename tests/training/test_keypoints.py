@@ -23,7 +23,7 @@ from training.evaluate_pose import evaluate_pose
 from training.keypoints.module import load_keypoints, untrained
 from training.pose.evaluation import evaluate
 from training.pose.pipeline import PosePipeline, SeenKeypoints, load_pipeline, read_depth_like
-from training.predict import predict
+from training.predict import predict, refuse_no_camera
 from training.runs.folder import trained_epochs
 from training.runs.options import DetectorNetwork, Learning, Machine, Network
 from training.runs.program import main
@@ -126,6 +126,28 @@ def test_unreadable_image_is_named_skipped_and_counted(coco, tmp_path, capsys):
         said = capsys.readouterr().out
         assert "left out 2 times" in said and bad.name in said
         assert trained_epochs(tmp_path / str(cache) / "last.ckpt") == 2
+
+
+def test_a_training_that_can_read_nothing_ends(coco, tmp_path):
+    place = tmp_path / "coco"
+    shutil.copytree(coco, place)
+    for image in (place / "images" / "desk").iterdir():
+        image.write_bytes(b"no image")
+    with pytest.raises(DataError, match=r"no image of epoch 1 could be read.* cannot read the image .*desk"):
+        train_keypoints(place, out=tmp_path / "run", network=TINY, learning=FAST, machine=ONE)
+    assert not list((tmp_path / "run").glob("*.ckpt"))
+
+
+def test_instances_without_a_labelled_keypoint_are_not_judged(monkeypatch):
+    """The mean over none would be NaN, and with it that of the epoch, so that no best would be kept."""
+    module, logged = untrained(WEDGE, TINY, FAST).eval(), []
+    monkeypatch.setattr(module, "log_validated", lambda name, value, **_: logged.append((name, float(value))))
+    batch = {"image": torch.zeros(1, 3, 32, 32), "heatmaps": torch.zeros(1, 5, 8, 8)}
+    batch |= {"weights": torch.zeros(1, 5), "keypoints_px": torch.full((1, 5, 2), torch.nan)}
+    batch |= {"crop_from_image": torch.eye(3)[None, :2], "square_box": torch.ones(1, 3)}
+    with torch.no_grad():
+        module.validation_step((batch, ()), 1)
+    assert logged == [("loss", 0.0)]
 
 
 def test_loss_that_is_no_number_names_the_batch(coco, tmp_path):
@@ -248,14 +270,31 @@ def test_predictions(coco, run, detector, tmp_path):
         predict(tmp_path / "out" / "overlays" / "none", [run / "last.ckpt"], detector, camera)
 
 
-def test_evaluation_counts_what_is_missing(coco, run, detector, tmp_path):
+@pytest.mark.parametrize(("camera", "distortion", "unit", "said"), [
+    ([0.0, 150.0, 80.0, 60.0], [], 0.001, "focal lengths are above 0"),
+    ([150.0, 150.0, np.nan, 60.0], [], 0.001, "--camera is"),
+    ([150.0] * 4, [0.1, 0.2, 0.3], 0.001, "4, 5, 8, 12 or 14"),
+    ([150.0] * 4, [], -1.0, "above 0: 0.001 for millimetres"),
+])  # fmt: skip
+def test_what_is_no_camera_is_refused(camera, distortion, unit, said):
+    with pytest.raises(DataError, match=said):
+        refuse_no_camera(camera, distortion, unit)
+
+
+def with_mesh(coco: Path, place: Path) -> None:
+    """Put a training split whose first object has a mesh into a folder; images stay where they are."""
     corners = np.random.default_rng(0).uniform(-0.1, 0.1, (51, 3))
-    save_mesh(tmp_path / "mesh.ply", Mesh(corners, np.arange(51).reshape(-1, 3)))
+    save_mesh(place / "mesh.ply", Mesh(corners, np.arange(51).reshape(-1, 3)))
     data = read_coco(coco / "train.json")
     data["rpl"]["objects"][0]["mesh"] = "mesh.ply"
-    write_coco(tmp_path / "train.json", data)
-    (tmp_path / "images").symlink_to(coco / "images")
-    (tmp_path / "depth").symlink_to(coco / "depth")
+    write_coco(place / "train.json", data)
+    (place / "images").symlink_to(coco / "images")
+    (place / "depth").symlink_to(coco / "depth")
+
+
+def test_evaluation_counts_what_is_missing(coco, run, detector, tmp_path):
+    with_mesh(coco, tmp_path)
+    data = read_coco(coco / "train.json")
     for crops in ("given", "detected"):
         out = tmp_path / crops
         evaluate_pose(
@@ -273,6 +312,32 @@ def test_evaluation_counts_what_is_missing(coco, run, detector, tmp_path):
         assert figures["bop"]["average_recall"] is not None  # the export says the unit of its depth
         poses = read_bop_results(out / "consensus_rpl-train.csv")
         assert len(poses) == figures["instances"] - figures["failures"]
+
+
+def test_an_object_without_a_network_needs_no_mesh(run, tmp_path, capsys):
+    """Views of an object that stood still in no training scene are not rendered, nor is its mesh exported."""
+    both = exported(tmp_path / "both", models=(WEDGE, BOX), frames=3)
+    (tmp_path / "meshes").mkdir()
+    with_mesh(both, tmp_path / "meshes")
+    wished = {"split": "train", "crops": "given"}
+    evaluate_pose(tmp_path / "meshes", run / "last.ckpt", methods=["epnp", "epnp"], **wished)
+    said = capsys.readouterr().out
+    assert said.count("2 instances") == 1 and "depth" not in said  # once each, and EPnP uses no depth
+    data = read_coco(tmp_path / "meshes" / "train.json")
+    data["rpl"]["objects"][0]["mesh"] = None
+    write_coco(tmp_path / "meshes" / "train.json", data)
+    with pytest.raises(DataError, match="wedge has no mesh"):
+        evaluate_pose(tmp_path / "meshes", run / "last.ckpt", **wished)
+    with pytest.raises(DataError, match="--methods names none"):
+        evaluate_pose(tmp_path / "meshes", run / "last.ckpt", methods=[], **wished)
+
+
+def test_a_detector_that_does_not_know_the_object_is_refused(run, detector, tmp_path):
+    content = torch.load(detector, weights_only=True)
+    content["hyper_parameters"]["names"] = ["background", "box"]
+    torch.save(content, tmp_path / "other.ckpt")
+    with pytest.raises(DataError, match=r"other\.ckpt: the detector does not know wedge"):
+        load_pipeline([run / "last.ckpt"], tmp_path / "other.ckpt")
 
 
 def test_evaluation_refuses_another_objects_dataset(run, tmp_path):

@@ -7,6 +7,7 @@ import json
 import runpy
 import sys
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -96,6 +97,30 @@ def test_iou_by_hand(coco):
     assert (box.mean_iou, box.missed, box.false_alarms, box.mask_ap) == (0.0, 5, 0, 0.0)
 
 
+def test_what_is_found_in_a_crowd_counts_neither_for_nor_against(coco, tmp_path):
+    """The box of one image is ignored in another, which shows none, and beside it where it is."""
+    data = read_coco(coco / "train.json")
+    box = next(a for a in data["annotations"] if a["category_id"] == 1)
+    (aside,) = shifted(perfect({"annotations": [box]}), 30)
+    results = [*perfect(data), aside, {**aside, "image_id": data["images"][0]["id"]}]
+    fine, spoilt = ([
+        (c.mean_iou, c.missed, c.false_alarms) for c in score_split(path, results, threshold=0.5).classes
+    ] for path in (with_crowds(coco, data, results[-2:], tmp_path), coco / "train.json"))  # fmt: skip
+    assert fine == [(1.0, 0, 0), (1.0, 0, 0)]
+    assert spoilt[0][0] < 1 and spoilt[0][2] == 1
+
+
+def with_crowds(coco, data, found, folder):
+    """The split with the masks of results as ignored regions."""
+    marked = [
+        {**one, "area": data["annotations"][0]["area"], "id": 1000 + n, "iscrowd": 1}
+        for n, one in enumerate(found)
+    ]
+    path = folder / "train.json"
+    path.write_text(json.dumps({**data, "annotations": [*data["annotations"], *marked]}))
+    return path
+
+
 def test_average_precision_is_pycocotools(coco):
     data = read_coco(coco / "train.json")
     results = shifted(perfect(data), 3)[:-2] + shifted(perfect(data), 30)
@@ -155,6 +180,13 @@ def test_evaluate_writes_results_that_pycocotools_reads(coco, segmenter, tmp_pat
     assert len(results.getAnnIds()) > 0 and set(results.getCatIds()) == {1, 2}
     written = json.loads((tmp_path / "train_scores.json").read_text())
     assert written["threshold"] == 0.5 and written["mask_ap"] == score.mask_ap
+
+
+def test_a_network_of_other_objects_is_not_scored(coco, segmenter):
+    """Results name classes by number, so a can would be judged as a box."""
+    turned = replace(segmenter, names=("background", "can", "box"))
+    with pytest.raises(DataError, match="has the objects box, can, the checkpoint can, box"):
+        evaluate(turned, coco / "train.json")
 
 
 def test_predict_a_folder_an_image_and_a_video(coco, segmenter, tmp_path):

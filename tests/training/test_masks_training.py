@@ -234,6 +234,11 @@ def test_crops_repeat_and_change_with_the_epoch(coco):
     assert torch.equal(before, torch.random.get_rng_state())
 
 
+def test_a_turn_that_only_one_object_can_decide_is_refused_at_once(coco):
+    with pytest.raises(DataError, match="rotation_deg is auto, which is for one object's crops"):
+        SquareCrops(coco / "train.json", 64, Augmentation(rotation_deg="auto"))
+
+
 def test_squares_stay_inside_the_image_without_shift():
     rng = np.random.default_rng(0)
     still = Augmentation(scale=0.0, shift=0.0, rotation_deg=0.0)
@@ -268,6 +273,15 @@ def test_checkpoint_rebuilds_the_network(coco, tmp_path):
     )
     with pytest.raises(DataError, match="resume with the options"):
         train(replace(ONCE, network=replace(SMALL, hidden=32)), coco, tmp_path, resume=True)
+
+
+def test_what_is_found_in_a_crowd_is_not_judged():
+    left, right = torch.zeros(2, 4, 8, dtype=torch.uint8)
+    left[:, :4], right[:, 4:] = 1, 1
+    target = {"labels": torch.tensor([1, 1]), "masks": torch.stack([left, right])}
+    everywhere = {"scores": torch.ones(1), "labels": torch.ones(1), "masks": torch.ones(1, 1, 4, 8)}
+    assert class_ious(everywhere, target | {"iscrowd": torch.tensor([0, 1])}) == [1.0]
+    assert class_ious(everywhere, target | {"iscrowd": torch.tensor([1, 1])}) == []
 
 
 def test_validated_iou_is_that_of_the_scores(coco, monkeypatch):

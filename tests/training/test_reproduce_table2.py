@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 
 from rpl_data.pose.errors import INFINITE, PoseErrors
+from rpl_data.types import DataError
 from rpl_data.workspace.workspace import Workspace
 from training.pose.scores import Judged, PoseScore
-from training.reproduce.table2.experiment import table2
+from training.reproduce.table2.experiment import check_objects, table2
 from training.reproduce.table2.page import interval_note, verdict
 from training.reproduce.table2.pose_comparison import (
     PROTOCOLS,
@@ -64,6 +65,14 @@ def test_table_of_a_workspace_is_made_once(
     assert run(2).count("s of CPU time") == 2  # the hourglasses go on, the detectors are done
 
 
+def test_unknown_objects_are_refused_before_any_training(tiny_workspace: Workspace) -> None:
+    labels = tiny_workspace.export("coco") / "train.json"
+    check_objects(["carton"], labels)
+    for names, said in ((["carton", "cartn"], "no object cartn; .* carton"), ([], "no object is named")):
+        with pytest.raises(DataError, match=said):
+            check_objects(names, labels)
+
+
 def judged(position_mm: float, *, failed: bool = False) -> Judged:
     errors = INFINITE if failed else PoseErrors(1e-3 * position_mm, 1e-2 * position_mm, 0.0, 0.0)
     return Judged("drill", "1.jpg", "epnp", "ok", errors, np.zeros(1), None, None)
@@ -85,9 +94,10 @@ def test_ratio_of_medians_by_hand() -> None:
 def test_ratio_counts_failures_as_infinite() -> None:
     fine = [judged(1.0)] * 5
     broken = [judged(1.0)] * 2 + [judged(0.0, failed=True)] * 3
-    position = ratios([(cell("OURS"), [broken]), (cell("MANUAL"), [fine])])[0]
-    assert position.value == np.inf and position.high == np.inf
-    assert np.isnan(ratios([(cell("OURS"), [broken]), (cell("MANUAL"), [broken])])[0].value)
+    for ratio in ratios([(cell("OURS"), [broken]), (cell("MANUAL"), [fine])]):
+        assert ratio.value == np.inf and ratio.high == np.inf and verdict(ratio) == "no, not surely"
+    for ratio in ratios([(cell("OURS"), [broken]), (cell("MANUAL"), [broken])]):
+        assert np.isnan(ratio.value) and verdict(ratio) == "no ratio"
 
 
 def test_intervals_cover_frames_and_seeds() -> None:

@@ -123,9 +123,11 @@ class KeypointTraining(NetworkModule):
         self.log_validated("loss", self.loss_of(output, batch), loader=dataloader_idx, batch_size=size)
         found = self._in_image(self.located(output[-1]), batch["crop_from_image"])
         distances = distances_by_box(found.positions, batch)
-        right, count = (distances < PCK_SHARE).double().mean(), distances.numel()
-        self.log_validated("pck", right, loader=dataloader_idx, batch_size=count)
-        self.log_validated("error", distances.clamp_max(1).mean(), loader=dataloader_idx, batch_size=count)
+        if count := distances.numel():  # the mean of none would be NaN, and that of the epoch with it
+            right = (distances < PCK_SHARE).double().mean()
+            self.log_validated("pck", right, loader=dataloader_idx, batch_size=count)
+            off = distances.clamp_max(1).mean()
+            self.log_validated("error", off, loader=dataloader_idx, batch_size=count)
         if self.wants_picture(number):
             heatmaps = self._heatmaps(output[-1])
             self.show(heatmap_picture(batch["image"], heatmaps), loader=dataloader_idx)

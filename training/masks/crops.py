@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch.utils.data import Dataset
 
-from rpl_data.torch.augmentation import refuse_pasting
+from rpl_data.torch.augmentation import refuse_for_one_object
 from rpl_data.torch.instances import InstanceDataset, InstanceSample
 from rpl_data.torch.transforms import Affine, Augmentation, crop_from_square, zoom_of
 from rpl_data.torch.warps import warp_pixels
@@ -41,7 +41,7 @@ class SquareCrops(Dataset[InstanceSample]):
         Raises:
             DataError: the file is not ours, or it has no image.
         """
-        refuse_pasting(augmentation)
+        refuse_for_one_object(augmentation)
         self._images = InstanceDataset(coco_json, scenes=scenes)
         if not len(self._images):
             raise DataError(f"{coco_json} has no images; export a dataset with a train split")

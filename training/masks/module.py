@@ -102,12 +102,14 @@ class MaskTraining(NetworkModule):
 def class_ious(output: dict[str, Tensor], target: InstanceTarget) -> list[float]:
     """For each class that an image shows, the IoU of all its predicted with all its true pixels.
 
-    Predictions with a score below `SCORE_THRESHOLD` do not count.
+    Predictions with a score below `SCORE_THRESHOLD` do not count, nor does what is found in crowds.
     """
-    sure = output["scores"] >= SCORE_THRESHOLD
+    sure, real = output["scores"] >= SCORE_THRESHOLD, target["iscrowd"] == 0
     ious = []
-    for label in torch.unique(target["labels"]):
-        true = (target["masks"][target["labels"] == label] > 0).any(dim=0)
+    for label in torch.unique(target["labels"][real]):
+        same = target["labels"] == label
+        true, crowd = ((target["masks"][same & kind] > 0).any(dim=0) for kind in (real, ~real))
         found = (output["masks"][sure & (output["labels"] == label), 0] > MASK_THRESHOLD).any(dim=0)
+        found &= true | ~crowd
         ious.append(float((true & found).sum() / (true | found).sum().clamp_min(1)))
     return ious

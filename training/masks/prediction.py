@@ -19,11 +19,10 @@ from rpl_data.json_arrays import Json
 from rpl_data.torch.image_files import read_image, to_unit_range
 from rpl_data.types import DataError
 
+from ..runs.options import IMAGE_SUFFIXES
 from .pictures import draw
 from .results import predict
 from .weights import Segmenter
-
-IMAGE_SUFFIXES = {".bmp", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp"}
 
 
 @dataclass(frozen=True)

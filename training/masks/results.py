@@ -57,8 +57,16 @@ def predict_split(
         segmenter: the trained network.
         coco_json: the file.
         unreadable: counts images that cannot be read, by message; without it the first is a DataError.
+
+    Raises:
+        DataError: the file has other objects than the network, or in another order: they go by numbers.
     """
     dataset = InstanceDataset(coco_json)
+    if tuple(dataset.names) != segmenter.names:
+        raise DataError(
+            f"{coco_json} has the objects {', '.join(dataset.names[1:])}, the checkpoint "
+            f"{', '.join(segmenter.names[1:])}; evaluate on the dataset it was trained on"
+        )
     results: list[Json] = []
     left_out: set[int] = set()
     for row in track(range(len(dataset)), coco_json.name, transient=True, disable=not sys.stdout.isatty()):

@@ -23,8 +23,8 @@ class ClassScore:
         images: how many images show the class.
         mean_iou: mean, over these images, of the IoU of all its predicted with all its true pixels; an image
             where it is missed counts as 0.
-        missed: how many of these images have no detection of it.
-        false_alarms: how many other images have one.
+        missed: how many of these images have no detection that touches it.
+        false_alarms: how many other images have a detection of it.
         box_ap, mask_ap, mask_ap50: COCO's average precision, 0 to 1.
     """
 
@@ -96,9 +96,13 @@ def _without(truth: Json, image_ids: Collection[int]) -> Json:
 def class_overlaps(truth: Json, results: Sequence[Json]) -> dict[int, tuple[list[float], int]]:
     """For each category, the IoU in every image that shows it, and in how many other images it was found.
 
-    All instances of a category in an image count as one set of pixels, as in the paper's figure.
+    All instances of a category in an image count as one set of pixels, as in the paper's figure. What is
+    found in a region that is marked as ignored (a crowd) counts neither for nor against.
     """
     true, found = (_united(entries) for entries in (truth["annotations"], results))
+    for key, crowd in _united(truth.get("crowds", ())).items():
+        if key in found and (left := _without_crowd(found.pop(key), crowd, true.get(key))) is not None:
+            found[key] = left
     overlaps: dict[int, tuple[list[float], int]] = {}
     for category in truth["categories"]:
         number = category["id"]
@@ -115,6 +119,15 @@ def _united(entries: Sequence[Json]) -> dict[tuple[int, int], Json]:
     for entry in entries:
         groups[entry["image_id"], entry["category_id"]].append(entry["segmentation"])
     return {key: masks.merge(group) for key, group in groups.items()}
+
+
+def _without_crowd(found: Json, crowd: Json, true: Json | None) -> Json | None:
+    """The found pixels that no crowd explains; None without any."""
+    ignored = masks.decode(crowd) > 0
+    if true is not None:
+        ignored &= masks.decode(true) == 0
+    left = (masks.decode(found) > 0) & ~ignored
+    return masks.encode(np.asfortranarray(left.astype(np.uint8))) if left.any() else None
 
 
 def _iou(one: Json, other: Json) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ import numpy as np
 from rpl_data.files import read_json
 from rpl_data.formats.datasets.bop_results import PoseResult
 from rpl_data.formats.datasets.coco import depth_unit_m, intrinsics_from_coco, objects_from_coco, read_coco
+from rpl_data.geometry import Transform
 from rpl_data.json_arrays import Json, matrix_from_json
 from rpl_data.meshes import load_mesh
 from rpl_data.pose.average_recall import PIXELS, SHARES, Answers, add_auc, average_recall
@@ -24,7 +26,7 @@ from rpl_data.pose.benchmark import (
 from rpl_data.pose.benchmark_errors import VSD_TAUS
 from rpl_data.pose.oks import SeenInImage, average_precision, oks
 
-from .pipeline import read_depth_like
+from .pipeline import SeenKeypoints, read_depth_like
 from .scores import Judged, errors_table
 
 
@@ -52,17 +54,31 @@ class BenchmarkScore:
 
 @dataclass(frozen=True)
 class Shown:
-    """The true instances of one object in one image, and what was estimated there, once.
+    """The true instances of one object in one image, and what was estimated there.
 
     Attributes:
         image: entry of the COCO file.
         annotations: entries of the instances.
-        judged: one per instance; all have the one estimate of this image.
+        judged: one per instance.
     """
 
     image: Json
     annotations: tuple[Json, ...]
     judged: tuple[Judged, ...]
+
+    @property
+    def poses(self) -> list[tuple[Transform, float]]:
+        """The estimated poses, ``camera_from_object``, each with its confidence."""
+        return [
+            (one.pose, _confidence(one.seen))
+            for one in self.judged
+            if one.pose is not None and one.seen is not None
+        ]
+
+    @property
+    def seen(self) -> list[SeenKeypoints]:
+        """The keypoints of what was detected, or of the crops that were given."""
+        return [one.seen for one in self.judged if one.seen is not None]
 
 
 class Benchmark:
@@ -119,11 +135,10 @@ class Benchmark:
     def results(self, judged: Sequence[Judged]) -> Iterator[PoseResult]:
         """The poses as BOP takes them: scenes are numbered by name, images by frame, objects by category."""
         for shown in self._shown(judged):
-            (first, *_) = shown.judged
-            if first.pose is not None:
-                scene, frame = self._scenes[shown.image["scene"]], int(shown.image["frame"])
-                number = self._numbers[first.object]
-                yield PoseResult(scene, frame, number, _confidence(first), first.pose)
+            scene, frame = self._scenes[shown.image["scene"]], int(shown.image["frame"])
+            number = self._numbers[shown.judged[0].object]
+            for pose, confidence in shown.poses:
+                yield PoseResult(scene, frame, number, confidence, pose)
 
     def _shown(self, judged: Sequence[Judged]) -> Iterator[Shown]:
         """Group the instances of one object and method by image; labels were judged in their order."""
@@ -135,25 +150,19 @@ class Benchmark:
             yield Shown(image, tuple(self._labels[image["id"], self._numbers[object]]), tuple(group))
 
     def _errors(self, shown: Shown) -> list[BenchmarkErrors]:
-        """Errors of the estimate relative to each instance; none without an estimate."""
-        (first, *_) = shown.judged
-        if first.pose is None:
+        """Errors of each estimated pose relative to each instance, pose after pose."""
+        if not shown.poses:
             return []
         depth = None
         if self._has_depth:
             unit_m = depth_unit_m(shown.image, self._told_m)
             like = np.empty((shown.image["height"], shown.image["width"], 3), np.uint8)
             depth = read_depth_like(self._folder / str(shown.image["depth_file_name"]), unit_m, like=like)
-        model, camera = self._model(first.object), intrinsics_from_coco(shown.image)
+        model, camera = self._model(shown.judged[0].object), intrinsics_from_coco(shown.image)
+        true_poses = [matrix_from_json(label["camera_from_object"]) for label in shown.annotations]
         return [
-            benchmark_errors(
-                model,
-                first.pose,
-                matrix_from_json(label["camera_from_object"]),
-                intrinsics=camera,
-                measured_m=depth,
-            )
-            for label in shown.annotations
+            benchmark_errors(model, pose, true, intrinsics=camera, measured_m=depth)
+            for (pose, _), true in product(shown.poses, true_poses)
         ]
 
     def _load_model(self, name: str) -> BenchmarkModel:
@@ -172,16 +181,16 @@ def scene_numbers(folder: Path) -> Mapping[str, int]:
     return {name: number for number, name in enumerate(sorted(names), start=1)}
 
 
-def _confidence(judged: Judged) -> float:
-    """Score of the detection times the mean confidence of its keypoints; 0 where nothing was detected."""
-    return 0.0 if judged.seen is None else float(judged.seen.score * judged.seen.confidence.mean())
+def _confidence(seen: SeenKeypoints) -> float:
+    """Score of the detection times the mean confidence of its keypoints."""
+    return float(seen.score * seen.confidence.mean())
 
 
 def _answers(shown: Sequence[Shown], errors: Sequence[Sequence[float]]) -> list[Answers]:
     found = []
     for each, row in zip(shown, errors, strict=True):
         table = np.array(row, dtype=np.float64).reshape(-1, len(each.annotations))
-        found.append(Answers(np.array([_confidence(each.judged[0])] * len(table)), table))
+        found.append(Answers(np.array([confidence for _, confidence in each.poses]), table))
     return found
 
 
@@ -193,11 +202,9 @@ def _recall_vsd(shown: Sequence[Shown], errors: Sequence[Sequence[BenchmarkError
 def _keypoints(shown: Shown) -> SeenInImage:
     """The detected keypoints of an image beside the true ones; nothing where none are labelled."""
     true = [label for label in shown.annotations if label["num_keypoints"]]
-    seen = shown.judged[0].seen
-    if seen is None:
-        return SeenInImage(np.zeros(0), np.zeros((0, len(true))))
-    similar = [_similarity(seen.positions_px, label) for label in true]
-    return SeenInImage(np.array([_confidence(shown.judged[0])]), np.array([similar]))
+    similar = [[_similarity(seen.positions_px, label) for label in true] for seen in shown.seen]
+    scores = np.array([_confidence(seen) for seen in shown.seen])
+    return SeenInImage(scores, np.array(similar, dtype=np.float64).reshape(len(scores), len(true)))
 
 
 def _similarity(found_px: np.ndarray, label: Json) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
@@ -24,7 +24,7 @@ from rpl_data.pose.errors import INFINITE, pose_errors
 from rpl_data.pose.estimate import Method, PoseEstimate, PoseFailure
 from rpl_data.symmetries import symmetry_transforms
 from rpl_data.torch.image_files import read_image
-from rpl_data.types import DataError, InstanceLabel, Intrinsics, KeypointModel
+from rpl_data.types import DataError, DepthImage, InstanceLabel, Intrinsics, KeypointModel
 
 from ..runs.options import Crops, UseDepth
 from .pipeline import PosePipeline, SeenKeypoints, read_depth_like
@@ -53,14 +53,16 @@ class TrueObject:
     centre: np.ndarray
 
 
-def true_objects(coco_json: Path, *, points: int = 1000) -> dict[str, TrueObject]:
-    """Read the objects of a true export, with points on their meshes, by name.
+def true_objects(coco_json: Path, names: Collection[str], *, points: int = 1000) -> dict[str, TrueObject]:
+    """Read those of these objects that a true export has, with points on their meshes, by name.
 
     Raises:
-        DataError: the export has no mesh of an object.
+        DataError: the export has no mesh of one of them.
     """
     found = {}
     for category, item in enumerate(objects_from_coco(read_packed(coco_json)), start=1):
+        if item.model.name not in names:
+            continue
         if item.mesh is None or not (coco_json.parent / item.mesh).exists():
             raise DataError(f"{coco_json}: {item.model.name} has no mesh; ADD needs one: export again")
         surface = sampled(load_mesh(coco_json.parent / item.mesh), count=points)
@@ -100,11 +102,9 @@ def evaluate(
             of them is a DataError.
     """
     data = read_packed(coco_json)
-    if unknown := set(pipeline.networks) - set(truth):
-        raise DataError(
-            f"{coco_json} has no {', '.join(sorted(unknown))}, which a checkpoint is of; it has "
-            f"{', '.join(truth)}: evaluate on the dataset it was trained on"
-        )
+    check_known(pipeline, [category["name"] for category in data["categories"]], source=str(coco_json))
+    if not symmetric:
+        truth = {name: replace(one, symmetries=np.eye(4)[None]) for name, one in truth.items()}
     truth_from_trained = {
         name: aligned(truth[name].model, network.model, source=str(coco_json))
         for name, network in pipeline.networks.items()
@@ -112,35 +112,58 @@ def evaluate(
     labels_of = _labels(data, {truth[name].category: name for name in pipeline.networks}, least_visible)
     for image in data["images"]:
         labels = labels_of.get(image["id"], [])
-        if not labels:
+        pixels = _read(coco_json.parent / image["file_name"], unreadable) if labels else None
+        if pixels is None:
             continue
-        try:
-            pixels = read_image(str(coco_json.parent / image["file_name"]))
-        except DataError as error:
-            if unreadable is None:
-                raise
-            unreadable[str(error)] += 1
-            continue
-        seen = _seen_of(pipeline, pixels, labels, crops)
-        depth = None
-        if use_depth is True or (use_depth == "auto" and has_depth(image, metres_per_unit)):
-            depth_file = _depth_file(coco_json.parent, image)
-            depth = read_depth_like(depth_file, depth_unit_m(image, metres_per_unit), like=pixels)
+        depth = _depth_of(coco_json.parent, image, pixels, use_depth, metres_per_unit)
+        intrinsics, seen = intrinsics_from_coco(image), _seen_of(pipeline, pixels, labels, crops)
         for (label, found), method in product(zip(labels, seen, strict=True), methods):
-            name = label.object
-            solved = None
-            if found is not None:
-                solved = pipeline.pose(found, intrinsics_from_coco(image), method=method, depth=depth)
             yield _judged(
                 found,
-                solved,
+                None if found is None else pipeline.pose(found, intrinsics, method=method, depth=depth),
                 label,
                 image=image["file_name"],
                 method=method,
-                truth=truth[name] if symmetric else replace(truth[name], symmetries=np.eye(4)[None]),
-                intrinsics=intrinsics_from_coco(image),
-                truth_from_trained=truth_from_trained[name],
+                truth=truth[label.object],
+                intrinsics=intrinsics,
+                truth_from_trained=truth_from_trained[label.object],
             )
+
+
+def check_known(pipeline: PosePipeline, names: Collection[str], *, source: str) -> None:
+    """Refuse, with a DataError, networks of objects that a dataset does not have."""
+    if unknown := set(pipeline.networks) - set(names):
+        raise DataError(
+            f"{source} has no {', '.join(sorted(unknown))}, which a checkpoint is of; it has "
+            f"{', '.join(names)}: evaluate on the dataset it was trained on"
+        )
+
+
+def _read(file: Path, unreadable: Counter[str] | None) -> np.ndarray | None:
+    """The pixels of an image; None, and counted, where it cannot be read and somebody counts."""
+    try:
+        return read_image(str(file))
+    except DataError as error:
+        if unreadable is None:
+            raise
+        unreadable[str(error)] += 1
+        return None
+
+
+def _depth_of(
+    folder: Path,
+    image: Mapping[str, Any],
+    pixels: np.ndarray,
+    use_depth: UseDepth,
+    metres_per_unit: float | None,
+) -> DepthImage | None:
+    """The depth of an image where it is used."""
+    if use_depth is False or (use_depth == "auto" and not has_depth(image, metres_per_unit)):
+        return None
+    if image["depth_file_name"] is None:
+        raise DataError(f"{folder / image['file_name']} has no depth image; evaluate without depth")
+    unit_m = depth_unit_m(image, metres_per_unit)
+    return read_depth_like(folder / str(image["depth_file_name"]), unit_m, like=pixels)
 
 
 def has_depth(image: Mapping[str, Any], metres_per_unit: float | None) -> bool:
@@ -235,12 +258,6 @@ def _keypoints_off(
         found.append(np.linalg.norm(seen.positions_px - project(intrinsics, points), axis=1)[known])
     best: np.ndarray = min(found, key=lambda off: float(np.mean(off)) if len(off) else 0.0)
     return best / label.square_box.side_px
-
-
-def _depth_file(folder: Path, image: Mapping[str, Any]) -> Path:
-    if image["depth_file_name"] is None:
-        raise DataError(f"{folder / image['file_name']} has no depth image; evaluate without depth")
-    return folder / str(image["depth_file_name"])
 
 
 def _square(label: InstanceLabel) -> np.ndarray:

@@ -7,22 +7,11 @@ from pathlib import Path
 
 from rpl_data.geometry import Transform
 from rpl_data.pose.estimate import PoseFailure
-from rpl_data.types import ColorImage, DataError, DepthImage, Intrinsics, KeypointModel
+from rpl_data.types import ColorImage, DepthImage, Intrinsics, KeypointModel
 
-from .pipeline import PosePipeline, load_pipeline
+from .pipeline import load_pipeline
 
 Look = Callable[[ColorImage, Intrinsics, DepthImage | None], Mapping[str, Transform]]
-
-
-def check_detected(pipeline: PosePipeline, source: str) -> None:
-    """Refuse a detector that was not trained on all objects: it would never find the others."""
-    known = [] if pipeline.detector is None else pipeline.detector.names[1:]
-    unknown = sorted(set(pipeline.networks) - set(known))
-    if unknown:
-        raise DataError(
-            f"{source}: the detector does not know {', '.join(unknown)}, which a keypoint checkpoint is of; "
-            f"it knows {', '.join(known)}: leave that checkpoint out, or train a detector on all objects"
-        )
 
 
 def load_look(keypoints: Sequence[Path], detector: Path) -> tuple[dict[str, KeypointModel], Look]:
@@ -36,7 +25,6 @@ def load_look(keypoints: Sequence[Path], detector: Path) -> tuple[dict[str, Keyp
         DataError: a checkpoint is of another program, or the detector does not know one of the objects.
     """
     pipeline = load_pipeline(keypoints, detector)
-    check_detected(pipeline, str(detector))
 
     def look(image: ColorImage, intrinsics: Intrinsics, depth: DepthImage | None) -> dict[str, Transform]:
         found = {seen.object: pipeline.pose(seen, intrinsics, depth=depth) for seen in pipeline.see(image)}

@@ -21,6 +21,9 @@ from rpl_data.types import DataError, DepthImage, Intrinsics
 from ..detection.module import Detection, DetectorTraining, load_detector
 from ..keypoints.module import KeypointTraining, load_keypoints
 
+WEIGHING: tuple[Method, ...] = ("ransac", "consensus")
+"""Methods that leave outliers out, weight the rest and use depth; the others are as in the paper."""
+
 LEAST_CONFIDENCE = 0.1
 """Keypoints below this confidence are not used; the others are weighted by their covariance."""
 
@@ -108,7 +111,7 @@ class PosePipeline:
             depth_m=depth_m,
             depth_sigma_m=sigma_m,
         )
-        return estimate_pose(given, method=method, refine=method in ("ransac", "consensus"))
+        return estimate_pose(given, method=method, refine=method in WEIGHING)
 
 
 KEYPOINT_DEPTH_SIGMA_M = 0.003
@@ -139,7 +142,8 @@ def load_pipeline(networks: Sequence[Path], detector: Path | None = None) -> Pos
         detector: checkpoint of `train_detector`.
 
     Raises:
-        DataError: there is no network, or two are of the same object.
+        DataError: there is no network, two are of the same object, or the detector does not know the object
+            of one.
     """
     if not networks:
         raise DataError("no keypoint network is named; --keypoints takes a list: '[run/last.ckpt]'")
@@ -149,7 +153,22 @@ def load_pipeline(networks: Sequence[Path], detector: Path | None = None) -> Pos
         raise DataError(
             f"two checkpoints are of the same object: {', '.join(str(path) for path in networks)}"
         )
-    return PosePipeline(by_name, None if detector is None else load_detector(detector))
+    if detector is None:
+        return PosePipeline(by_name)
+    pipeline = PosePipeline(by_name, load_detector(detector))
+    check_detected(pipeline, str(detector))
+    return pipeline
+
+
+def check_detected(pipeline: PosePipeline, source: str) -> None:
+    """Refuse a detector that was not trained on all objects: it would never find the others."""
+    known = [] if pipeline.detector is None else pipeline.detector.names[1:]
+    unknown = sorted(set(pipeline.networks) - set(known))
+    if unknown:
+        raise DataError(
+            f"{source}: the detector does not know {', '.join(unknown)}, which a keypoint checkpoint is of; "
+            f"it knows {', '.join(known)}: leave that checkpoint out, or train a detector on all objects"
+        )
 
 
 @torch.no_grad()

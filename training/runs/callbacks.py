@@ -18,6 +18,7 @@ from rpl_data.types import DataError
 from rpl_data.wording import counted
 
 from .folder import BEST, LAST
+from .network_module import NetworkModule
 from .options import Learning
 from .schedule import set_step
 
@@ -32,11 +33,11 @@ class Steps(Callback):
 
     def __init__(self, learning: Learning, seed: int) -> None:
         self._learning, self._seed = learning, seed
-        self.waiting_s, self._ready_s, self.begun = 0.0, 0.0, False
+        self.waiting_s, self._ready_s, self.begun, self._learned = 0.0, 0.0, False, False
 
     def on_train_epoch_start(self, trainer: Trainer, module: LightningModule) -> None:
         """From here on the training waits for its first batch."""
-        self._ready_s, self.begun = time.perf_counter(), True
+        self._ready_s, self.begun, self._learned = time.perf_counter(), True, False
 
     def on_train_batch_start(
         self, trainer: Trainer, module: LightningModule, batch: object, batch_idx: int
@@ -52,8 +53,19 @@ class Steps(Callback):
     def on_train_batch_end(
         self, trainer: Trainer, module: LightningModule, outputs: object, batch: object, batch_idx: int
     ) -> None:
-        """From here on the training waits for its next batch."""
+        """From here on the training waits for its next batch.
+
+        Raises:
+            DataError: no image of the epoch could be read, so that nothing was learned in it.
+        """
         self._ready_s = time.perf_counter()
+        self._learned |= bool(outputs)
+        if trainer.is_last_batch and not self._learned:
+            assert isinstance(module, NetworkModule)
+            raise DataError(
+                f"no image of epoch {trainer.current_epoch + 1} could be read, so nothing was learned; "
+                f"the first of them: {next(iter(module.unreadable))}"
+            )
 
 
 class Checkpoints(Callback):

@@ -18,6 +18,9 @@ Architecture = Literal["small_fcos", "fcos", "ssdlite"]
 KeypointArchitecture = Literal["hourglass", "resnet18", "resnet34", "resnet50", "convnext_tiny"]
 Precision = Literal["32-true", "16-mixed", "bf16-mixed"]
 
+IMAGE_SUFFIXES = {".bmp", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp"}
+"""Endings of the images that are predicted on."""
+
 SMALLEST_IMAGE_PX = 32
 """Narrowest image that the detector's feature map of stride 8 can halve twice more."""
 

@@ -18,13 +18,13 @@ from rpl_data.pipeline.context import Context, crop_of
 from rpl_data.pipeline.register import object_named
 from rpl_data.pipeline.stages.segment import depth_views, given_mesh
 from rpl_data.pipeline.supports import support_plane
+from rpl_data.synthesize.body import SAME_MODEL_M
 from rpl_data.types import DataError, Mesh
 from rpl_data.types.instances import places_in, scene_of
 from rpl_data.workspace.workspace import Workspace
 
 SURFACE_M = 0.01
 """Voxels to which a surface is thinned to find its table."""
-SAME_MODEL_M = 1e-4
 
 
 def training_mesh(

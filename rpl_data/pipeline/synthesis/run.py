@@ -16,10 +16,10 @@ from rpl_data.pipeline.synthesis.studio import studio_of
 from rpl_data.pipeline.synthesis.training import Training, training_split
 from rpl_data.synthesize.storage import studio_made_of
 from rpl_data.synthesize.studio import Plate, Studio
+from rpl_data.torch.augmentation import PICTURES
 from rpl_data.types import DataError
 from rpl_data.workspace.workspace import Workspace
 
-PICTURES = {".jpg", ".jpeg", ".png", ".bmp", ".webp"}
 SMALLEST_PX = 64
 
 

@@ -31,7 +31,7 @@ from rpl_data.synthesize.render import Placed, alone
 from rpl_data.synthesize.storage import load_studio, save_studio, studio_made_of
 from rpl_data.synthesize.studio import DepthNoise, Noise, Studio, Subject
 from rpl_data.synthesize.views import shown_directions
-from rpl_data.torch.turns import turn_by_scenes, up_in_object
+from rpl_data.torch.turns import turn_by_places, up_in_object
 from rpl_data.types import DataError, Intrinsics, spread_evenly
 from rpl_data.types.instances import scene_of
 from rpl_data.workspace.parts import Parts
@@ -185,8 +185,7 @@ def _subject(
     body = Body(name, painted, item.model.points_object)
     _measure(training.folder, labels, body, gathered)
     poses = np.array([matrix_from_json(one["camera_from_object"]) for _, one in labels])
-    scenes = np.array([image["scene"] for image, _ in labels])
-    places = np.array([part_of(image) for image, _ in labels])
+    places = np.array([f"{part_of(image)}/{one.get('instance', '')}" for image, one in labels])
     up_by_light = {image["scene"]: ups[part_of(image)] for image, _ in reversed(labels)}
     distances = np.linalg.norm(poses[:, :3, 3], axis=1)
     return Subject(
@@ -194,8 +193,10 @@ def _subject(
         keypoints=item.model.keypoints,
         views=np.array([view_direction(pose) for pose in poses]),
         shown=shown_directions(body),
-        ups=np.array([_up_of(labels, poses, places, part, tables) for part in np.unique(places)]),
-        turn_deg=turn_by_scenes(scenes, poses),
+        ups=np.array(
+            [_up_of(labels, poses, places == place, part_of, tables) for place in np.unique(places)]
+        ),
+        turn_deg=turn_by_places(places, poses),
         nearest_m=float(np.percentile(distances, 2)),
         farthest_m=float(np.percentile(distances, 98)),
         keypoint_sigma_m=_keypoint_sigma_m(context, name),
@@ -208,16 +209,17 @@ def _subject(
 def _up_of(
     labels: list[tuple[Json, Json]],
     poses: np.ndarray,
-    places: np.ndarray,
-    part: str,
+    chosen: np.ndarray,
+    part_of: PartOf,
     tables: Mapping[str, Table | None],
 ) -> np.ndarray:
-    """What is up for the object in a part of a recording, object frame."""
-    rows, table = np.flatnonzero(places == part), tables[part]
+    """What is up for one instance of the object in a part of a recording, object frame."""
+    first = int(np.flatnonzero(chosen)[0])
+    image, _ = labels[first]
+    table = tables[part_of(image)]
     if table is None:
-        return up_in_object(poses[rows])
-    scene_from_camera = matrix_from_json(labels[rows[0]][0]["scene_from_camera"])
-    up: np.ndarray = (scene_from_camera @ poses[rows[0]])[:3, :3].T @ table[0]
+        return up_in_object(poses[chosen])
+    up: np.ndarray = (matrix_from_json(image["scene_from_camera"]) @ poses[first])[:3, :3].T @ table[0]
     return up
 
 

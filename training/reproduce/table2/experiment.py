@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -58,6 +59,7 @@ def table2(
     if seeds < 1:
         raise DataError(f"--seeds is {seeds}; at least 1 training per object and source is needed")
     exports = exports_of(workspace)
+    check_objects(objects, exports["OURS"] / "train.json")
     upright = replace(augment, rotation_deg=0.0)
     for seed, (source, export) in product(range(seeds), exports.items()):  # first: every cell needs one
         run = run_folder(out, source, seed, "detector")
@@ -77,6 +79,19 @@ def table2(
                 )  # fmt: skip
             write_page(out, workspace, objects, seeds)
     print(write_page(out, workspace, objects, seeds))
+
+
+def check_objects(objects: Sequence[str], train_json: Path) -> None:
+    """Refuse, with a DataError and before hours of training, objects that the labels do not have."""
+    from rpl_data.formats.datasets.coco_parts import read_packed
+    from rpl_data.types import DataError
+
+    nothing = {"images": (), "annotations": (), "crowds": ()}
+    known = [category["name"] for category in read_packed(train_json, nothing)["categories"]]
+    unknown = [name for name in objects if name not in known]
+    if unknown or not objects:
+        asked = f"there is no object {', '.join(unknown)}" if unknown else "no object is named"
+        raise DataError(f"{train_json}: {asked}; choose some of {', '.join(known)}")
 
 
 class _measured:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from itertools import product
@@ -83,7 +84,8 @@ def write_page(out: Path, workspace: Path, objects: Sequence[str], seeds: int) -
 def interval_note(seeds: int) -> str:
     """What was resampled for the intervals."""
     also = f" and {seeds} seeds" if seeds > 1 else "; one seed, so how trainings differ is not in them"
-    return f"Intervals: 95 % of 2000 bootstrap resamples of frames{also}."
+    alike = "Frames of one scene are alike: how other scenes would differ is not in them."
+    return f"Intervals: 95 % of 2000 bootstrap resamples of frames{also}. {alike}"
 
 
 TITLES = {
@@ -174,6 +176,8 @@ def _ratios(compared: Sequence[Ratio], valid: Mapping[str, Mapping[str, bool]]) 
 
 def verdict(ratio: Ratio) -> str:
     """Whether OURS is within the claim, and whether the interval leaves it open."""
+    if math.isnan(ratio.value):
+        return "no ratio"  # most instances of both have no pose
     within = "yes" if ratio.value <= CLAIMED else "no"
     return f"{within}, not surely" if ratio.low <= CLAIMED < ratio.high else within
 

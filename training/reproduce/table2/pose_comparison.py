@@ -85,7 +85,7 @@ def measure(out: Path, workspace: Path, objects: Sequence[str], seeds: int) -> I
     Judged instances are kept in judged_<split>_<crops>.json beside their checkpoint: only new checkpoints
     are run.
     """
-    truth = true_objects(exports_of(workspace)["MANUAL"] / "train.json")
+    truth = true_objects(exports_of(workspace)["MANUAL"] / "train.json", objects)
     for source, name, (split, crops) in product(EXPORTS, objects, PROTOCOLS):
         judged = [_judged(out, workspace, source, name, split, crops, seed, truth) for seed in range(seeds)]
         judged = [rows for rows in judged if rows]
