@@ -35,11 +35,14 @@ def evaluate_masks(
     from .masks.evaluation import evaluate, table
     from .masks.weights import load_segmenter
     from .runs.program import say_left_out, use_threads
+    from .runs.trained_scenes import say_trained
 
     use_threads(threads)
     unreadable: Counter[str] = Counter()
     coco_json = split_file(coco, split)
     segmenter = load_segmenter(masks)
+    if split == "test":
+        say_trained([masks], coco_json)
     print(table(evaluate(segmenter, coco_json, out, threshold=threshold, unreadable=unreadable)))
     say_left_out(unreadable)
 

@@ -65,14 +65,18 @@ def evaluate_pose(
     from .pose.evaluation import evaluate, true_objects
     from .pose.pipeline import load_pipeline
     from .runs.program import say_left_out, use_threads
+    from .runs.trained_scenes import say_trained
 
     refuse_contradictions(split, methods, bop=bop, out=out)
     methods = list(dict.fromkeys(methods))
     use_threads(threads)
     networks = [keypoints] if isinstance(keypoints, Path) else keypoints
-    pipeline = load_pipeline(networks, detector if crops == "detected" else None)
+    finder = [detector] if detector is not None and crops == "detected" else []
+    pipeline = load_pipeline(networks, *finder)
     coco_json = split_file(coco, split)
     truth = true_objects(coco_json, pipeline.networks)
+    if split == "test":
+        say_trained([*networks, *finder], coco_json)
     if depth == "auto":
         say_depth(coco_json, metres_per_unit, methods)
     unreadable: Counter[str] = Counter()

@@ -84,7 +84,9 @@ def train_detector(
     say(f"{', '.join(train.names[1:])}: {len(train)} images to train on, {len(val or [])} to validate on")
     say_held_out(scenes, len(unseen or []))
     settings = {"augment": asdict(augment), "weights": weights, HELD_OUT: list(scenes.unseen)}
-    lesson = Lesson(module, train, val, collate_readable_lists, "found", settings, unseen=unseen)
+    lesson = Lesson(
+        coco / "train.json", module, train, val, collate_readable_lists, "found", settings, unseen=unseen
+    )
     return fit(lesson, run, resumed=resumed)
 
 

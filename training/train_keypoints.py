@@ -113,7 +113,9 @@ def train_keypoints(
         HELD_OUT: list(data.scenes.unseen),
         "synthetic": synthetic,
     }
-    lesson = Lesson(module, train, data.val, collate_readable, "pck", settings, unseen=data.unseen)
+    lesson = Lesson(
+        coco / "train.json", module, train, data.val, collate_readable, "pck", settings, unseen=data.unseen
+    )
     return fit(lesson, run, resumed=resumed)
 
 

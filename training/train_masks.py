@@ -89,6 +89,7 @@ def train_masks(
     say_held_out(scenes, len(unseen or []))
     settings = {"augment": asdict(augment), "weights": weights, "head_epochs": head_epochs}
     lesson = Lesson(
+        train_json,
         module,
         train,
         val,

@@ -22,6 +22,8 @@ LAST, BEST = "last.ckpt", "best.ckpt"
 
 HELD_OUT = "held_out_scenes"
 """The setting that names the scenes of the training split that are only validated on."""
+TRAINED_ON = "trained_on"
+"""The setting by which the scenes of the training split are known again (`trained_scenes`)."""
 
 FOREIGN = (
     UnpicklingError,
@@ -148,7 +150,10 @@ def changes(checkpoint: Path, settings: Mapping[str, Any]) -> list[str]:
                 f"{checkpoint} was trained with {key} {changed[key]}, asked for is {now[key]}; resume with "
                 "the options it was started with, or train into another folder"
             )
-    return [f"{key}: {value}, now {now[key]}" for key, value in changed.items()]
+    other = [key.removeprefix(f"{TRAINED_ON}.") for key in changed if key.startswith(f"{TRAINED_ON}.")]
+    images = [f"other images of scene {', '.join(other)} than before"] if other else []
+    told = {key: value for key, value in changed.items() if not key.startswith(f"{TRAINED_ON}.")}
+    return [*(f"{key}: {value}, now {now[key]}" for key, value in told.items()), *images]
 
 
 def check_same_network(checkpoint: Path, found: object, wanted: object) -> None:

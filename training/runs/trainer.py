@@ -30,6 +30,7 @@ from .checkpoint_files import WholeCheckpoints, sweep_checkpoints
 from .folder import (
     FOREIGN,
     LAST,
+    TRAINED_ON,
     changes,
     checkpoint_to_resume,
     delete_run,
@@ -41,6 +42,7 @@ from .network_module import RANDOM_FRAMES, UNSEEN_SCENES, NetworkModule
 from .options import Machine, Run
 from .program import say_left_out, use_threads
 from .together import SharedStatistics
+from .trained_scenes import scene_samples
 
 Module = TypeVar("Module", bound=LightningModule)
 
@@ -53,6 +55,7 @@ class Lesson:
     """What is trained, on what.
 
     Attributes:
+        train_json: the COCO file of the training split.
         module: the network and its losses.
         train: samples to train on, drawn from torch's random state.
         val: samples to validate on, of the scenes that are trained on; None where there are none.
@@ -65,6 +68,7 @@ class Lesson:
         val_batch: samples per step of the validation; those of the training when None.
     """
 
+    train_json: Path
     module: NetworkModule
     train: Dataset[Any]
     val: Dataset[Any] | None
@@ -130,7 +134,12 @@ def fit(lesson: Lesson, run: Run, *, resumed: Path | None) -> Path:
         DataError: these options do not go with the checkpoint or the data, or a loss is not finite.
     """
     refuse_idle_patience(run.learning, can_validate=not (lesson.val is None and lesson.unseen is None))
-    settings = {"seed": run.seed, "learning": asdict(run.learning), **lesson.settings}
+    settings = {
+        "seed": run.seed,
+        "learning": asdict(run.learning),
+        TRAINED_ON: scene_samples(lesson.train_json),
+        **lesson.settings,
+    }
     last = run.out / LAST
     done = 0 if resumed is None else trained_epochs(resumed)
     if resumed is not None:

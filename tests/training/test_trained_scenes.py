@@ -1,0 +1,68 @@
+"""Networks know the scenes again that they were trained on, by an image of each."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from rpl_data.formats.datasets.coco import header, image_to_coco
+from rpl_data.types import Frame, Intrinsics
+from training.runs.folder import TRAINED_ON, changes
+from training.runs.trained_scenes import say_trained, scene_samples, trained_scenes
+
+
+def split(folder: Path, name: str, scenes: dict[str, bytes]) -> Path:
+    images = []
+    for number, (scene, content) in enumerate(scenes.items(), start=1):
+        file = folder / f"images/{scene}/000000.jpg"
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_bytes(content)
+        entry = image_to_coco(
+            number,
+            Frame(0, 0.0, file, None),
+            scene=scene,
+            intrinsics=Intrinsics(4.0, 4.0, 2.0, 2.0, 4, 4),
+            scene_from_camera=np.eye(4),
+            file_name=str(file.relative_to(folder)),
+            depth_file_name=None,
+            metres_per_unit=None,
+        )
+        images.append(entry)
+    path = folder / f"{name}.json"
+    path.write_text(json.dumps(header([]) | {"images": images, "annotations": []}))
+    return path
+
+
+def checkpoint(path: Path, train_json: Path) -> Path:
+    torch.save({"epoch": 0, "run": {"seed": 0, TRAINED_ON: scene_samples(train_json)}}, path)
+    return path
+
+
+def test_a_test_scene_that_was_trained_on_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    trained = checkpoint(tmp_path / "last.ckpt", split(tmp_path / "a", "train", {"00": b"one", "01": b"two"}))
+    unseen = split(tmp_path / "a", "test", {"02": b"three"})
+    assert trained_scenes(trained, unseen) == []
+    anew = split(
+        tmp_path / "a", "test", {"01": b"two", "02": b"three"}
+    )  # other scenes were chosen to test on
+    say_trained([trained], anew)
+    said = capsys.readouterr().out
+    assert "was trained on scene 01: what follows does not say" in said and "00" not in said
+    of_others = split(tmp_path / "b", "test", {"01": b"another recording's"})
+    assert trained_scenes(trained, of_others) == []
+    torch.save({"epoch": 0}, old := tmp_path / "old.ckpt")
+    assert trained_scenes(old, anew) == []  # an earlier version says nothing of its scenes
+
+
+def test_a_run_that_goes_on_with_other_images_says_so(tmp_path: Path) -> None:
+    trained = checkpoint(tmp_path / "last.ckpt", split(tmp_path / "a", "train", {"00": b"one", "01": b"two"}))
+    same = {"seed": 0, TRAINED_ON: scene_samples(tmp_path / "a/train.json")}
+    assert changes(trained, same) == []
+    other = {"seed": 0, TRAINED_ON: scene_samples(split(tmp_path / "b", "train", {"00": b"x", "01": b"two"}))}
+    assert changes(trained, other) == ["other images of scene 00 than before"]
