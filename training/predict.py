@@ -94,6 +94,8 @@ def predict(
         if overlays:
             place = out / "overlays" / _below(file, images, ".jpg")
             _write_overlay(place, image, found, pipeline, intrinsics)
+    if not entries:
+        raise DataError(f"{images}: no image could be read; the first: {next(iter(unreadable))}")
     write_json(out / "poses.json", entries)
     if clicks is not None:
         write_text(clicks, clicks_csv(proposals, pipeline))

@@ -268,6 +268,10 @@ def test_predictions(coco, run, detector, tmp_path):
     assert clicks.read_text().startswith("object,keypoint,scene,frame,u_px,v_px")
     with pytest.raises(DataError, match="holds no image"):
         predict(tmp_path / "out" / "overlays" / "none", [run / "last.ckpt"], detector, camera)
+    (tmp_path / "damaged.png").write_bytes(b"no image")
+    with pytest.raises(DataError, match="no image could be read; the first: .*damaged.png"):
+        predict(tmp_path / "damaged.png", [run / "last.ckpt"], detector, camera, out=tmp_path / "none")
+    assert not (tmp_path / "none").exists()
 
 
 @pytest.mark.parametrize(("camera", "distortion", "unit", "said"), [
