@@ -71,12 +71,12 @@ def evaluate_pose(
     methods = list(dict.fromkeys(methods))
     use_threads(threads)
     networks = [keypoints] if isinstance(keypoints, Path) else keypoints
-    finder = [detector] if detector is not None and crops == "detected" else []
-    pipeline = load_pipeline(networks, *finder)
+    detectors = [detector] if detector is not None and crops == "detected" else []
+    pipeline = load_pipeline(networks, *detectors)
     coco_json = split_file(coco, split)
     truth = true_objects(coco_json, pipeline.networks)
     if split == "test":
-        say_trained([*networks, *finder], coco_json)
+        say_trained([*networks, *detectors], coco_json)
     if depth == "auto":
         say_depth(coco_json, metres_per_unit, methods)
     unreadable: Counter[str] = Counter()

@@ -69,10 +69,10 @@ def predict(
     from .pose.pipeline import load_pipeline
     from .runs.program import say_left_out, use_threads
 
+    refuse_no_camera(camera, distortion, metres_per_unit)
     use_threads(threads)
     files = images_of(images)
     pipeline = load_pipeline([keypoints] if isinstance(keypoints, Path) else keypoints, detector)
-    refuse_no_camera(camera, distortion, metres_per_unit)
     entries: list[dict[str, Any]] = []
     proposals: list[Click] = []
     unreadable: Counter[str] = Counter()
@@ -95,7 +95,7 @@ def predict(
             place = out / "overlays" / _below(file, images, ".jpg")
             _write_overlay(place, image, found, pipeline, intrinsics)
     if not entries:
-        raise DataError(f"{images}: no image could be read; the first: {next(iter(unreadable))}")
+        raise DataError(f"{images}: every image was left out; the first: {next(iter(unreadable))}")
     write_json(out / "poses.json", entries)
     if clicks is not None:
         write_text(clicks, clicks_csv(proposals, pipeline))

@@ -67,6 +67,7 @@ def train_detector(
     from .runs.trainer import Lesson, fit, say, say_held_out, start
     from .runs.weights import start_from
 
+    coco = coco.expanduser()
     run = Run(out, learning, machine, validate_every, seed, resume, overwrite, until)
     resumed = start(run)
     scenes = hold_out_scenes(coco, validate_scenes)

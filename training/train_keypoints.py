@@ -81,6 +81,7 @@ def train_keypoints(
     from .runs.weights import start_from
 
     refuse_contradictions(synthetic, rendered, validate_scenes)
+    coco = coco.expanduser()
     run = Run(out, learning, machine, validate_every, seed, resume, overwrite, until)
     resumed = start(run)
     data = KeypointDataModule(

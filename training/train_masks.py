@@ -72,6 +72,7 @@ def train_masks(
     from .runs.trainer import Lesson, fit, say, say_held_out, start
 
     MaskSettings(learning=learning, head_epochs=head_epochs)  # refuses stages that do not fit
+    coco = coco.expanduser()
     run = Run(out, learning, machine, validate_every, seed, resume, overwrite, until)
     resumed = start(run)
     network = with_norm(network, weights)

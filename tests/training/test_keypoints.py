@@ -246,7 +246,7 @@ def detector(coco, tmp_path_factory) -> Path:
 def test_one_checkpoint_needs_no_list(tmp_path, capsys):
     cv2.imwrite(str(tmp_path / "photo.png"), np.zeros((4, 4, 3), np.uint8))
     for given in ("lone.ckpt", "[lone.ckpt, other.ckpt]"):
-        assert main(predict, [str(tmp_path), "--keypoints", given]) == 1
+        assert main(predict, [str(tmp_path), "--keypoints", given, "--camera", "[9, 9, 2, 2]"]) == 1
         assert "there is no checkpoint lone.ckpt" in capsys.readouterr().err
 
 
@@ -269,7 +269,7 @@ def test_predictions(coco, run, detector, tmp_path):
     with pytest.raises(DataError, match="holds no image"):
         predict(tmp_path / "out" / "overlays" / "none", [run / "last.ckpt"], detector, camera)
     (tmp_path / "damaged.png").write_bytes(b"no image")
-    with pytest.raises(DataError, match="no image could be read; the first: .*damaged.png"):
+    with pytest.raises(DataError, match="every image was left out; the first: .*damaged.png"):
         predict(tmp_path / "damaged.png", [run / "last.ckpt"], detector, camera, out=tmp_path / "none")
     assert not (tmp_path / "none").exists()
 
@@ -296,7 +296,7 @@ def with_mesh(coco: Path, place: Path) -> None:
     (place / "depth").symlink_to(coco / "depth")
 
 
-def test_evaluation_counts_what_is_missing(coco, run, detector, tmp_path):
+def test_evaluation_counts_what_is_missing(coco, run, detector, tmp_path, capsys):
     with_mesh(coco, tmp_path)
     data = read_coco(coco / "train.json")
     for crops in ("given", "detected"):
@@ -316,6 +316,11 @@ def test_evaluation_counts_what_is_missing(coco, run, detector, tmp_path):
         assert figures["bop"]["average_recall"] is not None  # the export says the unit of its depth
         poses = read_bop_results(out / "consensus_rpl-train.csv")
         assert len(poses) == figures["instances"] - figures["failures"]
+    shutil.copy(tmp_path / "train.json", tmp_path / "test.json")  # tested on now, after it was trained on
+    assert "was trained on" not in capsys.readouterr().out
+    evaluate_pose(tmp_path, [run / "last.ckpt"], crops="given", methods=["epnp"], depth=False)
+    (scene,) = {image["scene"] for image in data["images"]}
+    assert f"{run / 'last.ckpt'} was trained on scene {scene}" in capsys.readouterr().out
 
 
 def test_an_object_without_a_network_needs_no_mesh(run, tmp_path, capsys):

@@ -11,8 +11,15 @@ import torch
 
 from rpl_data.formats.datasets.coco import header, image_to_coco
 from rpl_data.types import Frame, Intrinsics
-from training.runs.folder import TRAINED_ON, changes
-from training.runs.trained_scenes import say_trained, scene_samples, trained_scenes
+from training.runs.folder import TRAINED_ON
+from training.runs.trained_scenes import (
+    joined,
+    other_images,
+    samples_before,
+    say_trained,
+    scene_samples,
+    trained_scenes,
+)
 
 
 def split(folder: Path, name: str, scenes: dict[str, bytes]) -> Path:
@@ -53,16 +60,18 @@ def test_a_test_scene_that_was_trained_on_is_named(
     )  # other scenes were chosen to test on
     say_trained([trained], anew)
     said = capsys.readouterr().out
-    assert "was trained on scene 01: what follows does not say" in said and "00" not in said
+    assert "was trained on scene 01, or chosen by it: what follows" in said and "00" not in said
     of_others = split(tmp_path / "b", "test", {"01": b"another recording's"})
     assert trained_scenes(trained, of_others) == []
     torch.save({"epoch": 0}, old := tmp_path / "old.ckpt")
     assert trained_scenes(old, anew) == []  # an earlier version says nothing of its scenes
 
 
-def test_a_run_that_goes_on_with_other_images_says_so(tmp_path: Path) -> None:
+def test_scenes_stay_known_when_a_run_goes_on_with_others(tmp_path: Path) -> None:
     trained = checkpoint(tmp_path / "last.ckpt", split(tmp_path / "a", "train", {"00": b"one", "01": b"two"}))
-    same = {"seed": 0, TRAINED_ON: scene_samples(tmp_path / "a/train.json")}
-    assert changes(trained, same) == []
-    other = {"seed": 0, TRAINED_ON: scene_samples(split(tmp_path / "b", "train", {"00": b"x", "01": b"two"}))}
-    assert changes(trained, other) == ["other images of scene 00 than before"]
+    before = samples_before(trained, "scratch")
+    assert before == samples_before(None, str(trained)) and samples_before(None, "scratch") == {}
+    now = scene_samples(split(tmp_path / "b", "train", {"00": b"another", "02": b"three"}))
+    assert other_images(before, before) == [] and other_images(before, now) == ["00"]
+    both = joined(before, now)
+    assert sorted(both) == ["00", "01", "02"] and len(both["00"]) == 2

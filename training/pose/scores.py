@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from rpl_data.files import read_json, write_json
-from rpl_data.pose.errors import PoseErrors
+from rpl_data.pose.errors import INFINITE, PoseErrors
 
 from ..keypoints.module import PCK_SHARE
 from .pipeline import SeenKeypoints
@@ -120,7 +120,9 @@ def load_judged(path: Path) -> list[Judged]:
     """Read the instances that `save_judged` wrote."""
     judged = []
     for row in read_json(path):
-        errors = PoseErrors(**{name: _or_infinite(value) for name, value in row["errors"].items()})
+        # Earlier versions wrote half a turn for the orientation of what has no pose.
+        given = {name: _or_infinite(value) for name, value in row["errors"].items()}
+        errors = INFINITE if row["pose"] is None else PoseErrors(**given)
         seen = None if row["seen"] is None else _seen_from(row["seen"])
         off = np.array([_or_infinite(value) for value in row["keypoint_errors"]], dtype=float)
         pose = None if row["pose"] is None else np.array(row["pose"])

@@ -150,10 +150,7 @@ def changes(checkpoint: Path, settings: Mapping[str, Any]) -> list[str]:
                 f"{checkpoint} was trained with {key} {changed[key]}, asked for is {now[key]}; resume with "
                 "the options it was started with, or train into another folder"
             )
-    other = [key.removeprefix(f"{TRAINED_ON}.") for key in changed if key.startswith(f"{TRAINED_ON}.")]
-    images = [f"other images of scene {', '.join(other)} than before"] if other else []
-    told = {key: value for key, value in changed.items() if not key.startswith(f"{TRAINED_ON}.")}
-    return [*(f"{key}: {value}, now {now[key]}" for key, value in told.items()), *images]
+    return [f"{key}: {value}, now {now[key]}" for key, value in changed.items()]
 
 
 def check_same_network(checkpoint: Path, found: object, wanted: object) -> None:

@@ -42,7 +42,7 @@ from .network_module import RANDOM_FRAMES, UNSEEN_SCENES, NetworkModule
 from .options import Machine, Run
 from .program import say_left_out, use_threads
 from .together import SharedStatistics
-from .trained_scenes import scene_samples
+from .trained_scenes import joined, other_images, samples_before, scene_samples
 
 Module = TypeVar("Module", bound=LightningModule)
 
@@ -134,16 +134,14 @@ def fit(lesson: Lesson, run: Run, *, resumed: Path | None) -> Path:
         DataError: these options do not go with the checkpoint or the data, or a loss is not finite.
     """
     refuse_idle_patience(run.learning, can_validate=not (lesson.val is None and lesson.unseen is None))
-    settings = {
-        "seed": run.seed,
-        "learning": asdict(run.learning),
-        TRAINED_ON: scene_samples(lesson.train_json),
-        **lesson.settings,
-    }
+    settings = {"seed": run.seed, "learning": asdict(run.learning), **lesson.settings}
+    before = samples_before(resumed, lesson.settings["weights"])
+    now = scene_samples(lesson.train_json)
     last = run.out / LAST
     done = 0 if resumed is None else trained_epochs(resumed)
     if resumed is not None:
-        say("; ".join([f"goes on after epoch {done}", *changes(resumed, settings)]))
+        other = [f"other images of scene {scene} than before" for scene in other_images(before, now)]
+        say("; ".join([f"goes on after epoch {done}", *changes(resumed, settings), *other]))
     if done >= (run.until or run.learning.epochs):
         say(f"{last} was trained for {counted(done, 'epoch')} already; ask for more with --learning.epochs")
         return last
@@ -155,6 +153,7 @@ def fit(lesson: Lesson, run: Run, *, resumed: Path | None) -> Path:
     lesson.module.validated_on = tuple(val)
     strict = UNSEEN_SCENES if lesson.unseen is not None else RANDOM_FRAMES
     monitor = f"{strict}_{lesson.figure}"
+    settings[TRAINED_ON] = joined(before, now)
     kept = Checkpoints(run.out, monitor=monitor, settings=settings, patience=run.learning.patience)
     # The average puts the trained weights back before a checkpoint is written, so it comes first.
     average = [WeightAverage(run.learning.ema)] if run.learning.ema else []

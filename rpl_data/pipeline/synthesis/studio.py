@@ -185,6 +185,8 @@ def _subject(
     body = Body(name, painted, item.model.points_object)
     _measure(training.folder, labels, body, gathered)
     poses = np.array([matrix_from_json(one["camera_from_object"]) for _, one in labels])
+    # Where the object stands: a part of a recording is too short to tell which way is up in its images alone.
+    standing = np.array([f"{image['scene']}/{one.get('instance', '')}" for image, one in labels])
     places = np.array([f"{part_of(image)}/{one.get('instance', '')}" for image, one in labels])
     up_by_light = {image["scene"]: ups[part_of(image)] for image, _ in reversed(labels)}
     distances = np.linalg.norm(poses[:, :3, 3], axis=1)
@@ -196,7 +198,7 @@ def _subject(
         ups=np.array(
             [_up_of(labels, poses, places == place, part_of, tables) for place in np.unique(places)]
         ),
-        turn_deg=turn_by_places(places, poses),
+        turn_deg=turn_by_places(standing, poses),
         nearest_m=float(np.percentile(distances, 2)),
         farthest_m=float(np.percentile(distances, 98)),
         keypoint_sigma_m=_keypoint_sigma_m(context, name),
