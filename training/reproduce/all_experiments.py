@@ -73,8 +73,8 @@ def reproduce_all(
     one fails it says so, the terminal says why, and the next one runs all the same.
 
     Args:
-        preset: `cpu` takes datasets/training_twin.yaml and small networks, an evening on two cores; `paper`
-            datasets/paper_twin.yaml (eleven objects) and the paper's networks, for a GPU.
+        preset: `cpu` takes datasets/training_twin.yaml and small networks, about two hours on two cores;
+            `paper` datasets/paper_twin.yaml (eleven objects) and the paper's networks, for a GPU.
         out: folder for all.html, the recording and one folder per experiment.
         recipe: of another recording; `datasets/` of the folder you are in holds the presets'.
         root: where the meshes are that the recipe names; paper_twin.yaml needs those of YCB.
