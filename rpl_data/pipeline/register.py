@@ -251,7 +251,7 @@ def _region(
 ) -> PointCloud | None:
     """The surface of the object as the scene shows it, scene frame; None where it shows none."""
     from rpl_data.reconstruct.surface import fuse_surface
-    from rpl_data.segment.segment import grown_regions
+    from rpl_data.segment.scene_regions import grown_regions
 
     workspace, voxel_m = context.workspace, context.recipe.reconstruct.voxel_m
     recorded = workspace.load_scene(scene_of(scene))

@@ -14,7 +14,8 @@ from rpl_data.raycast import RayScene, render_depth_m
 from rpl_data.segment.free_space import DepthView
 from rpl_data.segment.mask_votes import MaskView
 from rpl_data.segment.region_growing import height_above
-from rpl_data.segment.segment import DenseModel, grown_regions, segment_object
+from rpl_data.segment.scene_regions import grown_regions
+from rpl_data.segment.segment import DenseModel, segment_object
 from rpl_data.types import DataError, Intrinsics, KeypointModel, Mesh, Solution
 
 SIZE_M = np.array([0.12, 0.08, 0.06])

@@ -21,11 +21,12 @@ from rpl_data.torch.detection import DetectionTarget, shrunk, square_from_box
 from rpl_data.torch.image_files import to_unit_range
 
 from ..keypoints.hourglass import Hourglass, Residual
+from ..runs.folder import load_module
 from ..runs.network_module import NetworkModule
 from ..runs.options import DetectorNetwork, Learning
 from ..runs.schedule import optimizer_of
 from ..runs.together import nothing_read
-from ..runs.trainer import load_module, stop_if_not_finite
+from ..runs.trainer import stop_if_not_finite
 from ..runs.weights import Start
 
 Collated = tuple[list[Tensor], list[DetectionTarget], Sequence[str]]

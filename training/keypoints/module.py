@@ -16,11 +16,12 @@ from rpl_data.torch.heatmaps import positions_in_image
 from rpl_data.torch.keypoints import KeypointSample
 from rpl_data.types import DataError, KeypointModel
 
+from ..runs.folder import load_module
 from ..runs.network_module import NetworkModule
 from ..runs.options import Learning, Network
 from ..runs.schedule import optimizer_of
 from ..runs.together import EMPTY_SIDE_PX, share_of_mean
-from ..runs.trainer import load_module, stop_if_not_finite
+from ..runs.trainer import stop_if_not_finite
 from .hourglass import cross_entropy, mean_squares
 from .networks import network_of
 from .pictures import heatmap_picture

@@ -9,14 +9,17 @@ from contextlib import contextmanager
 from dataclasses import fields
 from pathlib import Path
 from pickle import UnpicklingError
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
+from pytorch_lightning import LightningModule
 
 from rpl_data.types import DataError
 from rpl_data.wording import counted
 
 from .options import Learning, Run
+
+Module = TypeVar("Module", bound=LightningModule)
 
 LAST, BEST = "last.ckpt", "best.ckpt"
 
@@ -186,3 +189,19 @@ def _flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
         else:
             flat[prefix + key] = value
     return flat
+
+
+def load_module(kind: type[Module], checkpoint: Path, program: str) -> Module:
+    """The trained network of a checkpoint, ready to predict.
+
+    Raises:
+        DataError: the checkpoint is missing, or another program wrote it.
+    """
+    if not checkpoint.exists():
+        last = checkpoint.with_name(LAST)
+        so_far = f"the run has {last} so far; best.ckpt comes with its first validation"
+        hint = so_far if last.exists() else f"train one with {program}"
+        raise DataError(f"there is no checkpoint {checkpoint}; {hint}")
+    with reading_checkpoint(checkpoint, f"a checkpoint of {program}"):
+        loaded = kind.load_from_checkpoint(checkpoint, map_location="cpu", weights_only=True)
+    return loaded.eval()

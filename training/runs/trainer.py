@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import torch
 from pytorch_lightning import Callback, LightningModule, Trainer, seed_everything
@@ -43,8 +43,6 @@ from .options import Machine, Run
 from .program import say_left_out, use_threads
 from .together import SharedStatistics
 from .trained_scenes import joined, other_images, samples_before, scene_samples
-
-Module = TypeVar("Module", bound=LightningModule)
 
 say = rank_zero_only(print)
 """Print once, also where several processes train together."""
@@ -289,19 +287,3 @@ def stop_if_not_finite(
             f"(ids of the COCO file): {', '.join(bad)}; look at the labels of these images, or lower "
             "--learning.rate and go on with --resume true"
         )
-
-
-def load_module(kind: type[Module], checkpoint: Path, program: str) -> Module:
-    """The trained network of a checkpoint, ready to predict.
-
-    Raises:
-        DataError: the checkpoint is missing, or another program wrote it.
-    """
-    if not checkpoint.exists():
-        last = checkpoint.with_name(LAST)
-        so_far = f"the run has {last} so far; best.ckpt comes with its first validation"
-        hint = so_far if last.exists() else f"train one with {program}"
-        raise DataError(f"there is no checkpoint {checkpoint}; {hint}")
-    with reading_checkpoint(checkpoint, f"a checkpoint of {program}"):
-        loaded = kind.load_from_checkpoint(checkpoint, map_location="cpu", weights_only=True)
-    return loaded.eval()

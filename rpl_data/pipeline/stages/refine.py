@@ -87,7 +87,7 @@ def scene_regions(
     workspace: Workspace, solution: Solution, places: Sequence[str], voxel_m: float, crop_m: Box3 | None
 ) -> dict[str, PointCloud]:
     """The object's surface as each scene saw it, scene frame; one per instance."""
-    from rpl_data.segment.segment import grown_regions
+    from rpl_data.segment.scene_regions import grown_regions
 
     surfaces = {
         place: load_mesh(workspace.surface_file(scene_of(place)))
