@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -13,6 +14,7 @@ from rpl_data.images import read_color
 from rpl_data.pipeline.automatic import find_step
 from rpl_data.pipeline.build import alone_in, context_of, recipe_of, run_step
 from rpl_data.pipeline.context import Context
+from rpl_data.pipeline.ledger import Outcome
 from rpl_data.pipeline.progress import Progress, Tell
 from rpl_data.pipeline.register import object_named
 from rpl_data.pipeline.symmetry import frame_change, symmetry_turns
@@ -127,12 +129,15 @@ def look_at_scene(
     depths = workspace.depth_reader(recorded)
     poses: dict[str, list[Transform]] = {name: [] for name in networks.models}
     numbers: dict[str, list[int]] = {name: [] for name in networks.models}
+    began_s = time.monotonic()
     for done, frame in enumerate(chosen):
         tell(Progress("propose", scene, "runs", done, len(chosen)))
         depth = depths(frame) if frame.depth is not None else None
         for name, pose in networks.look(read_color(frame), recorded.intrinsics, depth).items():
             poses[name].append(trajectory.at(frame.index) @ pose)
             numbers[name].append(frame.index)
+    took_s = time.monotonic() - began_s
+    tell(Progress("propose", scene, "ran", seconds=took_s, outcome=Outcome(frames=len(chosen))))
     context = context_of(workspace)
     found = {}
     for name, seen in poses.items():
@@ -228,6 +233,7 @@ def _placed(
             tell=tell,
         )
     except UnsureError as unsure:
+        tell(Progress("register", name, "failed"))
         yield f"{unsure} (by the network, {agree})"
         return
     yield from (f"{line}; by the network, {agree}" for line in entry.outcome.messages)

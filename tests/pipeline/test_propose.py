@@ -14,6 +14,7 @@ from built_once import moved_copy
 from rpl_data.geometry import Transform, from_rotvec, invert
 from rpl_data.pipeline.build import alone_in
 from rpl_data.pipeline.placements import without_scenes
+from rpl_data.pipeline.progress import Progress, Tell
 from rpl_data.pipeline.propose import Networks, propose
 from rpl_data.report import write_report
 from rpl_data.symmetries import turn
@@ -26,6 +27,7 @@ from rpl_data.types import (
     SymmetryAxis,
     SymmetryRecord,
     Turns,
+    UnsureError,
 )
 from rpl_data.workspace.workspace import Workspace
 
@@ -64,7 +66,9 @@ def test_a_network_is_compared_with_labels(place: Workspace, off_m: float, symme
     if symmetric:
         points = place.load_placed("carton").model.points_object
         place.save_symmetry("carton", SymmetryRecord(points, None, 1.0, confirmed=(HALF_TURN,)))
-    [said] = propose(place, networks, scenes=["01"])
+    told: list[Progress] = []
+    [said] = propose(place, networks, scenes=["01"], tell=told.append)
+    assert [progress.state for progress in told] == [*["runs"] * 6, "ran"]
     found = re.fullmatch(
         r"carton in scene 01: the network puts it (\d+) mm from its labels, by (\d+) of (\d+) frames that "
         r"agree to (\d+) mm",
@@ -78,19 +82,39 @@ def test_a_network_is_compared_with_labels(place: Workspace, off_m: float, symme
     assert "Networks and labels" in write_report(place).read_text()
 
 
+def take_labels_away(place: Workspace, scene: str) -> None:
+    """As if the carton had never been clicked in a scene."""
+    clicks = place.clicks_file("carton")
+    lines = clicks.read_text().splitlines(True)
+    clicks.write_text("".join(line for line in lines if f'"{scene}"' not in line))
+    refined = without_scenes(place.load_placed("carton"), [scene])
+    place.save_solution(without_scenes(place.load_solution("carton"), [scene]))
+    place.save_refined(refined)
+
+
 def test_a_scene_without_labels_is_placed_by_evidence(place: Workspace) -> None:
     networks = network_by_labels(place, "02")
     true = place.load_placed("carton").scene_from_object["02"]
-    clicks = place.clicks_file("carton")
-    clicks.write_text("".join(line for line in clicks.read_text().splitlines(True) if '"02"' not in line))
-    refined = without_scenes(place.load_placed("carton"), ["02"])
-    place.save_solution(without_scenes(place.load_solution("carton"), ["02"]))
-    place.save_refined(refined)
+    take_labels_away(place, "02")
     said = list(propose(place, networks, scenes=["02"]))
     assert "placed automatically in scene 02" in said[0], said
     assert "by the network, 6 of 6 frames agree on a pose" in said[0]
     off = invert(true) @ place.load_placed("carton").scene_from_object["02"]
     assert np.linalg.norm(off[:3, 3]) < 0.003
+
+
+def test_a_step_that_placed_nothing_is_over(place: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
+    def unsure(*arguments: object, title: tuple[str, str], tell: Tell) -> None:
+        tell(Progress(*title, "runs"))
+        raise UnsureError("carton was not placed in scene 02")
+
+    networks = replace(network_by_labels(place, "02"), look=lambda *image: {})
+    take_labels_away(place, "02")
+    monkeypatch.setattr("rpl_data.pipeline.propose.run_step", unsure)
+    told: list[Progress] = []
+    [said] = propose(place, networks, scenes=["02"], tell=told.append)
+    assert said == "carton was not placed in scene 02 (by the network, 0 of 6 frames agree on a pose)"
+    assert told[-2:] == [Progress("register", "carton", "runs"), Progress("register", "carton", "failed")]
 
 
 def test_networks_and_scenes_of_others_are_refused(place: Workspace) -> None:
