@@ -18,7 +18,14 @@ from rpl_data.pipeline.ledger import Outcome
 from rpl_data.pipeline.progress import Progress, Tell
 from rpl_data.pipeline.register import object_named
 from rpl_data.pipeline.symmetry import frame_change, symmetry_turns
-from rpl_data.pose.agreement import NO_TURN, agreements, keypoint_distance_m, nearest_pose
+from rpl_data.pose.agreement import (
+    FEWEST_TO_JUDGE,
+    NO_TURN,
+    agreements,
+    keypoint_distance_m,
+    labels_stray,
+    nearest_pose,
+)
 from rpl_data.symmetries import moved_symmetries, symmetries_of, symmetry_transforms
 from rpl_data.types import (
     ColorImage,
@@ -201,16 +208,21 @@ def compared_line(workspace: Workspace, name: str, scene: str, view: NetworkView
             f"{counted(view.looked, 'frame')} agree ({view.found} had one)"
         )
     solution = workspace.load_placed(name)
-    apart_mm = 1e3 * keypoint_distance_m(
+    apart_m = keypoint_distance_m(
         view.scene_from_object,
         view.points_object,
         solution.scene_from_object[scene],
         solution.model.points_object,
     )
+    verdict = ""
+    if len(view.off_m) < FEWEST_TO_JUDGE:
+        verdict = ", too few to judge the labels by"
+    elif labels_stray(apart_m, view.off_m):
+        verdict = "; look at that scene, for one of the two is wrong"
     return (
-        f"{name} in scene {scene}: the network puts it {apart_mm:.0f} mm from its labels, by "
+        f"{name} in scene {scene}: the network puts it {1e3 * apart_m:.0f} mm from its labels, by "
         f"{len(view.frames)} of {counted(view.looked, 'frame')} that agree to "
-        f"{1e3 * float(np.median(view.off_m)):.0f} mm"
+        f"{1e3 * float(np.median(view.off_m)):.0f} mm{verdict}"
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,15 @@ FEWEST = 3
 
 WITHIN = 0.15
 """Poses agree whose keypoints are apart by less than this share of the object's size, root mean square."""
+
+FARTHER = 2.0
+"""Labels stray that are farther from the images' pose than this times the images' own median distance.
+
+Right labels of the twin were never more than 1.6 times as far, by networks that the factor was chosen with.
+"""
+
+FEWEST_TO_JUDGE = 8
+"""Agreeing images from which their median distance means anything."""
 
 NO_TURN = np.eye(4)[None]
 """What leaves an object without symmetry looking the same."""
@@ -97,6 +107,16 @@ def keypoint_distance_m(one: Transform, points_one: Points, other: Transform, po
     """
     apart = transform(one, points_one) - transform(other, points_other)
     return float(np.sqrt(np.nanmean((apart**2).sum(axis=1))))
+
+
+def labels_stray(apart_m: float, off_m: Sequence[float]) -> bool:
+    """Whether labels are farther from the pose on which images agree than their scatter explains.
+
+    Args:
+        apart_m: of the labels from that pose (`keypoint_distance_m`).
+        off_m: of each image from it (`Agreement.off_m`).
+    """
+    return len(off_m) >= FEWEST_TO_JUDGE and apart_m > FARTHER * float(np.median(off_m))
 
 
 def _agreement(

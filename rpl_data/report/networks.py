@@ -6,21 +6,16 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from rpl_data.pose.agreement import keypoint_distance_m
+from rpl_data.pose.agreement import FARTHER, FEWEST_TO_JUDGE, keypoint_distance_m, labels_stray
 from rpl_data.report.html import Cell, number, section, table
 from rpl_data.types import NetworkView, Solution
 
-FARTHER = 0.95
-"""A label that lies farther from the network's pose than this share of the agreeing images is marked."""
-
-FEWEST = 8
-"""Agreeing images from which the shares mean anything."""
-
 NOTE = (
     "The pose on which a network's images agree, beside the labels: distance of the keypoints, root mean "
-    "square. Red: the labels lie farther from it than {share:.0%} of the agreeing images do; look at that "
-    "scene, for this does not say which of the two is wrong. A network can repeat errors of labels that it "
-    "was trained on: only a scene that it never saw is an independent check."
+    "square. Red: the labels lie more than {times:g} times as far from it as the middle one of at least "
+    "{fewest} agreeing images; look at that scene, for this does not say which of the two is wrong. Errors "
+    "that are small beside the distances of the images go unmarked. A network can repeat errors of labels "
+    "that it was trained on: only a scene that it never saw is an independent check."
 )
 
 
@@ -52,7 +47,9 @@ def networks_section(
         "network",
     )
     body = table(header, rows, left=2)
-    return section("networks", "Networks and labels", body, note=NOTE.format(share=FARTHER))
+    return section(
+        "networks", "Networks and labels", body, note=NOTE.format(times=FARTHER, fewest=FEWEST_TO_JUDGE)
+    )
 
 
 def _row(name: str, scene: str, view: NetworkView, solution: Solution) -> list[str | Cell]:
@@ -83,5 +80,4 @@ def _apart(scene: str, view: NetworkView, solution: Solution) -> str | Cell:
         solution.model.points_object,
     )
     words = number(1e3 * apart_m, 0)
-    marked = len(view.off_m) >= FEWEST and np.mean(np.array(view.off_m) < apart_m) > FARTHER
-    return Cell(words, kind="over") if marked else words
+    return Cell(words, kind="over") if labels_stray(apart_m, view.off_m) else words

@@ -15,7 +15,7 @@ from rpl_data.geometry import Transform, from_rotvec, invert
 from rpl_data.pipeline.build import alone_in
 from rpl_data.pipeline.placements import without_scenes
 from rpl_data.pipeline.progress import Progress, Tell
-from rpl_data.pipeline.propose import Networks, propose
+from rpl_data.pipeline.propose import Networks, compared_line, propose
 from rpl_data.report import write_report
 from rpl_data.symmetries import turn
 from rpl_data.types import (
@@ -71,7 +71,7 @@ def test_a_network_is_compared_with_labels(place: Workspace, off_m: float, symme
     assert [progress.state for progress in told] == [*["runs"] * 6, "ran"]
     found = re.fullmatch(
         r"carton in scene 01: the network puts it (\d+) mm from its labels, by (\d+) of (\d+) frames that "
-        r"agree to (\d+) mm",
+        r"agree to (\d+) mm, too few to judge the labels by",
         said,
     )
     assert found is not None, said
@@ -79,6 +79,8 @@ def test_a_network_is_compared_with_labels(place: Workspace, off_m: float, symme
     assert abs(apart - 1e3 * off_m) < 12 and agreeing == looked == 6
     view = place.load_network_views("carton")["01"]
     assert len(view.off_m) == 6 and view.network == "carton/best.ckpt"
+    enough = compared_line(place, "carton", "01", replace(view, off_m=(0.008,) * 8))
+    assert ("look at that scene" in enough) == (off_m > 0)
     assert "Networks and labels" in write_report(place).read_text()
 
 
