@@ -9,7 +9,8 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from rpl_data.geometry import Transform, box_around, inside_image, invert, project, square_box, transform
+from rpl_data.geometry import Transform, box_around, inside_image, invert, project, transform
+from rpl_data.label.instance import square_around
 from rpl_data.twin.objects import TwinObject, build
 from rpl_data.twin.renderer import Rendered, Renderer
 from rpl_data.twin.scene import TwinScene, carried, compose
@@ -141,7 +142,7 @@ class Film:
         full = self.renderer.full_mask(number, table_from_camera)
         if not full.any():
             return None
-        visible = thing == number
+        visible, full_box = thing == number, _box(full)
         camera_from_object = invert(table_from_camera) @ table_from_object
         one, intrinsics = self.objects[number], self.spec.intrinsics
         keypoints_px = project(intrinsics, transform(camera_from_object, one.model.points_object))
@@ -152,9 +153,9 @@ class Film:
             keypoints_px=keypoints_px,
             visibility=self._visibility(number, keypoints_px, table_from_camera),
             sigma_px=np.zeros(len(keypoints_px)),
-            square_box=square_box(keypoints_px[np.isfinite(keypoints_px).all(axis=1)]),
+            square_box=square_around(keypoints_px, full_box),
             box=_box(visible) if visible.any() else None,
-            box_full=_box(full),
+            box_full=full_box,
             mask=_encode(visible),
             mask_full=_encode(full),
             visib_fract=min(1.0, float(visible.sum() / full.sum())),

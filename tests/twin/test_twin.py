@@ -23,7 +23,7 @@ from rpl_data.twin.objects import OBJECTS, build
 from rpl_data.twin.resting import resting_rotations
 from rpl_data.twin.scene import compose
 from rpl_data.twin.trajectory import hand_held
-from rpl_data.types import DataError, FrameLabel
+from rpl_data.types import DataError, FrameLabel, KeypointModel
 from rpl_data.workspace.workspace import Workspace
 
 TINY = TwinSpec(scenes=2, seconds=1.0, rate_hz=4.0, width=160, height=120, clutter=2)
@@ -195,6 +195,15 @@ def test_a_corner_behind_its_own_box_is_hidden_and_the_nearest_is_seen(video: Fi
             assert instance.visibility[nearest] == 2
             assert instance.visibility[farthest] == 1
         assert (instance.visibility == 1).sum() <= 4 or instance.visib_fract < 0.99
+
+
+def test_one_keypoint_makes_no_square_so_it_is_the_masks(video: Film) -> None:
+    whole = video.objects[0]
+    model = KeypointModel("carton", whole.model.keypoints[:1], whole.model.points_object[:1])
+    one = replace(video, objects=(replace(whole, model=model), *video.objects[1:]))
+    label = one.shoot(0).label.instances[0]
+    box = np.array(label.box_full)
+    assert label.square_box.side_px == pytest.approx(1.5 * (box[2:] - box[:2]).max())
 
 
 # Annotator ----------------------------------------------------------------------------------------
