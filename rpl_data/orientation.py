@@ -17,6 +17,7 @@ from pathlib import Path
 AS_STORED = 1
 _ORIENTATION_TAG = 0x0112
 _JPEG, _PNG = b"\xff\xd8", b"\x89PNG\r\n\x1a\n"
+_RIFF, _WEBP = b"RIFF", b"WEBP"
 _EXIF, _XMP = b"Exif\0\0", b"http://ns.adobe.com/xap/1.0/\0"
 _SCAN = 0xDA
 _PNG_TEXTS = (b"tEXt", b"zTXt", b"iTXt")
@@ -31,7 +32,7 @@ Content = bytes | mmap.mmap
 
 
 def orientation_of(path: Path) -> int:
-    """Orientation that the tag of a JPEG, PNG or TIFF asks for, 1 to 8; 1 where there is none."""
+    """Orientation that the tag of a JPEG, PNG, WebP or TIFF asks for, 1 to 8; 1 where there is none."""
     try:
         with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
             return orientation_in(content)
@@ -60,7 +61,8 @@ def without_orientation(content: bytes) -> bytes:
     kept, at = b"", 0
     for first, behind, _ in _metadata(content):
         kept, at = kept + content[at:first], behind
-    return kept + content[at:]
+    kept += content[at:]
+    return _webp_of_its_size(kept) if _is_webp(kept) else kept
 
 
 def _metadata(content: Content) -> Iterator[tuple[int, int, bytes]]:
@@ -75,6 +77,10 @@ def _metadata(content: Content) -> Iterator[tuple[int, int, bytes]]:
             block = content[at + 8 : behind - 4]
             if kind == b"eXIf" or (kind in _PNG_TEXTS and _PNG_METADATA.match(block)):
                 yield at, behind, block
+    elif _is_webp(content):
+        for at, behind, kind in _webp_chunks(content):
+            if kind in (b"EXIF", b"XMP "):
+                yield at, behind, content[at + 8 : behind]
 
 
 def _jpeg_segments(content: Content) -> Iterator[tuple[int, int, int]]:
@@ -98,6 +104,27 @@ def _png_chunks(content: Content) -> Iterator[tuple[int, int, bytes]]:
         behind = at + 12 + int.from_bytes(content[at : at + 4])
         yield at, behind, content[at + 4 : at + 8]
         at = behind
+
+
+def _is_webp(content: Content) -> bool:
+    return content[:4] == _RIFF and content[8:12] == _WEBP
+
+
+def _webp_chunks(content: Content) -> Iterator[tuple[int, int, bytes]]:
+    at = 12
+    while at + 8 <= len(content):
+        size = int.from_bytes(content[at + 4 : at + 8], "little")
+        behind = at + 8 + size + size % 2
+        yield at, behind, content[at : at + 4]
+        at = behind
+
+
+def _webp_of_its_size(content: bytes) -> bytes:
+    """A WebP file whose header says its size, and that it holds neither EXIF (bit 3) nor XMP (bit 2)."""
+    header = content[:4] + (len(content) - 8).to_bytes(4, "little") + content[8:20]
+    if content[12:16] != b"VP8X":
+        return header + content[20:]
+    return header + bytes([content[20] & ~0b1100]) + content[21:]
 
 
 def _exif_of(block: bytes) -> bytes:

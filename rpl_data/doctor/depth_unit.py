@@ -10,7 +10,7 @@ from jaxtyping import Float32
 
 from rpl_data.doctor.corrections import usual_factor
 from rpl_data.doctor.findings import Finding, option
-from rpl_data.formats.recordings.plausibility import PATTERN, share_of_multiples, usual_units_m
+from rpl_data.formats.recordings.plausibility import has_turned_bits, share_of_multiples, usual_units_m
 from rpl_data.recordings.mend import Mend
 from rpl_data.types import Scene
 
@@ -62,8 +62,8 @@ def by_the_numbers(scene: Scene, depths_m: Depths) -> list[Finding]:
 
 
 def is_turned(scene: Scene, depths_m: Depths) -> bool:
-    """Whether nearly all stored numbers are multiples of 8, which bits turned by 3 make them."""
-    return share_of_multiples(_stored(scene, depths_m), 8) > PATTERN
+    """Whether the stored numbers look as bits turned by 3 make them."""
+    return has_turned_bits(_stored(scene, depths_m))
 
 
 def turned_bits(scene: Scene, depths_m: Depths, sure: float) -> Finding:

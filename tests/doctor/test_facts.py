@@ -97,12 +97,12 @@ def test_distances_that_suit_a_table_are_believed(depths_mm: np.ndarray) -> None
 
 
 @pytest.mark.parametrize(
-    ("stored", "unit_m", "factor"), [(5, 0.001, 0.2), (10, 0.001, 0.1), (1, 0.0002, 5.0)]
+    ("stored", "unit_m", "factor"), [(5, 0.001, 0.2), (10, 0.001, 0.1), (16, 0.0005, 1 / 8), (1, 0.0002, 5.0)]
 )
 def test_distances_that_suit_no_table_are_a_warning(
     depths_mm: np.ndarray, stored: int, unit_m: float, factor: float
 ) -> None:
-    """Multiples of 5 are millimetres in TUM's 1/5000 m."""
+    """Multiples of 5 are millimetres in TUM's 1/5000 m; of 16, millimetres in the upper 12 of 16 bits."""
     (found,) = numbers(depths_mm * stored, unit_m)
     assert (found.kind, found.mend) == ("depth scale", Mend(depth_factor=factor))
     assert found.sure < 0.9 and "nothing else to judge the unit by" in found.what

@@ -238,6 +238,21 @@ def test_the_dataset_itself_is_no_export(tmp_path: Path) -> None:
     assert dialect_of(tmp_path) is None
 
 
+def test_polygons_of_another_program_are_no_fault_unless_they_are_damaged(
+    exports: Path, tmp_path: Path
+) -> None:
+    shutil.copytree(exports / "coco", tmp_path / "coco")
+    train = tmp_path / "coco/train.json"
+    data = json.loads(train.read_text())
+    left, top, width, height = data["annotations"][0]["bbox"]
+    corners = [left, top, left + width, top, left + width, top + height, left, top + height]
+    for polygon, said in ((corners, []), (corners[:4], ["segmentation"])):
+        data["annotations"][0]["segmentation"] = [polygon]
+        train.write_text(json.dumps(data))
+        faults = [fault for fault in check_export(tmp_path / "coco") if "SHA256SUMS" not in fault.problem]
+        assert [fault.field for fault in faults] == said
+
+
 def test_what_contradicts_the_masks_is_named(exports: Path, tmp_path: Path) -> None:
     """A box that misses what is seen, an object listed twice, and a frame in two lists."""
     shutil.copytree(exports / "ycb_video", tmp_path / "ycb")

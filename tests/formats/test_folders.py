@@ -384,8 +384,17 @@ def test_numbers_that_are_neither_camera_nor_matrix_are_refused(tmp_path: Path, 
 
 
 @pytest.mark.parametrize(
-    ("color", "depth"), [("RGB", "Depth"), ("color_images", "depth_images"), ("imgs", "depth_maps")]
+    ("color", "depth"),
+    [
+        ("RGB", "Depth"),
+        ("color_images", "depth_images"),
+        ("imgs", "depth_maps"),
+        ("left", "aligned_depth_to_color"),
+        ("frames", "depth_frames"),
+    ],
 )
 def test_folders_of_other_names(tmp_path: Path, color: str, depth: str) -> None:
+    (tmp_path / "a/image_masks").mkdir(parents=True)
+    (tmp_path / "a/depth_confidence").mkdir()
     make_folders(tmp_path / "a", f"{color}/{{}}.png", f"{depth}/{{}}.png")
     assert len(read(tmp_path / "a").scene.frames) == 6

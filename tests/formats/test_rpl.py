@@ -280,8 +280,17 @@ def test_camera_txt_also_holds_distortion_and_the_depth_unit(tree: Path) -> None
 
 
 @pytest.mark.parametrize(
+    "line", ["metres_per_unit: 0.0005", "metres_per_unit=0.0005", "Meters_per_unit 0.0005"]
+)
+def test_camera_txt_says_the_depth_unit_in_any_spelling(tree: Path, line: str) -> None:
+    (tree / "camera.txt").write_text(f"50 51 31.5 23.5\n{line}\n")
+    assert read_rpl(tree)[0].scene.metres_per_unit == 0.0005
+
+
+@pytest.mark.parametrize(
     ("line", "message"),
     [
+        ("depth_scale: 1000", "'depth_scale: 1000' is not understood; write .* `metres_per_unit 0.001`"),
         ("distortion 0.1 0.2", "expected 4 or 5 or 8 numbers after distortion"),
         ("depth_px 32", "expected 2 numbers after depth_px"),
         ("metres_per_unit mm", "could not convert .* repair or delete the line"),

@@ -14,6 +14,7 @@ from PIL import Image, ImageOps
 
 from rpl_data.formats.containers.klg import index_klg, klg_color, klg_image_size
 from rpl_data.formats.recordings.depth_files import read_depth_file
+from rpl_data.formats.recordings.image_headers import probe
 from rpl_data.images import read_color, read_grey, read_pixels
 from rpl_data.orientation import orientation_of, without_orientation
 from rpl_data.torch.image_files import read_image
@@ -28,14 +29,16 @@ def tagged(suffix: str, orientation: int, *, by: str = "exif") -> bytes:
     file, exif = io.BytesIO(), Image.Exif()
     exif[0x0112] = orientation
     options = {"exif": exif} if by == "exif" else {"xmp": XMP % orientation}
-    kind = {"jpg": "JPEG", "png": "PNG", "tif": "TIFF"}[suffix]
+    kind = {"jpg": "JPEG", "png": "PNG", "tif": "TIFF", "webp": "WEBP"}[suffix]
     if by == "exif" and suffix == "tif":
         options = {"tiffinfo": {0x0112: orientation}}  # type: ignore[dict-item]
+    if suffix == "webp":
+        options["lossless"] = True  # type: ignore[assignment]
     Image.fromarray(PIXELS).save(file, kind, **options)
     return file.getvalue()
 
 
-CASES = [("jpg", "exif"), ("jpg", "xmp"), ("png", "exif"), ("tif", "exif")]
+CASES = [("jpg", "exif"), ("jpg", "xmp"), ("png", "exif"), ("tif", "exif"), ("webp", "exif"), ("webp", "xmp")]
 
 
 @pytest.mark.parametrize(("suffix", "by"), CASES)
@@ -47,6 +50,8 @@ def test_every_reader_sees_the_pixels_as_stored(
     path.write_bytes(tagged(suffix, orientation, by=by))
     assert orientation_of(path) == orientation
     frame = Frame(0, 0.0, path, None)
+    header = probe(path)
+    assert header is not None and (header.width, header.height) == (40, 24)
     stored = PIXELS if suffix != "jpg" else np.asarray(Image.open(path))
     np.testing.assert_allclose(read_color(frame).astype(int), stored, atol=4)
     np.testing.assert_array_equal(read_image(str(path)), read_color(frame))
@@ -79,7 +84,7 @@ def test_depth_in_a_tiff_is_not_turned_either(tmp_path: Path) -> None:
 
 
 def test_an_image_without_a_tag_is_left_as_it_is() -> None:
-    for suffix in ("jpg", "png", "tif"):
+    for suffix in ("jpg", "png", "tif", "webp"):
         content = tagged(suffix, 1)
         assert without_orientation(content) is content
     assert without_orientation(b"\xff\xd8\xff") == b"\xff\xd8\xff"

@@ -14,6 +14,7 @@ from rpl_data.export.checks.rules import at_least, between, sized
 from rpl_data.export.dialect import SPLITS
 from rpl_data.formats.datasets.coco import intrinsics_from_coco
 from rpl_data.formats.datasets.coco_check import validate_coco
+from rpl_data.formats.datasets.coco_edited import annotations_as_exported
 from rpl_data.geometry import project, transform
 from rpl_data.json_arrays import Json, each, matrix_from_json, optional, text
 from rpl_data.meshes import load_mesh
@@ -91,7 +92,9 @@ def _check_split(findings: Findings, file: str, seen: Mapping[str, set[int]]) ->
         image = images.get(annotation.get("image_id")) if isinstance(annotation, dict) else None
         if image is None and len(images) == len(data["images"]):
             findings.add(file, record, "image_id", "there is no such image in this file")
-        elif image is not None and check_annotation(findings, annotation, image, file, record):
+        elif image is None or not _with_packed_masks(findings, annotation, image, file, record):
+            continue
+        elif check_annotation(findings, annotation, image, file, record):
             _note_id(findings, seen["annotation"], annotation["id"], file, record)
     if len(findings.faults) > before:
         return set()
@@ -106,6 +109,22 @@ def _check_split(findings: Findings, file: str, seen: Mapping[str, set[int]]) ->
         _check_files(findings, image, file)
     names = (image[key] for image in images.values() for key in ("file_name", "depth_file_name"))
     return {name for name in names if name is not None}
+
+
+def _with_packed_masks(
+    findings: Findings, annotation: Json, image: Mapping[str, Any], file: str, record: str
+) -> bool:
+    """Pack masks that another program drew, as our readers do; whether they are sound."""
+    forms = [annotation.get(key) for key in ("segmentation", "segmentation_full")]
+    if not any(isinstance(form.get("counts") if isinstance(form, dict) else form, list) for form in forms):
+        return True
+    try:
+        annotations_as_exported([annotation], {image["id"]: (image["height"], image["width"])}, source=file)
+    except DataError as error:
+        problem = str(error).partition(";")[0].rpartition("version: ")[2].removeprefix("segmentation: ")
+        findings.add(file, record, "segmentation", problem)
+        return False
+    return True
 
 
 def _check_units(findings: Findings, images: Mapping[int, Json], file: str) -> None:

@@ -16,6 +16,7 @@ one file that hold the camera's own calibration; where a phone's app names its c
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -184,17 +185,28 @@ def one_unit(said: Mapping[str, float | None]) -> float | None:
     return unit_m
 
 
+_MAY_SAY_THE_UNIT = re.compile("unit|scale|factor")
+
 RECIPE = "metres_per_unit of the recipe or the command"
 """What an error calls the unit that a reader was given."""
 
 
 def _said(path: Path, lines: Sequence[str]) -> Mapping[str, tuple[float, ...]]:
-    """Read our own lines; unknown lines are ignored."""
+    """Read our own lines, also with a colon or an equals sign behind the name; other lines are ignored.
+
+    Except one that seems to say the unit of depth in other words: it must not be passed over in silence.
+    """
     counts = {"distortion": (4, 5, 8), "metres_per_unit": (1,), "depth_px": (2,)}
     said: dict[str, tuple[float, ...]] = {}
     for line in lines:
-        key, *tokens = line.split() or [""]
+        key, *tokens = re.sub("[:=]", " ", line, count=1).split() or [""]
+        key = key.lower().replace("meters", "metres")
         if key not in counts:
+            if tokens and _MAY_SAY_THE_UNIT.search(key):
+                raise DataError(
+                    f"{path}: {line!r} is not understood; write the metres of one unit of depth as "
+                    "`metres_per_unit 0.001`, or delete the line"
+                )
             continue
         try:
             said[key] = tuple(plain_number(float, token) for token in tokens)

@@ -14,7 +14,7 @@ from rpl_data.formats.recordings.frame_files import Pair, grouped
 from rpl_data.formats.recordings.times import FRAME_RATE_HZ, clock_of
 from rpl_data.types import DataError
 
-COLOR_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp")
+COLOR_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".webp", ".tif", ".tiff")
 _TIME = re.compile(r"\d{1,10}\.\d{1,9}|[1-9]\d{9,18}")
 
 

@@ -57,7 +57,7 @@ from rpl_data.formats.recordings.matrices import (
     rigid_or_none,
 )
 from rpl_data.formats.recordings.saved_images import write_depth
-from rpl_data.formats.recordings.scene_folders import chosen_scenes
+from rpl_data.formats.recordings.scene_folders import chosen_scenes, folders_in
 from rpl_data.geometry import Transform
 from rpl_data.types import DataError, Recording
 
@@ -65,6 +65,11 @@ COLOR_FOLDERS = (
     "rgb", "color", "colour", "images", "image", "imgs", "img", "color_images", "rgb_images", "color_image",
 )  # fmt: skip
 DEPTH_FOLDERS = ("depth", "depths", "depth_images", "depth_maps", "depth_image", "depth_png", "depth_raw")
+COLOR_WORDS = ("rgb", "color", "colour", "image", "img", "frame", "left")
+NO_COLOR_WORDS = ("depth", "mask", "seg", "conf", "normal")
+NO_DEPTH_WORDS = ("conf", "mask", "vis", "preview")
+"""In names of folders that are none of the usual ones."""
+
 CAMERA_FILES = (
     "cam_K.txt", "K.txt", "intrinsics.txt", "intrinsic.txt", "intrinsic/intrinsic_color.txt",
     "intrinsic_color.txt", "camera_intrinsics.txt", "camera-intrinsics.txt",
@@ -110,8 +115,27 @@ def read_folders(
 
 def is_folder_scene(folder: Path) -> bool:
     """Whether the folder has one of colour images beside one of depth images."""
-    color, depth = _first(folder, COLOR_FOLDERS), _first(folder, DEPTH_FOLDERS)
+    color, depth = _color_folder(folder), _depth_folder(folder)
     return color is not None and depth is not None and any(color.iterdir()) and any(depth.iterdir())
+
+
+def _color_folder(folder: Path) -> Path | None:
+    return _first(folder, COLOR_FOLDERS) or _only(folder, COLOR_WORDS, NO_COLOR_WORDS)
+
+
+def _depth_folder(folder: Path) -> Path | None:
+    return _first(folder, DEPTH_FOLDERS) or _only(folder, ("depth",), NO_DEPTH_WORDS)
+
+
+def _only(folder: Path, words: Sequence[str], without: Sequence[str]) -> Path | None:
+    """The folder in it with one of these words in its name; None where several have one."""
+    names = {path: path.name.lower() for path in folders_in(folder)}
+    found = [
+        path
+        for path, name in names.items()
+        if any(word in name for word in words) and not any(word in name for word in without)
+    ]
+    return found[0] if len(found) == 1 else None
 
 
 def _first(folder: Path, names: Sequence[str]) -> Path | None:
@@ -125,7 +149,7 @@ def _first(folder: Path, names: Sequence[str]) -> Path | None:
 def _read_scene(
     name: str, folder: Path, unpack: Callable[[str], Path], unit_m: float | None, camera: Camera | None
 ) -> Recording:
-    color_folder, depth_folder = _first(folder, COLOR_FOLDERS), _first(folder, DEPTH_FOLDERS)
+    color_folder, depth_folder = _color_folder(folder), _depth_folder(folder)
     assert color_folder is not None and depth_folder is not None  # is_folder_scene
     found = paired_images(color_folder, depth_folder)
     pairs = found.pairs

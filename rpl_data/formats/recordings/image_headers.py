@@ -10,6 +10,9 @@ from typing import BinaryIO
 import cv2
 import numpy as np
 
+from rpl_data.files import read_bytes
+from rpl_data.orientation import without_orientation
+
 _PNG_START = b"\x89PNG\r\n\x1a\n"
 _PNG_END = b"IEND\xaeB\x60\x82"
 _JPEG_START = b"\xff\xd8"
@@ -78,7 +81,8 @@ def _jpeg(file: BinaryIO) -> ImageHeader | None:
 
 
 def _decoded(path: Path) -> ImageHeader | None:
-    image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    content = np.frombuffer(without_orientation(read_bytes(path)), np.uint8)  # OpenCV would turn a TIFF
+    image = cv2.imdecode(content, cv2.IMREAD_UNCHANGED) if len(content) else None
     if image is None:
         return None
     return ImageHeader(image.shape[1], image.shape[0], is_depth=image.dtype == np.uint16 and image.ndim == 2)

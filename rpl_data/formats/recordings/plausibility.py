@@ -38,9 +38,14 @@ def share_of_multiples(units: np.ndarray, divisor: int) -> float:
     return float((measured % divisor == 0).mean())
 
 
+def has_turned_bits(units: np.ndarray) -> bool:
+    """Whether nearly all numbers are multiples of 8, as bits turned by 3 make them, and not of 16."""
+    return share_of_multiples(units, 8) > PATTERN and share_of_multiples(units, 16) <= PATTERN
+
+
 def usual_units_m(units: np.ndarray) -> tuple[float, ...]:
-    """Common units that these numbers may have: multiples of n (10, 5, 4) are millimetres in 1/n mm."""
-    for parts in (10, 5, 4):
+    """Common units that these numbers may have: multiples of n (10, 5, 16, 4) are millimetres in 1/n mm."""
+    for parts in (10, 5, 16, 4):
         if share_of_multiples(units, parts) > PATTERN:
             return (1e-3 / parts,)
     return USUAL_UNITS_M
@@ -76,7 +81,7 @@ def median_depth_m(scene: Scene, *, frames: int = 5) -> float:
         )
     median_units = float(np.median(raw))
     median_m = median_units * scene.metres_per_unit
-    turned = median_m > MOST_DEPTH_M and share_of_multiples(raw, 8) > PATTERN
+    turned = median_m > MOST_DEPTH_M and has_turned_bits(raw)
     if not LEAST_DEPTH_M <= median_m <= MOST_DEPTH_M and not turned:
         near, now_m = median_m < LEAST_DEPTH_M, scene.metres_per_unit
         units = [u for u in usual_units_m(raw) if (u > 1.01 * now_m if near else u < 0.99 * now_m)]
