@@ -131,7 +131,7 @@ class InstanceDataset(Dataset[InstanceSample]):
         if get_worker_info() is not None:
             cv2.setNumThreads(0)  # see KeypointDataset.__getitem__
         file = str(self._folder / self._images[row]["file_name"])
-        return read_image(file, halved=halved), self.target(row)
+        return read_image(file, halved=halved, size=self.size(row)), self.target(row)
 
     def target(self, row: int) -> InstanceTarget:
         """Return the target of an image at full size, untransformed, without reading the image."""
