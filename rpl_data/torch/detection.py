@@ -101,6 +101,10 @@ class DetectionDataset(Dataset[tuple[Tensor, DetectionTarget]]):
         """Number of images."""
         return len(self._images)
 
+    def labelled(self) -> int:
+        """How many instances the images show."""
+        return len(self._annotations)
+
     def __getitem__(self, row: int) -> tuple[Tensor, DetectionTarget]:
         """Return an image (3 x height x width, 0 to 1) and its target."""
         entry = self._images[row]

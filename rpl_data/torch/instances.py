@@ -109,6 +109,10 @@ class InstanceDataset(Dataset[InstanceSample]):
         """Number of images."""
         return len(self._images)
 
+    def labelled(self) -> int:
+        """How many instances the images show, without regions that are ignored."""
+        return len(self._annotations)
+
     def image_id(self, row: int) -> int:
         """The id that an image has in the COCO file."""
         return int(self._images[row]["id"])

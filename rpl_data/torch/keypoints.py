@@ -181,6 +181,10 @@ class KeypointDataset(Dataset[KeypointSample]):
         """Number of instances."""
         return len(self._rows.files)
 
+    def labelled(self) -> int:
+        """How many instances have a labelled keypoint."""
+        return int((self._rows.keypoints[..., 2] > 0).any(axis=1).sum())
+
     def __getitem__(self, row: int) -> KeypointSample:
         """Return the sample of an instance; IndexError past the last."""
         if not -len(self) <= row < len(self):

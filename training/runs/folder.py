@@ -23,6 +23,9 @@ Module = TypeVar("Module", bound=LightningModule)
 
 LAST, BEST = "last.ckpt", "best.ckpt"
 
+LABEL = "label some frames, and export again"
+"""What to do where a training split shows nothing."""
+
 HELD_OUT = "held_out_scenes"
 """The setting that names the scenes of the training split that are only validated on."""
 TRAINED_ON = "trained_on"
