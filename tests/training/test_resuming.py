@@ -13,6 +13,7 @@ import pytest
 import torch
 from labelled_scenes import exported
 
+from rpl_data.synthesize.storage import studio_hash
 from rpl_data.types import DataError
 from training.runs.callbacks import Steps
 from training.runs.checkpoint_files import WholeCheckpoints, sweep_checkpoints
@@ -21,6 +22,7 @@ from training.runs.folder import (
     checkpoint_to_resume,
     delete_run,
     read_checkpoint,
+    settings_of,
     trained_epochs,
 )
 from training.runs.options import DetectorNetwork, Learning, Machine, MaskNetwork, Network, Run
@@ -198,6 +200,25 @@ def _optimizer(run: Path) -> str:
     return optimizer
 
 
+def test_precision_processes_labels_and_rendered_views_are_compared(tmp_path):
+    run, train_json = Run(tmp_path, CYCLE, ONE), tmp_path / "train.json"
+    train_json.write_text("as it was")
+    (tmp_path / "studio").mkdir()
+    studio = tmp_path / "studio" / "studio.json"
+    studio.write_text("of the old labels")
+
+    def settings(run: Run) -> dict[str, object]:
+        return settings_of(run, train_json) | {"rendered": studio_hash(tmp_path)}
+
+    torch.save({"epoch": 0, "run": settings(run)}, tmp_path / "last.ckpt")
+    assert changes(tmp_path / "last.ckpt", settings(run)) == []
+    train_json.write_text("exported anew")
+    studio.write_text("of the new labels")
+    other = replace(run, machine=replace(ONE, precision="bf16-mixed", devices=2))
+    said = [line.split(":")[0] for line in changes(tmp_path / "last.ckpt", settings(other))]
+    assert said == ["machine.precision", "machine.devices", "labels", "rendered"]
+
+
 def test_checkpoints_of_version_0_1_are_compared_by_what_they_know(tmp_path):
     torch.save(
         {"settings": {"optimizer": "sgd", "rate": 0.1, "seed": 0, "model": {}}}, tmp_path / "masks.ckpt"
@@ -231,7 +252,8 @@ def test_one_cycle_is_torchs(optimizer, steps):
 
 
 def test_options_that_contradict_themselves():
-    for wrong in ({"epochs": 0}, {"rate": 0.0}, {"cooldown": 2.0}, {"clip": -1.0}):
+    nan = float("nan")
+    for wrong in ({"epochs": 0}, {"rate": 0.0}, {"cooldown": 2.0}, {"clip": -1.0}, {"weight_decay": nan}):
         with pytest.raises(DataError, match="learning"):
             replace(STAGED, **wrong)
     with pytest.raises(DataError, match="rises and falls by itself"):

@@ -6,7 +6,7 @@ import re
 import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import fields
+from dataclasses import asdict, fields
 from pathlib import Path
 from pickle import UnpicklingError
 from typing import Any, TypeVar
@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 import torch
 from pytorch_lightning import LightningModule
 
+from rpl_data.files import file_hash
 from rpl_data.types import DataError
 from rpl_data.wording import counted
 
@@ -135,6 +136,12 @@ def trained_epochs(checkpoint: Path) -> int:
         return 0
     with reading_checkpoint(checkpoint, "a checkpoint of a training"):
         return int(read_checkpoint(checkpoint)["epoch"]) + 1
+
+
+def settings_of(run: Run, train_json: Path) -> dict[str, Any]:
+    """What decides what a run learns, beside its network: compared when the run goes on."""
+    machine = {name: getattr(run.machine, name) for name in ("precision", "devices")}
+    return {"learning": asdict(run.learning), "machine": machine, "labels": file_hash(train_json)[:12]}
 
 
 def changes(checkpoint: Path, settings: Mapping[str, Any]) -> list[str]:

@@ -7,7 +7,7 @@ import sys
 import time
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -36,6 +36,7 @@ from .folder import (
     delete_run,
     new_logs,
     reading_checkpoint,
+    settings_of,
     trained_epochs,
 )
 from .network_module import RANDOM_FRAMES, UNSEEN_SCENES, NetworkModule
@@ -61,6 +62,8 @@ class Lesson:
         figure: what the validation logs and of which more is better; best.ckpt has the highest.
         unseen: samples of scenes that are not trained on, to validate on; best.ckpt goes by these where
             there are any.
+        rendered_json: the COCO file beside what views are rendered from during the training; it names their
+            scenes.
         settings: what else a checkpoint remembers of its run, such as the augmentation.
         drop_last: leave out the last training batch of an epoch when it is smaller than the others.
         val_batch: samples per step of the validation; those of the training when None.
@@ -74,6 +77,7 @@ class Lesson:
     figure: str
     settings: Mapping[str, Any]
     unseen: Dataset[Any] | None = None
+    rendered_json: Path | None = None
     drop_last: bool = False
     val_batch: int | None = None
 
@@ -132,9 +136,11 @@ def fit(lesson: Lesson, run: Run, *, resumed: Path | None) -> Path:
         DataError: these options do not go with the checkpoint or the data, or a loss is not finite.
     """
     refuse_idle_patience(run.learning, can_validate=not (lesson.val is None and lesson.unseen is None))
-    settings = {"seed": run.seed, "learning": asdict(run.learning), **lesson.settings}
+    settings = {"seed": run.seed, **settings_of(run, lesson.train_json), **lesson.settings}
     before = samples_before(resumed, lesson.settings["weights"])
     now = scene_samples(lesson.train_json)
+    if lesson.rendered_json is not None and lesson.rendered_json.exists():
+        now = joined(now, scene_samples(lesson.rendered_json))
     last = run.out / LAST
     done = 0 if resumed is None else trained_epochs(resumed)
     if resumed is not None:
