@@ -16,7 +16,7 @@ from rpl_data.torch.scenes import only_scenes
 from rpl_data.torch.splits import split_file
 from rpl_data.torch.targets import InstanceSample as InstanceSample
 from rpl_data.torch.targets import InstanceTarget as InstanceTarget
-from rpl_data.torch.targets import rows_by_image, settled, target_of
+from rpl_data.torch.targets import pair_of, rows_by_image, settled, target_of
 from rpl_data.torch.transforms import Image
 from rpl_data.wording import counted
 
@@ -123,7 +123,7 @@ class InstanceDataset(Dataset[InstanceSample]):
         image = tv_tensors.Image(to_unit_range(pixels))
         if self._transforms is None:
             return image, target
-        image, target = self._transforms(image, target)
+        image, target = pair_of(self._transforms(image, target))
         return image, settled(target)
 
     def size(self, row: int) -> tuple[int, int]:
