@@ -18,6 +18,8 @@ from rpl_data.types import DataError
 from training.runs.callbacks import Steps
 from training.runs.checkpoint_files import WholeCheckpoints, sweep_checkpoints
 from training.runs.folder import (
+    LOCK,
+    alone_in_folder,
     changes,
     checkpoint_to_resume,
     delete_run,
@@ -157,7 +159,8 @@ def test_a_folder_with_a_run_is_continued_or_started_anew(finished, coco, tmp_pa
     train(coco, tmp_path, until=1, seed=1)
     train(coco, tmp_path, overwrite=True)
     assert_same(weights(straight), weights(tmp_path))
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["best.ckpt", "last.ckpt", "logs", "notes.txt"]
+    left = sorted(path.name for path in tmp_path.iterdir() if path.name != LOCK)
+    assert left == ["best.ckpt", "last.ckpt", "logs", "notes.txt"]
     capsys.readouterr()
     train(coco, tmp_path, resume=True)
     assert "trained for 3 epochs already" in capsys.readouterr().out
@@ -300,6 +303,22 @@ def test_the_best_of_a_run_without_a_last_is_not_left_to_another(tmp_path):
     assert checkpoint_to_resume(Run(tmp_path, CYCLE, ONE, resume=True)) is None
     delete_run(tmp_path)
     assert not (tmp_path / "best.ckpt").exists()
+
+
+def test_one_training_at_a_time_writes_into_a_folder(tmp_path):
+    run = Run(tmp_path, CYCLE, ONE)
+    with (
+        alone_in_folder(run, None),
+        pytest.raises(DataError, match="another training writes into .*; wait until it ends"),
+        alone_in_folder(run, None),
+    ):
+        pass
+    with alone_in_folder(run, checkpoint_to_resume(run)):
+        pass
+    (tmp_path / "last.ckpt").write_text("of one that began and ended since this one looked")
+    resuming = replace(run, resume=True)
+    with pytest.raises(DataError, match="another training wrote a run"), alone_in_folder(resuming, None):
+        pass
 
 
 def test_a_foreign_file_is_no_checkpoint(tmp_path):

@@ -60,9 +60,7 @@ def test_a_test_scene_that_was_trained_on_is_named(
     )  # other scenes were chosen to test on
     say_trained([trained], anew)
     said = capsys.readouterr().out
-    assert (
-        "was trained on scene 01 or views of it, or chosen by it: what" in said and "00" not in said
-    )
+    assert "was trained on scene 01 or views of it, or chosen by it: what" in said and "00" not in said
     of_others = split(tmp_path / "b", "test", {"01": b"another recording's"})
     assert trained_scenes(trained, of_others) == []
     torch.save({"epoch": 0}, old := tmp_path / "old.ckpt")

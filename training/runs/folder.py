@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 from collections.abc import Iterator, Mapping
@@ -14,7 +15,7 @@ from typing import Any, TypeVar
 import torch
 from pytorch_lightning import LightningModule
 
-from rpl_data.files import file_hash
+from rpl_data.files import file_hash, locked
 from rpl_data.types import DataError
 from rpl_data.wording import counted
 
@@ -23,6 +24,8 @@ from .options import Learning, Run
 Module = TypeVar("Module", bound=LightningModule)
 
 LAST, BEST = "last.ckpt", "best.ckpt"
+LOCK = ".training.lock"
+"""A file that a training holds while it writes into the folder of its run."""
 
 LABEL = "label some frames, and export again"
 """What to do where a training split shows nothing."""
@@ -68,6 +71,29 @@ def checkpoint_to_resume(run: Run) -> Path | None:
             "--overwrite true, or choose another --out"
         )
     return last if last.exists() else None
+
+
+@contextmanager
+def alone_in_folder(run: Run, resumed: Path | None) -> Iterator[None]:
+    """Hold the lock of a run's folder; the processes that train one network together hold it by their first.
+
+    Raises:
+        DataError: another training holds it, or wrote a run since `checkpoint_to_resume` gave `resumed`.
+    """
+    if not _first_process():
+        yield
+        return
+    busy = f"another training writes into {run.out}; wait until it ends, or choose another --out"
+    with locked(run.out / LOCK, busy):
+        if checkpoint_to_resume(run) != resumed:
+            raise DataError(f"another training wrote a run into {run.out} meanwhile; choose another --out")
+        yield
+
+
+def _first_process() -> bool:
+    """Whether this is the only process of a training, or the first, as launchers say it."""
+    told = (os.environ[name] for name in ("RANK", "LOCAL_RANK", "SLURM_PROCID") if name in os.environ)
+    return int(next(told, 0)) == 0
 
 
 def holds_run(out: Path) -> bool:

@@ -31,6 +31,7 @@ from .folder import (
     FOREIGN,
     LAST,
     TRAINED_ON,
+    alone_in_folder,
     changes,
     checkpoint_to_resume,
     delete_run,
@@ -62,8 +63,7 @@ class Lesson:
         figure: what the validation logs and of which more is better; best.ckpt has the highest.
         unseen: samples of scenes that are not trained on, to validate on; best.ckpt goes by these where
             there are any.
-        rendered_json: the COCO file beside what views are rendered from during the training; it names their
-            scenes.
+        rendered_json: names the scenes of views that are rendered during the training; None without.
         settings: what else a checkpoint remembers of its run, such as the augmentation.
         drop_last: leave out the last training batch of an epoch when it is smaller than the others.
         val_batch: samples per step of the validation; those of the training when None.
@@ -125,7 +125,7 @@ def _gpus() -> int:
 
 
 def fit(lesson: Lesson, run: Run, *, resumed: Path | None) -> Path:
-    """Train; the path of the last checkpoint comes back.
+    """Train; the path of the last checkpoint comes back. One training at a time writes into a folder.
 
     Args:
         lesson: what is trained, on what.
@@ -135,6 +135,11 @@ def fit(lesson: Lesson, run: Run, *, resumed: Path | None) -> Path:
     Raises:
         DataError: these options do not go with the checkpoint or the data, or a loss is not finite.
     """
+    with alone_in_folder(run, resumed):
+        return _fit_alone(lesson, run, resumed)
+
+
+def _fit_alone(lesson: Lesson, run: Run, resumed: Path | None) -> Path:
     refuse_idle_patience(run.learning, can_validate=not (lesson.val is None and lesson.unseen is None))
     settings = {"seed": run.seed, **settings_of(run, lesson.train_json), **lesson.settings}
     before = samples_before(resumed, lesson.settings["weights"])
@@ -155,8 +160,7 @@ def fit(lesson: Lesson, run: Run, *, resumed: Path | None) -> Path:
     steps = Steps(run.learning, run.seed)
     train, val = _batches(lesson, run, done)
     lesson.module.validated_on = tuple(val)
-    strict = UNSEEN_SCENES if lesson.unseen is not None else RANDOM_FRAMES
-    monitor = f"{strict}_{lesson.figure}"
+    monitor = f"{UNSEEN_SCENES if lesson.unseen is not None else RANDOM_FRAMES}_{lesson.figure}"
     settings[TRAINED_ON] = joined(before, now)
     kept = Checkpoints(run.out, monitor=monitor, settings=settings, patience=run.learning.patience)
     # The average puts the trained weights back before a checkpoint is written, so it comes first.
