@@ -6,6 +6,8 @@ import sys
 from collections import Counter
 from pathlib import Path
 
+from rpl_data.types import DataError
+
 from .masks.settings import SCORE_THRESHOLD
 
 
@@ -43,7 +45,11 @@ def evaluate_masks(
     segmenter = load_segmenter(masks)
     if split == "test":
         say_trained([masks], coco_json)
-    print(table(evaluate(segmenter, coco_json, out, threshold=threshold, unreadable=unreadable)))
+    score = evaluate(segmenter, coco_json, out, threshold=threshold, unreadable=unreadable)
+    if not score.images:
+        first = next(iter(unreadable), "it has none")
+        raise DataError(f"{coco_json}: no image can be scored ({first}); choose another --split")
+    print(table(score))
     say_left_out(unreadable)
 
 

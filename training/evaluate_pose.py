@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -93,6 +93,7 @@ def evaluate_pose(
             unreadable=unreadable,
         )
     )
+    refuse_nothing_judged(judged, pipeline.networks, coco_json, unreadable)
     surfaces = {name: truth[name].surface for name in pipeline.networks}
     figures = figures_of(judged, surfaces, methods)
     if bop and out is not None:
@@ -111,6 +112,19 @@ def refuse_contradictions(split: str, methods: Sequence[Method], *, bop: bool, o
         raise DataError(f"--out is a folder, {split}_poses.json is written into it; got the file {out}")
     if bop and out is None:
         raise DataError("--bop writes the poses as CSV files: give their folder as --out")
+
+
+def refuse_nothing_judged(
+    judged: Sequence[Judged], names: Iterable[str], coco_json: Path, unreadable: Mapping[str, int]
+) -> None:
+    """Raise a DataError where there is nothing to score: a figure of nothing would be none."""
+    if not judged:
+        first = next(iter(unreadable), None)
+        why = "shows a tenth of it or more" if first is None else f"can be read ({first})"
+        raise DataError(
+            f"{coco_json}: no image with {', '.join(names)} {why}, so there is nothing to score; choose "
+            "another --split, or export again"
+        )
 
 
 def say_depth(coco_json: Path, metres_per_unit: float | None, methods: Sequence[Method]) -> None:
@@ -202,6 +216,8 @@ def write_figures(path: Path, figures: Mapping[str, Any], judged: Sequence[Judge
 
 def line_of(found: Mapping[str, Any]) -> str:
     """The figures of `PoseScore` in a line."""
+    if not found["instances"]:
+        return "   0 instances: nothing to score"
     pose = f"{found['position_mm']:.1f} mm, {found['orientation_deg']:.2f} deg"
     add = f"ADD {found['add_mm']:.1f} mm (recall {found['recall_add']:.3f})"
     near = f"5 cm 5 deg {found['recall_5cm_5deg']:.3f}"

@@ -70,6 +70,7 @@ def train_keypoints(
         overwrite: delete the run in `out` and start anew.
         until: stop after this epoch; the learning rate still follows learning.epochs.
     """
+    from rpl_data.synthesize.storage import studio_hash
     from rpl_data.torch.datamodule import KeypointDataModule
     from rpl_data.torch.partly_synthetic import partly_synthetic
     from rpl_data.torch.readable import collate_readable
@@ -101,8 +102,8 @@ def train_keypoints(
     else:
         check_resumable(resumed, module)
     train: Any = data.train
-    if synthetic:
-        folder = rendered or coco.parent / "synthetic"
+    folder = (rendered or coco.parent / "synthetic").expanduser() if synthetic else None
+    if folder is not None:
         train = partly_synthetic(data.train, folder, synthetic, canonical=canonical)
     counts = f"{len(data.train)} instances to train on, {len(data.val or [])} to validate on"
     say(f"{data.train.model.name}: {counts}")
@@ -113,10 +114,12 @@ def train_keypoints(
         "weights": weights,
         HELD_OUT: list(data.scenes.unseen),
         "synthetic": synthetic,
+        "rendered": None if folder is None else studio_hash(folder)[:12],
     }
     lesson = Lesson(
-        coco / "train.json", module, train, data.val, collate_readable, "pck", settings, unseen=data.unseen
-    )
+        coco / "train.json", module, train, data.val, collate_readable, "pck", settings, unseen=data.unseen,
+        rendered_json=None if folder is None else folder / "train.json",
+    )  # fmt: skip
     return fit(lesson, run, resumed=resumed)
 
 

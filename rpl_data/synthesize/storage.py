@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from rpl_data.files import decoding, read_json, write_json
+from rpl_data.files import decoding, file_hash, read_json, write_json
 from rpl_data.json_arrays import Json
 from rpl_data.symmetries import symmetries_from_json, symmetries_to_json
 from rpl_data.synthesize.body import Body
@@ -45,6 +45,11 @@ def studio_made_of(folder: Path) -> Any:
     """What a studio says it was made of; None where there is none."""
     file = folder / STUDIO_FILE
     return read_json(file).get("made_of") if file.exists() else None
+
+
+def studio_hash(folder: Path) -> str:
+    """Stands for what the views of a folder that `rpl synthesize` wrote are rendered from, SHA-256."""
+    return file_hash(folder / "studio" / STUDIO_FILE)
 
 
 def load_studio(folder: Path) -> Studio:

@@ -48,6 +48,7 @@ def _blurred(image: Image, sigma_px: float) -> Image:
 
     if sigma_px < 0.2:
         return image  # would change less than a grey level
+    sigma_px = min(sigma_px, max(image.shape))  # beyond, all is one colour, and OpenCV fails in the end
     result: Image = cv2.GaussianBlur(image, (0, 0), sigma_px)
     return result
 

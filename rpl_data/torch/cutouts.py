@@ -40,15 +40,19 @@ Alpha = UInt8[np.ndarray, "height width"]
 
 @dataclass(frozen=True)
 class Piece:
-    """A part of an image file; all of it without a rectangle, within a mask where there is one."""
+    """A part of an image file; all of it without a rectangle, within a mask where there is one.
+
+    `size` is what labels state, width and height, where it was cut by labels.
+    """
 
     file: str
     rectangle: Rectangle | None = None
     mask: tuple[bytes, int, int] | None = None
+    size: tuple[int, int] | None = None
 
     def read(self, longest_px: int) -> tuple[Image, Alpha]:
         """Decode the piece, shrunk to that size, with 255 where it is opaque."""
-        image = read_image(self.file)
+        image = read_image(self.file, size=self.size)
         alpha = np.full(image.shape[:2], 255, dtype=np.uint8)
         if self.mask is not None:
             counts, height, width = self.mask
@@ -106,7 +110,7 @@ def backgrounds_of(rows: KeypointRows, folder: str | None, longest_px: int) -> P
             raise DataError(f"augment.backgrounds: {place} has no pictures ({', '.join(sorted(PICTURES))})")
         return Pieces([Piece(str(path)) for path in files], longest_px)
     beside = [
-        Piece(str(file), widest)
+        Piece(str(file), widest, size=tuple(size.tolist()))
         for file, box, size in zip(rows.files, rows.square_boxes, rows.sizes, strict=True)
         if (widest := _widest_strip(box, *size.tolist())) is not None
     ]
@@ -158,4 +162,5 @@ def occluders_of(data: Mapping[str, Any], category_id: int, folder: Path, longes
 def _cutout(annotation: Mapping[str, Any], image: Mapping[str, Any], folder: Path) -> Piece:
     x, y, width, height = (int(side) for side in annotation["bbox"])
     mask = (annotation["segmentation"]["counts"].encode(), image["height"], image["width"])
-    return Piece(str(folder / image["file_name"]), Rectangle(x, y, x + width, y + height), mask)
+    size = image["width"], image["height"]
+    return Piece(str(folder / image["file_name"]), Rectangle(x, y, x + width, y + height), mask, size)

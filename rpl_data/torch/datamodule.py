@@ -60,7 +60,8 @@ class KeypointDataModule(LightningDataModule):
                 augmentation.
 
         Raises:
-            DataError: there is no training split, the object is not in it, or it has no keypoints.
+            DataError: there is no training split, the object is not in it, it has no keypoints, or none is
+                labelled.
         """
         super().__init__()
         sizes: dict[str, Any] = {"input_px": input_px, "heatmap_px": heatmap_px, "sigma_px": sigma_px}
@@ -73,6 +74,11 @@ class KeypointDataModule(LightningDataModule):
             raise DataError(
                 f"{folder / 'train.json'}: {self.train.model.name} has no keypoints; name them in the recipe "
                 "and click them"
+            )
+        if not self.train.labelled():
+            raise DataError(
+                f"{folder / 'train.json'}: no instance of {self.train.model.name} has a labelled keypoint: "
+                "there is nothing to learn; click some, and export again"
             )
         self.val = _validation(folder / "val.json", {**sizes, "scenes": shown})
         unseen = self.scenes.unseen

@@ -22,7 +22,7 @@ from rpl_data.torch.targets import rows_by_image
 from rpl_data.torch.transforms import Augmentation, moved, random_crop_from_square, warped
 from rpl_data.types import DataError
 
-IMAGE_KEYS = ("id", "file_name", "scene", "width")
+IMAGE_KEYS = ("id", "file_name", "scene", "width", "height")
 BOX_KEYS = ("image_id", "category_id", "square_box")
 MARGIN = 1.5
 """Side of the paper's square box, as a multiple of the keypoints' bounding box (section III-E)."""
@@ -101,11 +101,17 @@ class DetectionDataset(Dataset[tuple[Tensor, DetectionTarget]]):
         """Number of images."""
         return len(self._images)
 
+    def labelled(self) -> int:
+        """How many instances the images show."""
+        return len(self._annotations)
+
     def __getitem__(self, row: int) -> tuple[Tensor, DetectionTarget]:
         """Return an image (3 x height x width, 0 to 1) and its target."""
         entry = self._images[row]
         if row not in self._pixels:
-            self._pixels[row] = shrunk(read_image(str(self._folder / entry["file_name"])), self._width_px)
+            size = entry["width"], entry["height"]
+            whole = read_image(str(self._folder / entry["file_name"]), size=size)
+            self._pixels[row] = shrunk(whole, self._width_px)
         pixels = self._pixels[row]
         annotations = [self._annotations[number] for number in self._rows_of.get(entry["id"], ())]
         squares = np.array([a["square_box"] for a in annotations], dtype=float).reshape(-1, 3)

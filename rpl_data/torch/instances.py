@@ -16,7 +16,7 @@ from rpl_data.torch.scenes import only_scenes
 from rpl_data.torch.splits import split_file
 from rpl_data.torch.targets import InstanceSample as InstanceSample
 from rpl_data.torch.targets import InstanceTarget as InstanceTarget
-from rpl_data.torch.targets import rows_by_image, settled, target_of
+from rpl_data.torch.targets import pair_of, rows_by_image, settled, target_of
 from rpl_data.torch.transforms import Image
 from rpl_data.wording import counted
 
@@ -109,6 +109,10 @@ class InstanceDataset(Dataset[InstanceSample]):
         """Number of images."""
         return len(self._images)
 
+    def labelled(self) -> int:
+        """How many instances the images show, without regions that are ignored."""
+        return len(self._annotations)
+
     def image_id(self, row: int) -> int:
         """The id that an image has in the COCO file."""
         return int(self._images[row]["id"])
@@ -119,7 +123,7 @@ class InstanceDataset(Dataset[InstanceSample]):
         image = tv_tensors.Image(to_unit_range(pixels))
         if self._transforms is None:
             return image, target
-        image, target = self._transforms(image, target)
+        image, target = pair_of(self._transforms(image, target))
         return image, settled(target)
 
     def size(self, row: int) -> tuple[int, int]:
@@ -131,7 +135,7 @@ class InstanceDataset(Dataset[InstanceSample]):
         if get_worker_info() is not None:
             cv2.setNumThreads(0)  # see KeypointDataset.__getitem__
         file = str(self._folder / self._images[row]["file_name"])
-        return read_image(file, halved=halved), self.target(row)
+        return read_image(file, halved=halved, size=self.size(row)), self.target(row)
 
     def target(self, row: int) -> InstanceTarget:
         """Return the target of an image at full size, untransformed, without reading the image."""

@@ -162,7 +162,8 @@ class KeypointDataset(Dataset[KeypointSample]):
         if cache:
             storage = True if cache is True else Path(cache).expanduser()
             files = self._rows.files.tolist()
-            self._cache = PixelCache(files, self._rectangles(), storage, limit_mb=cache_limit_mb)
+            sizes = self._rows.sizes.tolist()
+            self._cache = PixelCache(files, self._rectangles(), storage, sizes=sizes, limit_mb=cache_limit_mb)
 
     @property
     def folder(self) -> Path:
@@ -179,6 +180,10 @@ class KeypointDataset(Dataset[KeypointSample]):
     def __len__(self) -> int:
         """Number of instances."""
         return len(self._rows.files)
+
+    def labelled(self) -> int:
+        """How many instances have a labelled keypoint."""
+        return int((self._rows.keypoints[..., 2] > 0).any(axis=1).sum())
 
     def __getitem__(self, row: int) -> KeypointSample:
         """Return the sample of an instance; IndexError past the last."""
@@ -232,7 +237,7 @@ class KeypointDataset(Dataset[KeypointSample]):
     def _pixels(self, row: int) -> tuple[Image, Affine]:
         """The pixels that the crops of a row may need, and where they lie in the image."""
         if self._cache is None or row not in self._cache:
-            return read_image(self._rows.files[row]), WHOLE
+            return read_image(self._rows.files[row], size=self._rows.sizes[row].tolist()), WHOLE
         pixels, rectangle = self._cache[row]
         return pixels, np.array([[1.0, 0, rectangle.left], [0, 1, rectangle.top]])
 

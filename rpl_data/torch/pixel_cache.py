@@ -63,6 +63,7 @@ class PixelCache:
         rectangles: Sequence[Rectangle],
         storage: bool | Path,
         *,
+        sizes: Sequence[Sequence[int]],
         limit_mb: float | None = None,
     ) -> None:
         """Decode all rectangles, or reuse the file that an earlier run wrote.
@@ -71,12 +72,13 @@ class PixelCache:
             files: path of the image of each rectangle.
             rectangles: the part of each image to keep.
             storage: a folder to keep the pixels in; True keeps them in memory.
+            sizes: width and height that the labels state of each image.
             limit_mb: the first rectangles are kept, up to this many megabytes in all.
 
         Raises:
-            DataError: the folder cannot be written, one of its images cannot be read, or the limit is not
-                above 0. In memory the other images are kept, and asking for the rectangle of the unreadable
-                one raises its error.
+            DataError: the folder cannot be written, one of its images cannot be read or is of another size,
+                or the limit is not above 0. In memory the other images are kept, and asking for the rectangle
+                of the unreadable one raises its error.
         """
         if limit_mb is not None and limit_mb <= 0:
             raise DataError(f"cache_limit_mb is {limit_mb}; give more than 0, or no cache")
@@ -84,7 +86,7 @@ class PixelCache:
             ends = np.cumsum([rectangle.size_bytes for rectangle in rectangles])
             rectangles = rectangles[: int((ends <= limit_mb * 1e6).sum())]
             files = files[: len(rectangles)]
-        self._rectangles = rectangles
+        self._rectangles, self._sizes = rectangles, sizes
         self._unreadable: dict[int, DataError] = {}
         self._path: Path | None = None
         self._shared: torch.Tensor | None = None
@@ -152,7 +154,8 @@ class PixelCache:
 
     def _fill_row(self, row: int, file: str, pixels: UInt8[np.ndarray, " n"]) -> None:
         rectangle = self._rectangles[row]
-        cut = read_image(file)[rectangle.top : rectangle.bottom, rectangle.left : rectangle.right]
+        image = read_image(file, size=self._sizes[row])
+        cut = image[rectangle.top : rectangle.bottom, rectangle.left : rectangle.right]
         pixels[self._offsets[row] : self._offsets[row + 1]] = cut.reshape(-1)
 
     def _on_disk(self, files: Sequence[str], folder: Path) -> UInt8[np.ndarray, " n"]:

@@ -8,7 +8,7 @@ counts keypoints from its centre. So `points`, which the transforms move, is hal
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TypedDict
+from typing import TypedDict, cast
 
 import cv2
 import numpy as np
@@ -39,6 +39,20 @@ class InstanceTarget(TypedDict):
 
 
 InstanceSample = tuple[Tensor, InstanceTarget]
+
+
+def pair_of(returned: object) -> InstanceSample:
+    """What transforms returned: the image and its target; DataError where it is anything else."""
+    match returned:
+        case (
+            Tensor() as image,
+            {"boxes": _, "labels": _, "masks": _, "points": _, "visibility": _} as target,
+        ):
+            return image, cast(InstanceTarget, target)
+    raise DataError(
+        "the transforms must return two things, a tensor with the image and the target with all its keys, as "
+        f"they are called with them; got {type(returned).__name__}"
+    )
 
 
 def target_of(image: Json, annotations: Sequence[Json], most_keypoints: int) -> InstanceTarget:

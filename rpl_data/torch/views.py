@@ -19,7 +19,13 @@ from rpl_data.geometry import Pixels, square_box
 from rpl_data.json_arrays import asdict_values
 from rpl_data.torch.image_files import to_unit_range
 from rpl_data.torch.keypoint_rows import KeypointRows
-from rpl_data.torch.targets import EDGE_FROM_CENTRE_PX, InstanceSample, InstanceTarget, points_from_keypoints
+from rpl_data.torch.targets import (
+    EDGE_FROM_CENTRE_PX,
+    InstanceSample,
+    InstanceTarget,
+    pair_of,
+    points_from_keypoints,
+)
 from rpl_data.torch.transforms import Affine, Image
 from rpl_data.types import DataError
 
@@ -51,6 +57,12 @@ class View:
     moved: bool = False
 
 
+STRAY = 0.5
+"""How far noise and interpolation may take brightnesses beyond 0 and 1, where they are cut off."""
+
+LEAST_SPREAD_PX = 1.0
+"""Points that are nearer to a line do not say whether they were mirrored."""
+
 WHOLE: Affine = np.array([[1.0, 0, 0], [0, 1, 0]])
 """Map between images of which one is all of the other."""
 
@@ -61,10 +73,12 @@ def transformed(pixels: Image, rows: KeypointRows, row: int, transforms: Transfo
     Where they leave nothing of the instance, the image comes back as it was.
 
     Raises:
-        DataError: they dropped the types by which torchvision tells points from other tensors.
+        DataError: they dropped the types by which torchvision tells points from other tensors, returned
+            something else than an image and its target, or mirrored the object.
     """
     before = _target(rows, row)
-    image, after = transforms(tv_tensors.Image(to_unit_range(pixels)), before)
+    image, after = pair_of(transforms(tv_tensors.Image(to_unit_range(pixels)), before))
+    _check_image(image)
     if not isinstance(after["points"], tv_tensors.KeyPoints):
         raise DataError(
             "the transforms returned a plain tensor for points; wrap them as they came: "
@@ -75,6 +89,10 @@ def transformed(pixels: Image, rows: KeypointRows, row: int, transforms: Transfo
         return unmoved
     keypoints = _keypoints(after)
     known = keypoints[:, 2] > 0
+    if not known.any():
+        return unmoved
+    if _mirrored(rows.keypoints[row][known, :2], keypoints[known, :2]):
+        raise DataError("the transforms mirror: a mirrored object is another object; leave flips out")
     moved = np.abs(keypoints - rows.keypoints[row])[known].max() > MOVED_PX
     box = _square_box(keypoints[known, :2], after) if moved else rows.square_boxes[row]
     if not box[2] > 0:
@@ -83,6 +101,29 @@ def transformed(pixels: Image, rows: KeypointRows, row: int, transforms: Transfo
     mask = after["masks"][0].as_subclass(Tensor).numpy()
     pixels = np.ascontiguousarray(levels.permute(1, 2, 0).numpy())
     return View(pixels, WHOLE, keypoints, box, lambda: mask, moved=bool(moved))
+
+
+def _check_image(image: Tensor) -> None:
+    """DataError unless an image is as it was given to the transforms: float, three channels, 0 to 1."""
+    if image.ndim != 3 or len(image) != 3 or not image.is_floating_point():
+        raise DataError(
+            f"the transforms returned an image of {image.dtype}, {' x '.join(map(str, image.shape))}; "
+            "expected float, 3 x height x width"
+        )
+    low, high = float(image.min()), float(image.max())
+    if not (low >= -STRAY and high <= 1 + STRAY):  # nor NaN
+        raise DataError(
+            f"the transforms returned brightnesses from {low:.3g} to {high:.3g}; expected 0 to 1: normalise "
+            "the crops, after the dataset"
+        )
+
+
+def _mirrored(before_px: Pixels, after_px: Pixels) -> bool:
+    """Whether points were mirrored, by the affine map that fits them best; not where they lie on a line."""
+    one, other = (points - points.mean(axis=0) for points in (before_px, after_px))
+    if len(one) < 3 or np.linalg.svd(one, compute_uv=False)[-1] < LEAST_SPREAD_PX:
+        return False
+    return bool(np.linalg.det(np.linalg.lstsq(one, other, rcond=None)[0]) < 0)
 
 
 def _target(rows: KeypointRows, row: int) -> InstanceTarget:

@@ -170,6 +170,7 @@ def wrong(data, change):
         (lambda d: d["annotations"][0].update(num_keypoints=4), "num_keypoints"),
         (lambda d: d["annotations"][0]["keypoints"].__setitem__(9, 4.0), "v = 0"),
         (lambda d: d["annotations"][0].update(visib_fract=1.5), "0 to 1"),
+        (lambda d: d["annotations"][0].update(square_box=[9.0, 9.0, 0.0]), "a side above 0"),
         (lambda d: d["annotations"][0]["camera_from_object"].__setitem__(0, 3.0), "rigid"),
         (lambda d: d["annotations"][0]["keypoints"].__setitem__(0, float("nan")), "finite"),
         (lambda d: d["annotations"][0]["segmentation"].update(size=[5, 5]), r"size [120, 160]"),

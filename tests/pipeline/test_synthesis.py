@@ -71,6 +71,7 @@ def test_the_export_is_one_of_ours_and_says_where_images_are_from(workspace: Wor
     test = {image["scene"] for image in read_json(coco / "test.json")["images"]}
     scenes = made["rpl"]["synthetic"]["scenes"]
     assert scenes == sorted({image["scene"] for image in recorded}) and not test & set(scenes)
+    assert sorted(made["rpl"]["synthetic"]["images_of"]) == scenes
     assert {image["plate"]["scene"] for image in made["images"][-COUNT:]} <= set(scenes)
     for split in ("val", "test"):
         images = read_coco(folder / f"{split}.json")["images"]

@@ -15,8 +15,11 @@ from rpl_data.formats.datasets.coco import read_coco
 from rpl_data.geometry import project, transform
 from rpl_data.torch.colours import jittered
 from rpl_data.torch.decoding import locate
+from rpl_data.torch.detection import DetectionDataset
 from rpl_data.torch.device import widest_float
 from rpl_data.torch.heatmaps import positions_in_image
+from rpl_data.torch.image_files import read_image
+from rpl_data.torch.instances import InstanceDataset
 from rpl_data.torch.keypoints import KeypointDataset, KeypointSample
 from rpl_data.torch.pixel_cache import rectangle_around
 from rpl_data.torch.transforms import (
@@ -193,6 +196,33 @@ def test_missing_image_is_named(tmp_path):
 
 
 # Transforms ---------------------------------------------------------------------------------------
+
+
+def test_an_image_of_another_size_than_its_labels_is_refused(tmp_path):
+    """Crops would be cut elsewhere; with half the size, everything still lies within the image."""
+    coco = exported(tmp_path)
+    image = coco / read_coco(coco / "train.json")["images"][1]["file_name"]
+    small = cv2.resize(cv2.imread(str(image)), (80, 60))
+    image.unlink()
+    cv2.imwrite(str(image), small)
+    crops = [KeypointDataset(coco, split="train", object="box", cache=cache) for cache in (False, True)]
+    for dataset, row in [
+        *((dataset, 0) for dataset in crops),
+        (DetectionDataset(coco, split="train"), 1),
+        (InstanceDataset(coco, split="train"), 1),
+    ]:
+        with pytest.raises(DataError, match=f"{image.name} is 80 x 60 px, its labels are for 160 x 120 px"):
+            dataset[row]
+    with pytest.raises(DataError, match="80 x 60 px"):
+        KeypointDataset(coco, split="train", object="box", cache=tmp_path / "cache")
+
+
+def test_halved_images_are_as_large_as_stated_to_the_last_row(tmp_path):
+    cv2.imwrite(str(tmp_path / "odd.jpg"), np.zeros((21, 33, 3), np.uint8))
+    for halved in (False, True):
+        read_image(str(tmp_path / "odd.jpg"), halved=halved, size=(33, 21))
+        with pytest.raises(DataError, match="its labels are for 37 x 21 px"):
+            read_image(str(tmp_path / "odd.jpg"), halved=halved, size=(37, 21))
 
 
 def test_never_mirrored_and_within_the_amounts():

@@ -16,6 +16,7 @@ from rpl_data.torch import KeypointDataset, from_albumentations, from_kornia
 from rpl_data.torch.epochs import SeededRows
 from rpl_data.torch.instances import InstanceDataset
 from rpl_data.torch.transforms import moved
+from rpl_data.torch.views import _mirrored
 from rpl_data.types import DataError
 
 PAGE = (Path(__file__).parents[2] / "docs/training.md").read_text(encoding="utf-8")
@@ -154,3 +155,45 @@ def test_plain_tensors_are_refused(folder):
     )
     with pytest.raises(DataError, match="plain tensor for points"):
         data[0]
+
+
+WRONG = {
+    "nothing": (lambda image, target: None, "must return two things.* got NoneType"),
+    "no masks": (lambda i, t: (i, {k: t[k] for k in t if k != "masks"}), "with all its keys"),
+    "a flip": (v2.RandomHorizontalFlip(1.0), "transforms mirror: .* leave flips out"),
+    "bytes": (
+        lambda image, target: ((image * 255).to(torch.uint8), target),
+        "uint8, 3 x 120 x 160; expected",
+    ),
+    "one channel": (v2.Grayscale(1), r"float32, 1 x 120 x 160; expected float, 3 x"),
+    "a normal distribution": (v2.Normalize([0.5] * 3, [0.25] * 3), "brightnesses from -.*: normalise"),
+    "NaN": (lambda image, target: (image * torch.nan, target), "brightnesses from nan"),
+}
+
+
+@pytest.mark.parametrize("wrong", WRONG)
+def test_what_would_be_cut_off_or_mirrored_in_silence_is_refused(folder, wrong):
+    transforms, said = WRONG[wrong]
+    with pytest.raises(DataError, match=said):
+        KeypointDataset(folder, split="train", object="box", transforms=transforms)[0]
+    if "return" in said:
+        with pytest.raises(DataError, match=said):
+            InstanceDataset(folder, transforms, split="train")[1]
+
+
+def test_points_on_a_line_are_not_called_mirrored_nor_are_turns():
+    points = np.array([[10.0, 10], [30, 10], [10, 40]])
+    assert _mirrored(points, points * [-1, 1]) and not _mirrored(points, points @ [[0, 1], [-1, 0]])
+    assert not _mirrored(points[:2], points[:2] * [-1, 1])
+    assert not _mirrored(points * [1, 0.01], points * [-1, 0.01])
+
+
+def test_points_that_became_no_numbers_leave_the_image_as_it_was(folder):
+    def lost(image, target):
+        points = tv_tensors.wrap(target["points"] * torch.nan, like=target["points"])
+        return image, {**target, "points": points}
+
+    plain, kept = (
+        KeypointDataset(folder, split="train", object="box", transforms=one)[0] for one in (None, lost)
+    )
+    torch.testing.assert_close(kept["keypoints_px"], plain["keypoints_px"], equal_nan=True)

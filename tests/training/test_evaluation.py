@@ -15,6 +15,7 @@ from rpl_data.geometry import project, transform
 from rpl_data.pose.errors import INFINITE
 from rpl_data.pose.estimate import PoseEstimate
 from rpl_data.types import DataError, InstanceLabel, Intrinsics, KeypointModel, Rle, SquareBox
+from training.evaluate_pose import line_of, refuse_nothing_judged
 from training.pose.evaluation import TrueObject, _judged, _seen_of
 from training.pose.pipeline import PosePipeline, SeenKeypoints, check_detected
 from training.pose.scores import Judged, load_judged, save_judged
@@ -104,3 +105,12 @@ def test_half_a_turn_that_earlier_versions_wrote_for_no_pose_is_infinite(tmp_pat
     save_judged(tmp_path / "judged.json", [failed])
     (again,) = load_judged(tmp_path / "judged.json")
     assert again.errors == INFINITE
+
+
+def test_scores_of_nothing_are_refused_and_an_object_without_instances_has_none(tmp_path):
+    coco_json, names = tmp_path / "test.json", ("cup", "drill")
+    with pytest.raises(DataError, match="test.json: no image with cup, drill shows a tenth of it or more"):
+        refuse_nothing_judged([], names, coco_json, {})
+    with pytest.raises(DataError, match=r"can be read .cannot read 1.jpg., so there is nothing"):
+        refuse_nothing_judged([], names, coco_json, {"cannot read 1.jpg": 2})
+    assert line_of({"instances": 0, "position_mm": float("nan")}) == "   0 instances: nothing to score"

@@ -7,6 +7,7 @@ import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -24,6 +25,7 @@ from training.keypoints.module import load_keypoints, untrained
 from training.pose.evaluation import evaluate
 from training.pose.pipeline import PosePipeline, SeenKeypoints, load_pipeline, read_depth_like
 from training.predict import predict, refuse_no_camera
+from training.runs.callbacks import Steps
 from training.runs.folder import trained_epochs
 from training.runs.options import DetectorNetwork, Learning, Machine, Network
 from training.runs.program import main
@@ -136,6 +138,37 @@ def test_a_training_that_can_read_nothing_ends(coco, tmp_path):
     with pytest.raises(DataError, match=r"no image of epoch 1 could be read.* cannot read the image .*desk"):
         train_keypoints(place, out=tmp_path / "run", network=TINY, learning=FAST, machine=ONE)
     assert not list((tmp_path / "run").glob("*.ckpt"))
+
+
+@pytest.mark.parametrize("train", [train_keypoints, train_detector, train_masks])
+def test_a_training_split_that_shows_nothing_is_refused(coco, tmp_path, train):
+    """Every step would leave a loss of nothing, and a network that learned nothing."""
+
+    def unlabel(data) -> None:
+        for one in data["annotations"]:
+            one |= {"keypoints": [0] * 15, "num_keypoints": 0}
+        if train is not train_keypoints:
+            data["annotations"] = []
+
+    said = "has a labelled keypoint" if train is train_keypoints else "shows no object"
+    with pytest.raises(DataError, match=f"train.json.* {said}.* there is nothing to learn"):
+        train(edited(coco, tmp_path / "coco", unlabel), out=tmp_path / "run", machine=ONE)
+
+
+def test_processes_of_which_none_could_read_an_image_end():
+    """Each takes a step of nothing, whose loss is a number all the same."""
+    module, reduced = untrained(WEDGE, TINY, FAST), []
+    module.unreadable["cannot read the image c.png"] += 1
+    strategy = SimpleNamespace(reduce=lambda value, reduce_op: reduced.append(value) or others + value)
+    trainer = SimpleNamespace(is_last_batch=True, current_epoch=0, strategy=strategy)
+    nothing, step = (None, ("cannot read the image c.png",)), {"loss": torch.tensor(0.0)}
+    others = torch.tensor(1.0)
+    Steps(FAST, 0).on_train_batch_end(trainer, module, step, nothing, 0)
+    others = torch.tensor(0.0)
+    with pytest.raises(DataError, match="no image of epoch 1 could be read.*c.png"):
+        Steps(FAST, 0).on_train_batch_end(trainer, module, step, nothing, 0)
+    assert reduced == [0, 0]
+    Steps(FAST, 0).on_train_batch_end(trainer, module, step, ({"image": torch.ones(1)}, ()), 0)
 
 
 def test_instances_without_a_labelled_keypoint_are_not_judged(monkeypatch):

@@ -14,6 +14,8 @@ from rpl_data.pose.errors import INFINITE, PoseErrors
 from rpl_data.types import DataError
 from rpl_data.workspace.workspace import Workspace
 from training.pose.scores import Judged, PoseScore
+from training.reproduce.label_sources import same_images
+from training.reproduce.table2 import pose_comparison
 from training.reproduce.table2.experiment import check_objects, table2
 from training.reproduce.table2.page import interval_note, verdict
 from training.reproduce.table2.pose_comparison import (
@@ -22,6 +24,7 @@ from training.reproduce.table2.pose_comparison import (
     Ratio,
     counts,
     ratios,
+    refuse_trained,
     resampled_medians,
 )
 from training.runs.options import DetectorNetwork, Learning, Machine, Network
@@ -71,6 +74,24 @@ def test_unknown_objects_are_refused_before_any_training(tiny_workspace: Workspa
     for names, said in ((["carton", "cartn"], "no object cartn; .* carton"), ([], "no object is named")):
         with pytest.raises(DataError, match=said):
             check_objects(names, labels)
+
+
+def test_true_labels_of_another_split_are_not_taken(tmp_path: Path) -> None:
+    ours, manual = tmp_path / "coco", tmp_path / "coco_truth"
+    for folder in (ours, manual):
+        folder.mkdir()
+        (folder / "train.json").write_text('{"images": [{"file_name": "images/00/0.jpg"}]}')
+    assert same_images(ours, manual) and not same_images(ours, tmp_path / "none")
+    (ours / "test.json").write_text('{"images": []}')
+    assert not same_images(ours, manual)
+
+
+def test_networks_that_saw_what_is_tested_by_now_are_refused(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(pose_comparison, "trained_scenes", lambda checkpoint, coco_json: ["01"])
+    with pytest.raises(DataError, match=r"last.ckpt was trained on scene 01, which test.json tests by now"):
+        refuse_trained([Path("last.ckpt")], Path("test.json"))
+    monkeypatch.setattr(pose_comparison, "trained_scenes", lambda checkpoint, coco_json: [])
+    refuse_trained([Path("last.ckpt")], Path("test.json"))
 
 
 def judged(position_mm: float, *, failed: bool = False) -> Judged:

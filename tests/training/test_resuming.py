@@ -13,14 +13,18 @@ import pytest
 import torch
 from labelled_scenes import exported
 
+from rpl_data.synthesize.storage import studio_hash
 from rpl_data.types import DataError
 from training.runs.callbacks import Steps
 from training.runs.checkpoint_files import WholeCheckpoints, sweep_checkpoints
 from training.runs.folder import (
+    LOCK,
+    alone_in_folder,
     changes,
     checkpoint_to_resume,
     delete_run,
     read_checkpoint,
+    settings_of,
     trained_epochs,
 )
 from training.runs.options import DetectorNetwork, Learning, Machine, MaskNetwork, Network, Run
@@ -155,7 +159,8 @@ def test_a_folder_with_a_run_is_continued_or_started_anew(finished, coco, tmp_pa
     train(coco, tmp_path, until=1, seed=1)
     train(coco, tmp_path, overwrite=True)
     assert_same(weights(straight), weights(tmp_path))
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["best.ckpt", "last.ckpt", "logs", "notes.txt"]
+    left = sorted(path.name for path in tmp_path.iterdir() if path.name != LOCK)
+    assert left == ["best.ckpt", "last.ckpt", "logs", "notes.txt"]
     capsys.readouterr()
     train(coco, tmp_path, resume=True)
     assert "trained for 3 epochs already" in capsys.readouterr().out
@@ -198,6 +203,25 @@ def _optimizer(run: Path) -> str:
     return optimizer
 
 
+def test_precision_processes_labels_and_rendered_views_are_compared(tmp_path):
+    run, train_json = Run(tmp_path, CYCLE, ONE), tmp_path / "train.json"
+    train_json.write_text("as it was")
+    (tmp_path / "studio").mkdir()
+    studio = tmp_path / "studio" / "studio.json"
+    studio.write_text("of the old labels")
+
+    def settings(run: Run) -> dict[str, object]:
+        return settings_of(run, train_json) | {"rendered": studio_hash(tmp_path)}
+
+    torch.save({"epoch": 0, "run": settings(run)}, tmp_path / "last.ckpt")
+    assert changes(tmp_path / "last.ckpt", settings(run)) == []
+    train_json.write_text("exported anew")
+    studio.write_text("of the new labels")
+    other = replace(run, machine=replace(ONE, precision="bf16-mixed", devices=2))
+    said = [line.split(":")[0] for line in changes(tmp_path / "last.ckpt", settings(other))]
+    assert said == ["machine.precision", "machine.devices", "labels", "rendered"]
+
+
 def test_checkpoints_of_version_0_1_are_compared_by_what_they_know(tmp_path):
     torch.save(
         {"settings": {"optimizer": "sgd", "rate": 0.1, "seed": 0, "model": {}}}, tmp_path / "masks.ckpt"
@@ -231,7 +255,8 @@ def test_one_cycle_is_torchs(optimizer, steps):
 
 
 def test_options_that_contradict_themselves():
-    for wrong in ({"epochs": 0}, {"rate": 0.0}, {"cooldown": 2.0}, {"clip": -1.0}):
+    nan = float("nan")
+    for wrong in ({"epochs": 0}, {"rate": 0.0}, {"cooldown": 2.0}, {"clip": -1.0}, {"weight_decay": nan}):
         with pytest.raises(DataError, match="learning"):
             replace(STAGED, **wrong)
     with pytest.raises(DataError, match="rises and falls by itself"):
@@ -278,6 +303,22 @@ def test_the_best_of_a_run_without_a_last_is_not_left_to_another(tmp_path):
     assert checkpoint_to_resume(Run(tmp_path, CYCLE, ONE, resume=True)) is None
     delete_run(tmp_path)
     assert not (tmp_path / "best.ckpt").exists()
+
+
+def test_one_training_at_a_time_writes_into_a_folder(tmp_path):
+    run = Run(tmp_path, CYCLE, ONE)
+    with (
+        alone_in_folder(run, None),
+        pytest.raises(DataError, match="another training writes into .*; wait until it ends"),
+        alone_in_folder(run, None),
+    ):
+        pass
+    with alone_in_folder(run, checkpoint_to_resume(run)):
+        pass
+    (tmp_path / "last.ckpt").write_text("of one that began and ended since this one looked")
+    resuming = replace(run, resume=True)
+    with pytest.raises(DataError, match="another training wrote a run"), alone_in_folder(resuming, None):
+        pass
 
 
 def test_a_foreign_file_is_no_checkpoint(tmp_path):

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from rpl_data.formats.datasets.coco import header, image_to_coco
-from rpl_data.types import Frame, Intrinsics
+from rpl_data.types import DataError, Frame, Intrinsics
 from training.runs.folder import TRAINED_ON
 from training.runs.trained_scenes import (
     joined,
@@ -60,11 +60,26 @@ def test_a_test_scene_that_was_trained_on_is_named(
     )  # other scenes were chosen to test on
     say_trained([trained], anew)
     said = capsys.readouterr().out
-    assert "was trained on scene 01, or chosen by it: what follows" in said and "00" not in said
+    assert "was trained on scene 01 or views of it, or chosen by it: what" in said and "00" not in said
     of_others = split(tmp_path / "b", "test", {"01": b"another recording's"})
     assert trained_scenes(trained, of_others) == []
     torch.save({"epoch": 0}, old := tmp_path / "old.ckpt")
     assert trained_scenes(old, anew) == []  # an earlier version says nothing of its scenes
+
+
+def test_scenes_that_views_were_rendered_from_are_known(tmp_path: Path) -> None:
+    """Rendered images are of no recording, and none of them is in the test split of a later export."""
+    made_of = scene_samples(split(tmp_path / "a", "train", {"00": b"one", "01": b"two"}))
+    views = split(tmp_path / "views", "train", {"synthetic": b"rendered"})
+    content = json.loads(views.read_text())
+    content["rpl"]["synthetic"] = {"images_of": made_of}
+    views.write_text(json.dumps(content))
+    trained = checkpoint(tmp_path / "last.ckpt", views)
+    assert trained_scenes(trained, split(tmp_path / "a", "test", {"01": b"two", "02": b"three"})) == ["01"]
+    content["rpl"]["synthetic"] = {"images_of": {"01": [3]}}
+    views.write_text(json.dumps(content))
+    with pytest.raises(DataError, match="train.json.*synthesize"):
+        scene_samples(views)
 
 
 def test_scenes_stay_known_when_a_run_goes_on_with_others(tmp_path: Path) -> None:

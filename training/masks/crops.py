@@ -15,6 +15,8 @@ from rpl_data.torch.transforms import Affine, Augmentation, crop_from_square, zo
 from rpl_data.torch.warps import warp_pixels
 from rpl_data.types import DataError
 
+from ..runs.folder import LABEL
+
 SMALLEST_PX = 2
 """Instances whose box in the crop is narrower or lower than this are not trained on."""
 
@@ -39,12 +41,14 @@ class SquareCrops(Dataset[InstanceSample]):
         """Read the annotations of all scenes, or of some; images stay on disk.
 
         Raises:
-            DataError: the file is not ours, or it has no image.
+            DataError: the file is not ours, or it has no image, or shows no object.
         """
         refuse_for_one_object(augmentation)
         self._images = InstanceDataset(coco_json, scenes=scenes)
         if not len(self._images):
             raise DataError(f"{coco_json} has no images; export a dataset with a train split")
+        if not self._images.labelled():
+            raise DataError(f"{coco_json} shows no object, so there is nothing to learn; {LABEL}")
         self.names = tuple(self._images.names)
         self._size_px, self._augmentation = size_px, augmentation
 

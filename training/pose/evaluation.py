@@ -112,7 +112,7 @@ def evaluate(
     labels_of = _labels(data, {truth[name].category: name for name in pipeline.networks}, least_visible)
     for image in data["images"]:
         labels = labels_of.get(image["id"], [])
-        pixels = _read(coco_json.parent / image["file_name"], unreadable) if labels else None
+        pixels = _read(coco_json.parent, image, unreadable) if labels else None
         if pixels is None:
             continue
         depth = _depth_of(coco_json.parent, image, pixels, use_depth, metres_per_unit)
@@ -139,10 +139,10 @@ def check_known(pipeline: PosePipeline, names: Collection[str], *, source: str) 
         )
 
 
-def _read(file: Path, unreadable: Counter[str] | None) -> np.ndarray | None:
+def _read(folder: Path, image: Mapping[str, Any], unreadable: Counter[str] | None) -> np.ndarray | None:
     """The pixels of an image; None, and counted, where it cannot be read and somebody counts."""
     try:
-        return read_image(str(file))
+        return read_image(str(folder / image["file_name"]), size=(image["width"], image["height"]))
     except DataError as error:
         if unreadable is None:
             raise

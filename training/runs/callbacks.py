@@ -51,20 +51,23 @@ class Steps(Callback):
         module.log("rate", rate, on_step=False, on_epoch=True, batch_size=1)
 
     def on_train_batch_end(
-        self, trainer: Trainer, module: LightningModule, outputs: object, batch: object, batch_idx: int
+        self, trainer: Trainer, module: LightningModule, outputs: object, batch: Any, batch_idx: int
     ) -> None:
         """From here on the training waits for its next batch.
 
         Raises:
-            DataError: no image of the epoch could be read, so that nothing was learned in it.
+            DataError: no process could read an image of the epoch, so that nothing was learned in it.
         """
         self._ready_s = time.perf_counter()
-        self._learned |= bool(outputs)
-        if trainer.is_last_batch and not self._learned:
+        self._learned |= bool(batch[0])  # processes that train together take a step without images, too
+        if not trainer.is_last_batch:
+            return
+        learned = torch.tensor(float(self._learned), device=module.device)
+        if not trainer.strategy.reduce(learned, reduce_op="sum"):
             assert isinstance(module, NetworkModule)
             raise DataError(
                 f"no image of epoch {trainer.current_epoch + 1} could be read, so nothing was learned; "
-                f"the first of them: {next(iter(module.unreadable))}"
+                f"the first of them: {next(iter(module.unreadable), 'another process names it')}"
             )
 
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import fields
+from dataclasses import asdict, fields
 from pathlib import Path
 from pickle import UnpicklingError
 from typing import Any, TypeVar
@@ -14,6 +15,7 @@ from typing import Any, TypeVar
 import torch
 from pytorch_lightning import LightningModule
 
+from rpl_data.files import file_hash, locked
 from rpl_data.types import DataError
 from rpl_data.wording import counted
 
@@ -22,6 +24,11 @@ from .options import Learning, Run
 Module = TypeVar("Module", bound=LightningModule)
 
 LAST, BEST = "last.ckpt", "best.ckpt"
+LOCK = ".training.lock"
+"""A file that a training holds while it writes into the folder of its run."""
+
+LABEL = "label some frames, and export again"
+"""What to do where a training split shows nothing."""
 
 HELD_OUT = "held_out_scenes"
 """The setting that names the scenes of the training split that are only validated on."""
@@ -64,6 +71,29 @@ def checkpoint_to_resume(run: Run) -> Path | None:
             "--overwrite true, or choose another --out"
         )
     return last if last.exists() else None
+
+
+@contextmanager
+def alone_in_folder(run: Run, resumed: Path | None) -> Iterator[None]:
+    """Hold the lock of a run's folder; the processes that train one network together hold it by their first.
+
+    Raises:
+        DataError: another training holds it, or wrote a run since `checkpoint_to_resume` gave `resumed`.
+    """
+    if not _first_process():
+        yield
+        return
+    busy = f"another training writes into {run.out}; wait until it ends, or choose another --out"
+    with locked(run.out / LOCK, busy):
+        if checkpoint_to_resume(run) != resumed:
+            raise DataError(f"another training wrote a run into {run.out} meanwhile; choose another --out")
+        yield
+
+
+def _first_process() -> bool:
+    """Whether this is the only process of a training, or the first, as launchers say it."""
+    told = (os.environ[name] for name in ("RANK", "LOCAL_RANK", "SLURM_PROCID") if name in os.environ)
+    return int(next(told, 0)) == 0
 
 
 def holds_run(out: Path) -> bool:
@@ -132,6 +162,12 @@ def trained_epochs(checkpoint: Path) -> int:
         return 0
     with reading_checkpoint(checkpoint, "a checkpoint of a training"):
         return int(read_checkpoint(checkpoint)["epoch"]) + 1
+
+
+def settings_of(run: Run, train_json: Path) -> dict[str, Any]:
+    """What decides what a run learns, beside its network: compared when the run goes on."""
+    machine = {name: getattr(run.machine, name) for name in ("precision", "devices")}
+    return {"learning": asdict(run.learning), "machine": machine, "labels": file_hash(train_json)[:12]}
 
 
 def changes(checkpoint: Path, settings: Mapping[str, Any]) -> list[str]:

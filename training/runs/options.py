@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -160,9 +161,10 @@ class Learning:
         """Refuse what cannot be run."""
         if min(self.epochs, self.batch) < 1:
             raise DataError("learning.epochs and learning.batch must be at least 1")
-        if not self.rate > 0 or not 0 <= self.cooldown <= 1:  # NaN is neither above 0 nor below
+        if not 0 < self.rate < math.inf or not 0 <= self.cooldown <= 1:  # NaN is neither above 0 nor below
             raise DataError("learning.rate must be above 0, and learning.cooldown from 0 to 1")
-        if min(self.warmup_steps, self.weight_decay, self.clip, self.patience) < 0:
+        amounts = self.warmup_steps, self.weight_decay, self.clip, self.patience
+        if not all(0 <= amount < math.inf for amount in amounts):
             raise DataError("learning: warmup_steps, weight_decay, clip and patience must be 0 or more")
         if not 0 <= self.ema < 1:
             raise DataError(f"learning.ema must be from 0 to below 1, got {self.ema}")

@@ -6,35 +6,24 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from rpl_data.files import file_hash
+from rpl_data.files import decoding, file_hash
 from rpl_data.formats.datasets.coco_parts import read_packed
-from rpl_data.types import spread_evenly
+from rpl_data.formats.datasets.scene_samples import Samples, samples_by_scene
 
 from .folder import TRAINED_ON, read_checkpoint, reading_checkpoint
 from .weights import IMAGENET, SCRATCH
 
 LOOKED_AT = {"annotations": (), "crowds": ()}
 """What of a COCO file is read: its images."""
-SAMPLES = 5
-"""Images of a scene by which it is known again: some of them may be left out of a later export."""
-
-Samples = dict[str, list[list[str]]]
-"""By scene, files of some of its images, relative to the export, each with its SHA-256."""
 
 
 def scene_samples(coco_json: Path) -> Samples:
-    """Some images of each scene in a file; those that cannot be read are left out."""
-    files: dict[str, list[str]] = {}
-    for image in read_packed(coco_json, LOOKED_AT)["images"]:
-        files.setdefault(image["scene"], []).append(image["file_name"])
-    return {
-        scene: [
-            [name, file_hash(coco_json.parent / name)]
-            for name in spread_evenly(names, SAMPLES)
-            if (coco_json.parent / name).is_file()
-        ]
-        for scene, names in files.items()
-    }
+    """Some images of each scene in a file, and of those that its views were rendered from."""
+    data = read_packed(coco_json, LOOKED_AT)
+    with decoding(coco_json, "run `rpl synthesize` again"):
+        made_of = data["rpl"].get("synthetic", {}).get("images_of", {})
+        rendered = {scene: [[str(name), str(digest)] for name, digest in made_of[scene]] for scene in made_of}
+    return joined(samples_by_scene(coco_json.parent, data["images"]), rendered)
 
 
 def samples_of(checkpoint: Path) -> Samples:
@@ -75,8 +64,8 @@ def other_images(before: Samples, now: Samples) -> list[str]:
 def trained_scenes(checkpoint: Path, coco_json: Path) -> list[str]:
     """The scenes in a file that were in the training split of a network, or of one whose weights it took.
 
-    A scene of the same name in another recording has other images. Of images that were rendered, nothing says
-    which scenes they were made of.
+    So are scenes that its views were rendered from. A scene of the same name in another recording has other
+    images.
     """
     trained = samples_of(checkpoint)
     shown = {image["scene"] for image in read_packed(coco_json, LOOKED_AT)["images"]}
@@ -92,8 +81,9 @@ def say_trained(checkpoints: Iterable[Path], coco_json: Path) -> None:
     for checkpoint in checkpoints:
         if scenes := trained_scenes(checkpoint, coco_json):
             print(
-                f"{checkpoint} was trained on scene {', '.join(scenes)}, or chosen by it: what follows does "
-                "not say how good it is in scenes that it never saw; train on the splits as they are now"
+                f"{checkpoint} was trained on scene {', '.join(scenes)} or views of it, or chosen by it: "
+                "what follows does not say how good it is in scenes that it never saw; train on the splits "
+                "as they are now"
             )
 
 

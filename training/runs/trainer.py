@@ -7,7 +7,7 @@ import sys
 import time
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -31,11 +31,13 @@ from .folder import (
     FOREIGN,
     LAST,
     TRAINED_ON,
+    alone_in_folder,
     changes,
     checkpoint_to_resume,
     delete_run,
     new_logs,
     reading_checkpoint,
+    settings_of,
     trained_epochs,
 )
 from .network_module import RANDOM_FRAMES, UNSEEN_SCENES, NetworkModule
@@ -61,6 +63,7 @@ class Lesson:
         figure: what the validation logs and of which more is better; best.ckpt has the highest.
         unseen: samples of scenes that are not trained on, to validate on; best.ckpt goes by these where
             there are any.
+        rendered_json: names the scenes of views that are rendered during the training; None without.
         settings: what else a checkpoint remembers of its run, such as the augmentation.
         drop_last: leave out the last training batch of an epoch when it is smaller than the others.
         val_batch: samples per step of the validation; those of the training when None.
@@ -74,6 +77,7 @@ class Lesson:
     figure: str
     settings: Mapping[str, Any]
     unseen: Dataset[Any] | None = None
+    rendered_json: Path | None = None
     drop_last: bool = False
     val_batch: int | None = None
 
@@ -121,7 +125,7 @@ def _gpus() -> int:
 
 
 def fit(lesson: Lesson, run: Run, *, resumed: Path | None) -> Path:
-    """Train; the path of the last checkpoint comes back.
+    """Train; the path of the last checkpoint comes back. One training at a time writes into a folder.
 
     Args:
         lesson: what is trained, on what.
@@ -131,10 +135,17 @@ def fit(lesson: Lesson, run: Run, *, resumed: Path | None) -> Path:
     Raises:
         DataError: these options do not go with the checkpoint or the data, or a loss is not finite.
     """
+    with alone_in_folder(run, resumed):
+        return _fit_alone(lesson, run, resumed)
+
+
+def _fit_alone(lesson: Lesson, run: Run, resumed: Path | None) -> Path:
     refuse_idle_patience(run.learning, can_validate=not (lesson.val is None and lesson.unseen is None))
-    settings = {"seed": run.seed, "learning": asdict(run.learning), **lesson.settings}
+    settings = {"seed": run.seed, **settings_of(run, lesson.train_json), **lesson.settings}
     before = samples_before(resumed, lesson.settings["weights"])
     now = scene_samples(lesson.train_json)
+    if lesson.rendered_json is not None and lesson.rendered_json.exists():
+        now = joined(now, scene_samples(lesson.rendered_json))
     last = run.out / LAST
     done = 0 if resumed is None else trained_epochs(resumed)
     if resumed is not None:
@@ -149,8 +160,7 @@ def fit(lesson: Lesson, run: Run, *, resumed: Path | None) -> Path:
     steps = Steps(run.learning, run.seed)
     train, val = _batches(lesson, run, done)
     lesson.module.validated_on = tuple(val)
-    strict = UNSEEN_SCENES if lesson.unseen is not None else RANDOM_FRAMES
-    monitor = f"{strict}_{lesson.figure}"
+    monitor = f"{UNSEEN_SCENES if lesson.unseen is not None else RANDOM_FRAMES}_{lesson.figure}"
     settings[TRAINED_ON] = joined(before, now)
     kept = Checkpoints(run.out, monitor=monitor, settings=settings, patience=run.learning.patience)
     # The average puts the trained weights back before a checkpoint is written, so it comes first.

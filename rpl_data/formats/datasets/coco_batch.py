@@ -79,6 +79,7 @@ def _plain_fields(
     annotations: Sequence[Json], images: Mapping[int, Json], categories: Mapping[int, Json]
 ) -> bool:
     ids, image_ids, category_ids, areas, counts, crowds = zip(*map(ANNOTATION, annotations), strict=True)
+    squares = table([a["square_box"] for a in annotations], 3)
     shares = table([list(map(share, annotations)) for share in SHARES], len(annotations))
     return (
         of_types(annotations, dict)
@@ -90,7 +91,8 @@ def _plain_fields(
         and bool(((shares >= 0) & (shares <= 1)).all())
         and of_types((a["truncated"] for a in annotations), bool)
         and of_types((a.get("instance", "") for a in annotations), str)
-        and table([a["square_box"] for a in annotations], 3) is not None
+        and squares is not None
+        and bool((squares[:, 2] > 0).all())
     )
 
 

@@ -234,6 +234,8 @@ def _check_instance(annotation: Json, image: Json, category: Json, where: str) -
     if len(annotation["sigma_px"]) != count:
         raise _wrong(f"{where}: sigma_px", f"{count} values", len(annotation["sigma_px"]))
     _check_numbers(annotation["square_box"], 3, f"{where}: square_box")
+    if not annotation["square_box"][2] > 0:
+        raise _wrong(f"{where}: square_box", "a side above 0", annotation["square_box"])
     for key in ("visib_fract", "quality"):
         if not 0 <= annotation[key] <= 1:
             raise _wrong(f"{where}: {key}", "0 to 1", annotation[key])

@@ -21,6 +21,7 @@ from rpl_data.files import write_bytes, write_json
 from rpl_data.formats.datasets.coco import CocoObject, header, image_to_coco, instance_to_coco
 from rpl_data.formats.datasets.coco_entries import writing_entries
 from rpl_data.formats.datasets.coco_parts import ByImage, read_packed
+from rpl_data.formats.datasets.scene_samples import samples_by_scene
 from rpl_data.formats.recordings.saved_images import encoded
 from rpl_data.json_arrays import Json
 from rpl_data.meshes import save_mesh
@@ -188,6 +189,7 @@ def _write(
         "seed": job.seed,
         "images": job.count,
         "objects": list(job.objects),
+        "images_of": samples_by_scene(training.folder, training.data["images"]),
     }
     numbers = {item.model.name: number for number, item in enumerate(objects, start=1)}
     taken = [(0, 0)]  # the highest ids of each split: rendered images follow all of them

@@ -11,10 +11,13 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float64
 
+from rpl_data.types import DataError
+
 from ...pose.evaluation import TrueObject, evaluate, true_objects
 from ...pose.pipeline import load_pipeline
 from ...pose.scores import Judged, PoseScore, errors_table, load_judged, save_judged, score
 from ...runs.options import Crops
+from ...runs.trained_scenes import trained_scenes
 from ..label_sources import EXPORTS, Source, exports_of
 
 Split = Literal["val", "test"]
@@ -82,8 +85,8 @@ def run_folder(out: Path, source: str, seed: int, name: str) -> Path:
 def measure(out: Path, workspace: Path, objects: Sequence[str], seeds: int) -> Iterator[Found]:
     """Score the networks that are trained so far: one cell per object, source, protocol and method.
 
-    Judged instances are kept in judged_<split>_<crops>.json beside their checkpoint: only new checkpoints
-    are run.
+    Judged instances are kept in judged_<split>_<crops>.json beside their checkpoint: only new checkpoints,
+    or those of labels that were exported anew, are run.
     """
     truth = true_objects(exports_of(workspace)["MANUAL"] / "train.json", objects)
     for source, name, (split, crops) in product(EXPORTS, objects, PROTOCOLS):
@@ -113,14 +116,26 @@ def _judged(
         needed.append(run_folder(out, source, seed, "detector") / "last.ckpt")
     if not all(path.exists() for path in needed):
         return []
+    coco_json = exports_of(workspace)["MANUAL"] / f"{split}.json"
+    if split == "test":
+        refuse_trained(needed, coco_json)
     kept = run / f"judged_{split}_{crops}.json"
-    if kept.exists() and kept.stat().st_mtime > max(path.stat().st_mtime for path in needed):
+    if kept.exists() and kept.stat().st_mtime > max(path.stat().st_mtime for path in (*needed, coco_json)):
         return load_judged(kept)
     pipeline = load_pipeline(needed[:1], needed[1] if crops == "detected" else None)
-    coco_json = exports_of(workspace)["MANUAL"] / f"{split}.json"
     judged = list(evaluate(pipeline, coco_json, crops=crops, methods=["epnp", "consensus"], truth=truth))
     save_judged(kept, judged)
     return judged
+
+
+def refuse_trained(checkpoints: Sequence[Path], coco_json: Path) -> None:
+    """Raise a DataError where a network was trained on a scene that is tested by now."""
+    for checkpoint in checkpoints:
+        if scenes := trained_scenes(checkpoint, coco_json):
+            raise DataError(
+                f"{checkpoint} was trained on scene {', '.join(scenes)}, which {coco_json} tests by now: the "
+                "workspace was split anew; give another --out, or delete the folder of this one"
+            )
 
 
 # Intervals ----------------------------------------------------------------------------------------
