@@ -64,6 +64,8 @@ def predict(
         threads: processor threads of torch; None leaves the number to torch.
     """
     from rpl_data.files import write_json, write_text
+    from rich.progress import track
+
     from rpl_data.torch.image_files import read_image
 
     from .pose.pipeline import load_pipeline
@@ -76,7 +78,7 @@ def predict(
     entries: list[dict[str, Any]] = []
     proposals: list[Click] = []
     unreadable: Counter[str] = Counter()
-    for file in files:
+    for file in track(files, images.name, transient=True, disable=not sys.stdout.isatty()):
         try:
             image = read_image(str(file))
             depth_m = _depth_m(depth, file, images, metres_per_unit, image)

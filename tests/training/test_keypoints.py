@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -275,6 +276,19 @@ def test_predictions(coco, run, detector, tmp_path):
 
 
 @pytest.mark.parametrize(("camera", "distortion", "unit", "said"), [
+def test_a_bar_says_how_far_predictions_and_scores_are(coco, run, detector, tmp_path, capsys, monkeypatch):
+    with_mesh(coco, tmp_path)
+    camera = [CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy]
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    monkeypatch.setattr("rich._console", None)  # it remembers whether it writes on a terminal
+    image = min((coco / "images" / "desk").iterdir())
+    predict(image, run / "last.ckpt", detector, camera, out=tmp_path / "out", overlays=False)
+    assert re.search(f"{image.name} .*100%", capsys.readouterr().out)
+    evaluate_pose(tmp_path, run / "last.ckpt", split="train", crops="given", methods=["epnp"])
+    assert re.search("train.json .*100%", capsys.readouterr().out)
+
+
     ([0.0, 150.0, 80.0, 60.0], [], 0.001, "focal lengths are above 0"),
     ([150.0, 150.0, np.nan, 60.0], [], 0.001, "--camera is"),
     ([150.0] * 4, [0.1, 0.2, 0.3], 0.001, "4, 5, 8, 12 or 14"),
