@@ -14,6 +14,7 @@ from rpl_data.types import DataError
 from rpl_data.wording import counted
 
 from .runs.options import Crops, UseDepth
+from .runs.program import reasons
 
 TYPE_CHECKING = False  # not typing's: the parser of the options would import what follows, torch and all
 if TYPE_CHECKING:
@@ -97,7 +98,7 @@ def evaluate_pose(
     figures = figures_of(judged, surfaces, methods)
     if bop and out is not None:
         add_benchmark(figures, judged, coco_json, out, metres_per_unit)
-    say_figures(figures)
+    say_figures(figures, judged)
     say_left_out(unreadable)
     if out is not None:
         write_figures(out / f"{split}_poses.json", figures, judged)
@@ -167,8 +168,8 @@ def add_benchmark(
         write_bop_results(out / f"{method}_rpl-{coco_json.stem}.csv", poses)
 
 
-def say_figures(figures: Mapping[str, Mapping[str, Any]]) -> None:
-    """A line per object and method, and one of the benchmark's scores where there are any."""
+def say_figures(figures: Mapping[str, Mapping[str, Any]], judged: Sequence[Judged]) -> None:
+    """A line per object and method, one of why poses are missing, and one of the benchmark's scores."""
     for name, found in figures.items():
         print(f"{name:24s} {line_of(found)}")
         if "bop" in found:
@@ -176,6 +177,9 @@ def say_figures(figures: Mapping[str, Mapping[str, Any]]) -> None:
 
 
 def benchmark_line(found: Mapping[str, Any]) -> str:
+        none = [e.found for e in judged if f"{e.object} {e.method}" == name and e.found != "ok"]
+        if none:
+            print(f"{'':24s} no pose: {reasons(none)}")
     """The figures of `BenchmarkScore` in a line."""
 
     def shown(name: str) -> str:
