@@ -69,6 +69,11 @@ def evaluate_pose(
     from .runs.trained_scenes import say_trained
 
     refuse_contradictions(split, methods, bop=bop, out=out)
+    if detector is None and crops == "detected":
+        raise DataError(
+            "nothing says where the objects are in the images; give --detector, a checkpoint of `rpl train "
+            "detector`, or take the labels' boxes by --crops given"
+        )
     methods = list(dict.fromkeys(methods))
     use_threads(threads)
     networks = [keypoints] if isinstance(keypoints, Path) else keypoints
@@ -172,14 +177,14 @@ def say_figures(figures: Mapping[str, Mapping[str, Any]], judged: Sequence[Judge
     """A line per object and method, one of why poses are missing, and one of the benchmark's scores."""
     for name, found in figures.items():
         print(f"{name:24s} {line_of(found)}")
+        none = [e.found for e in judged if f"{e.object} {e.method}" == name and e.found != "ok"]
+        if none:
+            print(f"{'':24s} no pose: {reasons(none)}")
         if "bop" in found:
             print(f"{'':24s} {benchmark_line(found['bop'])}")
 
 
 def benchmark_line(found: Mapping[str, Any]) -> str:
-        none = [e.found for e in judged if f"{e.object} {e.method}" == name and e.found != "ok"]
-        if none:
-            print(f"{'':24s} no pose: {reasons(none)}")
     """The figures of `BenchmarkScore` in a line."""
 
     def shown(name: str) -> str:

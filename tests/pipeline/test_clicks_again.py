@@ -12,7 +12,7 @@ from rpl_data.pipeline.context import Context
 from rpl_data.pipeline.ledger import Entry, Ledger
 from rpl_data.pipeline.pool import Pool
 from rpl_data.pipeline.recipe import ObjectRecipe, Recipe
-from rpl_data.pipeline.stages.clicks import clicks_steps, import_clicks
+from rpl_data.pipeline.stages.clicks import add_clicks, clicks_steps, import_clicks
 from rpl_data.types import Click, DataError
 from rpl_data.workspace.workspace import Workspace
 
@@ -49,6 +49,12 @@ def test_without_a_memory_of_the_file_nothing_is_removed(tmp_path: Path) -> None
     import_clicks(workspace, ITEM, csv_of(tmp_path / "one.csv", "a,00,1,10,5", "b,00,1,20,5"))
     _, _, kept = import_clicks(workspace, ITEM, csv_of(tmp_path / "two.csv", "b,00,1,21,5"))
     assert clicks_of(workspace) == {(0, 1, 10), (1, 1, 21)} and kept == 1
+
+
+def test_a_table_without_a_click_is_refused(tmp_path: Path) -> None:
+    context = Context(Recipe("eggs", objects=(ITEM,)), Workspace(tmp_path / "ws"), Pool(1))
+    with pytest.raises(DataError, match="clicks.csv holds no click"):
+        add_clicks(context, csv_of(tmp_path / "clicks.csv"), proposed=True)
 
 
 def test_a_file_that_is_away_costs_no_clicks(tmp_path: Path) -> None:

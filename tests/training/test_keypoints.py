@@ -6,6 +6,7 @@ import csv
 import json
 import re
 import shutil
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -275,7 +276,6 @@ def test_predictions(coco, run, detector, tmp_path):
     assert not (tmp_path / "none").exists()
 
 
-@pytest.mark.parametrize(("camera", "distortion", "unit", "said"), [
 def test_a_bar_says_how_far_predictions_and_scores_are(coco, run, detector, tmp_path, capsys, monkeypatch):
     with_mesh(coco, tmp_path)
     camera = [CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy]
@@ -289,6 +289,7 @@ def test_a_bar_says_how_far_predictions_and_scores_are(coco, run, detector, tmp_
     assert re.search("train.json .*100%", capsys.readouterr().out)
 
 
+@pytest.mark.parametrize(("camera", "distortion", "unit", "said"), [
     ([0.0, 150.0, 80.0, 60.0], [], 0.001, "focal lengths are above 0"),
     ([150.0, 150.0, np.nan, 60.0], [], 0.001, "--camera is"),
     ([150.0] * 4, [0.1, 0.2, 0.3], 0.001, "4, 5, 8, 12 or 14"),
@@ -297,6 +298,11 @@ def test_a_bar_says_how_far_predictions_and_scores_are(coco, run, detector, tmp_
 def test_what_is_no_camera_is_refused(camera, distortion, unit, said):
     with pytest.raises(DataError, match=said):
         refuse_no_camera(camera, distortion, unit)
+
+
+def test_crops_that_nobody_finds_are_refused(tmp_path):
+    with pytest.raises(DataError, match="give --detector, .* by --crops given"):
+        evaluate_pose(tmp_path, tmp_path / "none.ckpt")
 
 
 def with_mesh(coco: Path, place: Path) -> None:

@@ -137,14 +137,16 @@ def add_clicks(
 
     Raises:
         DataError: the file names an object, a keypoint, a scene or a frame that is not there, or a
-            pixel outside the image; nothing is added then.
+            pixel outside the image, or holds no click; nothing is added then.
     """
     text = read_text(path)
     named = set(objects_in_csv(text, source=str(path)))
+    if not named:
+        raise DataError(f"{path} holds no click, only the names of its columns; nothing is added")
     chosen = [item for item in context.objects if item.name in named]
     if not chosen or named - set(context.object_names):
         raise DataError(
-            f"{path} has clicks for {', '.join(sorted(named)) or 'no object'}; "
+            f"{path} has clicks for {', '.join(sorted(named))}; "
             f"the recipe has the objects {', '.join(context.object_names)}; use the same names"
         )
     found = {}
