@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from rpl_data.clicks.incoming import Incoming
 from rpl_data.clicks.log import click_event
 from rpl_data.pipeline.context import Context
 from rpl_data.pipeline.ledger import Entry, Ledger
@@ -55,6 +56,16 @@ def test_a_table_without_a_click_is_refused(tmp_path: Path) -> None:
     context = Context(Recipe("eggs", objects=(ITEM,)), Workspace(tmp_path / "ws"), Pool(1))
     with pytest.raises(DataError, match="clicks.csv holds no click"):
         add_clicks(context, csv_of(tmp_path / "clicks.csv"), proposed=True)
+
+
+def test_what_a_program_proposes_in_vain_is_counted() -> None:
+    none = Incoming((), added=0, moved=0, removed=0, same=0, decided=3)
+    assert str(none) == "no click changed; 3 were left out, of keypoints clicked or skipped before"
+    some = replace(none, added=2, same=1, decided=1)
+    assert (
+        str(some)
+        == "2 clicks added; 1 stays as before; 1 was left out, of keypoints clicked or skipped before"
+    )
 
 
 def test_a_file_that_is_away_costs_no_clicks(tmp_path: Path) -> None:

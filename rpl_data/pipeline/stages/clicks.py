@@ -156,10 +156,12 @@ def add_clicks(
         clicks = clicks_from_csv(text, source=str(path), object_name=item.name, keypoints=names)
         clicks = [context.workspace.parts().click_in_scene(click) for click in clicks]
         _refuse_unknown_places(context.workspace, clicks, names, path)
+        read = len(clicks)
         if proposed:
             decided = annotation.skipped | {(click.keypoint, click.scene) for click in annotation.clicks}
             clicks = [click for click in clicks if (click.keypoint, click.scene) not in decided]
-        found[item.name] = incoming(annotation, names, clicks, replaces=replaces)
+        change = incoming(annotation, names, clicks, replaces=replaces)
+        found[item.name] = replace(change, decided=read - len(clicks))
     for name, change in found.items():  # only after the whole file was read
         context.workspace.append_events(name, change.events)
     return found
