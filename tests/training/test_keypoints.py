@@ -95,6 +95,13 @@ def test_paper_preset_takes_a_step(coco, tmp_path, capsys):
     assert trained.options == Network() and len(trained.network.heads) == 2
 
 
+def test_a_training_that_validates_nothing_says_that_it_has_no_best(coco, tmp_path, capsys):
+    once = replace(FAST, epochs=1)
+    train_keypoints(coco, out=tmp_path, network=TINY, learning=once, machine=ONE, validate_every=0)
+    assert "there will be last.ckpt and no best.ckpt" in capsys.readouterr().out
+    assert not (tmp_path / "best.ckpt").exists()
+
+
 def keep_one(data) -> None:
     data["annotations"] = data["annotations"][:1]
 
