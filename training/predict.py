@@ -52,7 +52,7 @@ def predict(
         images: an image, or a folder; folders in it are looked into.
         keypoints: checkpoint of `rpl train keypoints`, or a list with one per object.
         detector: checkpoint of `rpl train detector`.
-        camera: fx, fy, cx, cy in pixels; the centre of the top-left pixel is 0, 0.
+        camera: fx, fy, cx, cy in pixels, '[615, 615, 320, 240]'; the centre of the top-left pixel is 0, 0.
         distortion: OpenCV's coefficients, when the lens has any.
         depth: folder of depth images (16-bit PNG) registered to the images and named like them. Poses then
             use the depth at the keypoints too.
