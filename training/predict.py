@@ -236,11 +236,8 @@ def _write_overlay(
     from .pose.pictures import drawn, named
 
     for seen, result in found:
-        pose, failure = None, None
-        if isinstance(result, PoseFailure):
-            failure = result.reason
-        else:
-            pose = result.camera_from_object
+        pose = None if isinstance(result, PoseFailure) else result.camera_from_object
+        failure = result.reason if isinstance(result, PoseFailure) else None
         image = drawn(image, seen, pose, intrinsics, pipeline.networks[seen.object].model)
         image = named(image, seen, failure)
     write_bytes(path, bytes(cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))[1]))
