@@ -78,6 +78,8 @@ def _expected(types: str) -> str:
     """What an option takes, in words, of what jsonargparse says of its type."""
     kinds = [kind for kind in dict.fromkeys(re.findall(r"<class '(\w+)'>", types)) if kind in VALUES]
     words = re.findall(r"'([^']+)'", "".join(re.findall(r"Literal\[(.*?)\]", types)))
+    if not kinds and not words and re.search(r"<class '(list|tuple)'>", types):
+        return "a list in brackets, '[one, another]'"
     return " or ".join(dict.fromkeys([*kinds, *words])) or "another form"
 
 

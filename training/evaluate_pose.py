@@ -14,6 +14,7 @@ from rpl_data.types import DataError
 from rpl_data.wording import counted
 
 from .runs.options import Crops, UseDepth
+from .runs.program import reasons
 
 TYPE_CHECKING = False  # not typing's: the parser of the options would import what follows, torch and all
 if TYPE_CHECKING:
@@ -68,6 +69,11 @@ def evaluate_pose(
     from .runs.trained_scenes import say_trained
 
     refuse_contradictions(split, methods, bop=bop, out=out)
+    if detector is None and crops == "detected":
+        raise DataError(
+            "nothing says where the objects are in the images; give --detector, a checkpoint of `rpl train "
+            "detector`, or take the labels' boxes by --crops given"
+        )
     methods = list(dict.fromkeys(methods))
     use_threads(threads)
     networks = [keypoints] if isinstance(keypoints, Path) else keypoints
@@ -98,7 +104,7 @@ def evaluate_pose(
     figures = figures_of(judged, surfaces, methods)
     if bop and out is not None:
         add_benchmark(figures, judged, coco_json, out, metres_per_unit)
-    say_figures(figures)
+    say_figures(figures, judged)
     say_left_out(unreadable)
     if out is not None:
         write_figures(out / f"{split}_poses.json", figures, judged)
@@ -181,10 +187,13 @@ def add_benchmark(
         write_bop_results(out / f"{method}_rpl-{coco_json.stem}.csv", poses)
 
 
-def say_figures(figures: Mapping[str, Mapping[str, Any]]) -> None:
-    """A line per object and method, and one of the benchmark's scores where there are any."""
+def say_figures(figures: Mapping[str, Mapping[str, Any]], judged: Sequence[Judged]) -> None:
+    """A line per object and method, one of why poses are missing, and one of the benchmark's scores."""
     for name, found in figures.items():
         print(f"{name:24s} {line_of(found)}")
+        none = [e.found for e in judged if f"{e.object} {e.method}" == name and e.found != "ok"]
+        if none:
+            print(f"{'':24s} no pose: {reasons(none)}")
         if "bop" in found:
             print(f"{'':24s} {benchmark_line(found['bop'])}")
 

@@ -41,7 +41,7 @@ def gpu_check(
     Args:
         coco: folder that `rpl export` wrote.
         object: the object to train on.
-        epochs: most passes over the training images; fewer where there is no time for them.
+        epochs: most passes over the training images, 4 or more; fewer where there is no time for them.
         steps: timed steps per row.
         minutes: how long all of it may take; what there is no time for is left out and named.
         metres_per_unit: of the depth images, for an export that does not say it.
@@ -58,12 +58,18 @@ def gpu_check(
     from .device_check.record import Record
     from .device_check.speeds import measure_speeds
     from .device_check.trainings import (
+        LEAST_EPOCHS,
         Place,
         refuse_another_end,
         refuse_loss_that_stays,
         resume_and_compare,
     )
 
+    if epochs < LEAST_EPOCHS or steps < 1:
+        raise DataError(
+            f"--epochs is {epochs}, --steps {steps}; expected at least {LEAST_EPOCHS}, since fewer cannot "
+            "show that a loss falls, and 1"
+        )
     device, record = torch.device("cpu" if little else "cuda"), Record(out, minutes)
     place = Place(coco, object, metres_per_unit, little)
     describe(record, little=little)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from rpl_data.types import Click, DataError, Intrinsics
 from rpl_data.wording import counted
 
 from .runs.options import IMAGE_SUFFIXES
+from .runs.program import reasons
 
 TYPE_CHECKING = False  # not typing's: the parser of the options would import what follows, torch and all
 if TYPE_CHECKING:
@@ -51,7 +52,7 @@ def predict(
         images: an image, or a folder; folders in it are looked into.
         keypoints: checkpoint of `rpl train keypoints`, or a list with one per object.
         detector: checkpoint of `rpl train detector`.
-        camera: fx, fy, cx, cy in pixels; the centre of the top-left pixel is 0, 0.
+        camera: fx, fy, cx, cy in pixels, '[615, 615, 320, 240]'; the centre of the top-left pixel is 0, 0.
         distortion: OpenCV's coefficients, when the lens has any.
         depth: folder of depth images (16-bit PNG) registered to the images and named like them. Poses then
             use the depth at the keypoints too.
@@ -63,6 +64,8 @@ def predict(
         method: of PnP.
         threads: processor threads of torch; None leaves the number to torch.
     """
+    from rich.progress import track
+
     from rpl_data.files import write_json, write_text
     from rpl_data.torch.image_files import read_image
 
@@ -76,7 +79,7 @@ def predict(
     entries: list[dict[str, Any]] = []
     proposals: list[Click] = []
     unreadable: Counter[str] = Counter()
-    for file in files:
+    for file in track(files, images.name, transient=True, disable=not sys.stdout.isatty()):
         try:
             image = read_image(str(file))
             depth_m = _depth_m(depth, file, images, metres_per_unit, image)
@@ -99,8 +102,16 @@ def predict(
     write_json(out / "poses.json", entries)
     if clicks is not None:
         write_text(clicks, clicks_csv(proposals, pipeline))
-    print(f"{out / 'poses.json'}: {_counted(entries)}")
+    print(f"{out / 'poses.json'}: {counts_of(entries)}")
+    if clicks is not None:
+        print(_about_clicks(clicks, len(proposals)))
     say_left_out(unreadable)
+
+
+def _about_clicks(file: Path, count: int) -> str:
+    if not count:
+        return f"{file}: no click, for no object with a pose has a keypoint of confidence {SURE:g} or more"
+    return f"{file}: {counted(count, 'click')}; `rpl clicks import {file} --proposed true` adds them"
 
 
 def refuse_no_camera(camera: Sequence[float], distortion: Sequence[float], metres_per_unit: float) -> None:
@@ -115,10 +126,13 @@ def refuse_no_camera(camera: Sequence[float], distortion: Sequence[float], metre
         raise DataError(f"--metres_per_unit is {metres_per_unit}; it is above 0: 0.001 for millimetres")
 
 
-def _counted(entries: Sequence[dict[str, Any]]) -> str:
+def counts_of(entries: Sequence[Mapping[str, Any]]) -> str:
+    """How many images, objects and poses there are, and why poses are missing."""
     objects = [each for entry in entries for each in entry["objects"]]
-    with_pose = sum(each["camera_from_object"] is not None for each in objects)
-    return f"{counted(len(entries), 'image')}, {counted(len(objects), 'object')}, {with_pose} with a pose"
+    none = [each["failure"] for each in objects if each["failure"] is not None]
+    why = f"; no pose: {reasons(none)}" if none else ""
+    found = f"{counted(len(objects), 'object')}, {len(objects) - len(none)} with a pose"
+    return f"{counted(len(entries), 'image')}, {found}{why}"
 
 
 def images_of(place: Path) -> list[Path]:
@@ -219,11 +233,13 @@ def _write_overlay(
 
     from rpl_data.files import write_bytes
 
-    from .pose.pictures import drawn
+    from .pose.pictures import drawn, named
 
     for seen, result in found:
         pose = None if isinstance(result, PoseFailure) else result.camera_from_object
+        failure = result.reason if isinstance(result, PoseFailure) else None
         image = drawn(image, seen, pose, intrinsics, pipeline.networks[seen.object].model)
+        image = named(image, seen, failure)
     write_bytes(path, bytes(cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))[1]))
 
 

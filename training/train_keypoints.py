@@ -107,6 +107,8 @@ def train_keypoints(
         train = partly_synthetic(data.train, folder, synthetic, canonical=canonical)
     counts = f"{len(data.train)} instances to train on, {len(data.val or [])} to validate on"
     say(f"{data.train.model.name}: {counts}")
+    if synthetic:
+        say(f"{synthetic:.0%} of the crops are rendered anew in every epoch, of {folder}")
     say_held_out(data.scenes, len(data.unseen or []))
     settings = {
         "augment": asdict(data.train.augment or augment),

@@ -18,6 +18,8 @@ class Incoming:
         events: they bring the log there; empty when nothing changes.
         added, moved, removed, same: numbers of clicks: new ones, those of the same keypoint and frame at
             another pixel, those that the object had and the file has not, and those that stay as they are.
+        decided: clicks of a program that were left out: their keypoints were clicked in that scene, or
+            declared not visible there.
     """
 
     events: tuple[Event, ...]
@@ -25,6 +27,7 @@ class Incoming:
     moved: int
     removed: int
     same: int
+    decided: int = 0
 
     @property
     def changed(self) -> int:
@@ -32,7 +35,13 @@ class Incoming:
         return self.added + self.moved + self.removed
 
     def __str__(self) -> str:
-        """`3 clicks added, 1 moved, 2 removed; 20 stay as they were`."""
+        """`3 clicks added, 1 moved, 2 removed; 20 stay as before`."""
+        if not self.decided:
+            return self._changes()
+        why = "was" if self.decided == 1 else "were"
+        return f"{self._changes()}; {self.decided} {why} left out, of keypoints clicked or skipped before"
+
+    def _changes(self) -> str:
         numbers = (("added", self.added), ("moved", self.moved), ("removed", self.removed))
         parts = [f"{number} {word}" for word, number in numbers if number]
         if not parts:

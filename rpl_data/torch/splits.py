@@ -49,6 +49,11 @@ def split_file(export: str | Path, split: str | None) -> Path:
 
 def _why(folder: Path, split: str, there: list[str]) -> str:
     """The reason why a split was not exported, as far as the other files show it."""
+    if split in ("val", "test") and _rendered(folder / "train.json"):
+        return (
+            ": `rpl synthesize` renders images to train on; take val and test of export/coco, or render with "
+            "--mix true, which puts them beside the rendered images"
+        )
     if split == "test":
         scenes = scenes_of(folder, there)
         if len(scenes) < FEWEST_SCENES:
@@ -61,6 +66,15 @@ def _why(folder: Path, split: str, there: list[str]) -> str:
     if split == "val":
         return ": the recipe asked for none (`split: {val_fraction: 0.1}`), or there were too few frames"
     return "" if split == "train" else ": the names are train, val and test"
+
+
+def _rendered(train_json: Path) -> bool:
+    """Whether all images were rendered by `rpl synthesize`."""
+    if not train_json.exists():
+        return False
+    with decoding(train_json, "export the dataset again with `rpl export`"):
+        images = read_json(train_json)["images"]
+        return bool(images) and all(image.get("origin") == "synthetic" for image in images)
 
 
 def scenes_of(folder: Path, splits: Sequence[str]) -> set[str]:

@@ -7,12 +7,13 @@ from pathlib import Path
 
 import pytest
 
+from rpl_data.clicks.incoming import Incoming
 from rpl_data.clicks.log import click_event
 from rpl_data.pipeline.context import Context
 from rpl_data.pipeline.ledger import Entry, Ledger
 from rpl_data.pipeline.pool import Pool
 from rpl_data.pipeline.recipe import ObjectRecipe, Recipe
-from rpl_data.pipeline.stages.clicks import clicks_steps, import_clicks
+from rpl_data.pipeline.stages.clicks import add_clicks, clicks_steps, import_clicks
 from rpl_data.types import Click, DataError
 from rpl_data.workspace.workspace import Workspace
 
@@ -49,6 +50,22 @@ def test_without_a_memory_of_the_file_nothing_is_removed(tmp_path: Path) -> None
     import_clicks(workspace, ITEM, csv_of(tmp_path / "one.csv", "a,00,1,10,5", "b,00,1,20,5"))
     _, _, kept = import_clicks(workspace, ITEM, csv_of(tmp_path / "two.csv", "b,00,1,21,5"))
     assert clicks_of(workspace) == {(0, 1, 10), (1, 1, 21)} and kept == 1
+
+
+def test_a_table_without_a_click_is_refused(tmp_path: Path) -> None:
+    context = Context(Recipe("eggs", objects=(ITEM,)), Workspace(tmp_path / "ws"), Pool(1))
+    with pytest.raises(DataError, match="clicks.csv holds no click"):
+        add_clicks(context, csv_of(tmp_path / "clicks.csv"), proposed=True)
+
+
+def test_what_a_program_proposes_in_vain_is_counted() -> None:
+    none = Incoming((), added=0, moved=0, removed=0, same=0, decided=3)
+    assert str(none) == "no click changed; 3 were left out, of keypoints clicked or skipped before"
+    some = replace(none, added=2, same=1, decided=1)
+    assert (
+        str(some)
+        == "2 clicks added; 1 stays as before; 1 was left out, of keypoints clicked or skipped before"
+    )
 
 
 def test_a_file_that_is_away_costs_no_clicks(tmp_path: Path) -> None:

@@ -56,6 +56,15 @@ def test_no_test_scene_was_asked_for(two_scenes: Path, tmp_path: Path) -> None:
         split_file(folder, "test")
 
 
+def test_rendered_images_are_to_train_on(two_scenes: Path, tmp_path: Path) -> None:
+    data = json.loads((two_scenes / "train.json").read_text())
+    for image in data["images"]:
+        image["origin"] = "synthetic"
+    (tmp_path / "train.json").write_text(json.dumps(data))
+    with pytest.raises(DataError, match="no test split: `rpl synthesize` renders images to train on; take"):
+        split_file(tmp_path, "test")
+
+
 def test_what_is_wrong_with_the_place_is_said(tiny_workspace: Workspace, tmp_path: Path) -> None:
     coco = tiny_workspace.export("coco")
     for path, split, message in [

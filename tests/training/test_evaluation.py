@@ -15,10 +15,12 @@ from rpl_data.geometry import project, transform
 from rpl_data.pose.errors import INFINITE
 from rpl_data.pose.estimate import PoseEstimate
 from rpl_data.types import DataError, InstanceLabel, Intrinsics, KeypointModel, Rle, SquareBox
-from training.evaluate_pose import line_of, refuse_nothing_judged
+from training.evaluate_pose import figures_of, line_of, refuse_nothing_judged, say_figures
 from training.pose.evaluation import TrueObject, _judged, _seen_of
+from training.pose.pictures import named
 from training.pose.pipeline import PosePipeline, SeenKeypoints, check_detected
 from training.pose.scores import Judged, load_judged, save_judged
+from training.predict import counts_of
 
 IMAGE = np.zeros((4, 4, 3), dtype=np.uint8)
 RLE = Rle(size=[4, 4], counts="0")
@@ -97,6 +99,23 @@ def test_a_detector_of_other_objects_is_refused() -> None:
     check_detected(PosePipeline({"cup": cast(Any, None)}, detector), "d.ckpt")
     with pytest.raises(DataError, match="d.ckpt: the detector does not know egg, .* it knows cup"):
         check_detected(PosePipeline(dict.fromkeys(("cup", "egg"), cast(Any, None)), detector), "d.ckpt")
+
+
+def test_what_has_no_pose_is_told_why(capsys: pytest.CaptureFixture[str]) -> None:
+    none = Judged("cup", "0.png", "epnp", "not detected", INFINITE, np.array([np.inf]), None, None)
+    judged = [none, replace(none, found="too few keypoints"), none]
+    say_figures(figures_of(judged, {"cup": np.random.default_rng(0).normal(size=(9, 3))}, ["epnp"]), judged)
+    assert "no pose: not detected (2), too few keypoints (1)" in capsys.readouterr().out
+    seen = {"camera_from_object": np.eye(4), "failure": None}
+    missed = {"camera_from_object": None, "failure": "too few keypoints"}
+    said = counts_of([{"objects": [seen, missed]}, {"objects": []}])
+    assert said == "2 images, 2 objects, 1 with a pose; no pose: too few keypoints (1)"
+
+
+def test_an_overlay_names_each_object() -> None:
+    picture = np.zeros((60, 200, 3), dtype=np.uint8)
+    words = named(picture.copy(), seen_at("cup", np.array([100.0, 50.0, 40.0])), "too few keypoints")
+    assert words[:30].any() and not words[35:].any()
 
 
 def test_half_a_turn_that_earlier_versions_wrote_for_no_pose_is_infinite(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ import torch
 from rpl_data.types import DataError
 from rpl_data.workspace.workspace import Workspace
 from training.device_check.record import Record
+from training.device_check.speeds import Way
 from training.device_check.trainings import refuse_another_end, refuse_loss_that_stays
 from training.gpu_check import gpu_check, heatmap_difference
 
@@ -42,6 +43,15 @@ def test_what_fails_and_what_there_is_no_time_for(tmp_path: Path) -> None:
         refuse_another_end(record)
     kept = json.loads((tmp_path / "check.json").read_text())
     assert kept["left_out"] == ["another"] and kept["trainings"][0]["last"] == 2.1
+
+
+def test_what_is_left_out_has_a_plain_name() -> None:
+    assert str(Way("resnet18", "bf16-mixed", channels_last=True)) == "resnet18, bf16-mixed, channels_last"
+
+
+def test_too_few_epochs_for_a_loss_to_fall_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="--epochs is 1, --steps 30; expected at least 4"):
+        gpu_check(tmp_path, epochs=1, little=True)
 
 
 def test_heatmaps_are_compared_with_positions_outside_and_unknown() -> None:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 import shutil
+import sys
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -93,6 +95,13 @@ def test_paper_preset_takes_a_step(coco, tmp_path, capsys):
     assert main(train_keypoints, [*arguments, *smaller], presets=True) == 0, capsys.readouterr().err
     trained = load_keypoints(tmp_path / "last.ckpt")
     assert trained.options == Network() and len(trained.network.heads) == 2
+
+
+def test_a_training_that_validates_nothing_says_that_it_has_no_best(coco, tmp_path, capsys):
+    once = replace(FAST, epochs=1)
+    train_keypoints(coco, out=tmp_path, network=TINY, learning=once, machine=ONE, validate_every=0)
+    assert "there will be last.ckpt and no best.ckpt" in capsys.readouterr().out
+    assert not (tmp_path / "best.ckpt").exists()
 
 
 def keep_one(data) -> None:
@@ -307,6 +316,19 @@ def test_predictions(coco, run, detector, tmp_path):
     assert not (tmp_path / "none").exists()
 
 
+def test_a_bar_says_how_far_predictions_and_scores_are(coco, run, detector, tmp_path, capsys, monkeypatch):
+    with_mesh(coco, tmp_path)
+    camera = [CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy]
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    monkeypatch.setattr("rich._console", None)  # it remembers whether it writes on a terminal
+    image = min((coco / "images" / "desk").iterdir())
+    predict(image, run / "last.ckpt", detector, camera, out=tmp_path / "out", overlays=False)
+    assert re.search(f"{image.name} .*100%", capsys.readouterr().out)
+    evaluate_pose(tmp_path, run / "last.ckpt", split="train", crops="given", methods=["epnp"])
+    assert re.search("train.json .*100%", capsys.readouterr().out)
+
+
 @pytest.mark.parametrize(("camera", "distortion", "unit", "said"), [
     ([0.0, 150.0, 80.0, 60.0], [], 0.001, "focal lengths are above 0"),
     ([150.0, 150.0, np.nan, 60.0], [], 0.001, "--camera is"),
@@ -316,6 +338,11 @@ def test_predictions(coco, run, detector, tmp_path):
 def test_what_is_no_camera_is_refused(camera, distortion, unit, said):
     with pytest.raises(DataError, match=said):
         refuse_no_camera(camera, distortion, unit)
+
+
+def test_crops_that_nobody_finds_are_refused(tmp_path):
+    with pytest.raises(DataError, match="give --detector, .* by --crops given"):
+        evaluate_pose(tmp_path, tmp_path / "none.ckpt")
 
 
 def with_mesh(coco: Path, place: Path) -> None:

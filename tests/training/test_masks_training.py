@@ -148,7 +148,7 @@ def test_resnet_weights_from_a_file(tmp_path):
     assert torch.equal(model.backbone.body.layer4[1].conv2.weight, trained.layer4[1].conv2.weight)
     assert "100 tensors taken, 42 stay random" in said  # pyramid and heads
     other = replace(config, backbone="resnet50")
-    with pytest.raises(DataError, match="does not hold a resnet50"):
+    with pytest.raises(DataError, match="does not hold the network resnet50"):
         load_weights(build_model(other, classes=2), other, str(tmp_path / "resnet.pth"))
 
 

@@ -48,7 +48,7 @@ def test_a_checkpoint_of_another_object_leaves_its_heads_behind(tmp_path: Path) 
     key = "stem.0.weight"
     assert torch.equal(network.state_dict()[key], trained.state_dict()[key])
     wider = Network(stacks=1, features=32, levels=2, input_px=32, heatmap_px=8)
-    with pytest.raises(DataError, match=r"does not hold a hourglass: \d+ of its \d+ tensors"):
+    with pytest.raises(DataError, match=r"does not hold the network hourglass: \d+ of its \d+ tensors"):
         start_from(start_of(network_of(4, wider), wider), str(tmp_path / "last.ckpt"))
 
 

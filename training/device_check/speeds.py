@@ -41,6 +41,11 @@ class Way:
     channels_last: bool = False
     compiled: bool = False
 
+    def __str__(self) -> str:
+        """`resnet50, bf16-mixed, channels_last, compiled`."""
+        how = ["channels_last"] * self.channels_last + ["compiled"] * self.compiled
+        return ", ".join([self.network, self.precision, *how])
+
 
 WAYS = [
     Way("hourglass", "bf16-mixed"),

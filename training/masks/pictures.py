@@ -33,7 +33,7 @@ def draw(pixels: np.ndarray, results: Sequence[Json], names: Sequence[str]) -> n
         cv2.drawContours(picture, outlines, -1, color, 1, cv2.LINE_AA)
         left, top, width, height = (round(side) for side in entry["bbox"])
         cv2.rectangle(picture, (left, top), (left + width - 1, top + height - 1), color, 1)
-        _write(picture, f"{names[label]} {entry['score']:.2f}", (left, max(12, top - 4)), color)
+        write_words(picture, f"{names[label]} {entry['score']:.2f}", (left, max(12, top - 4)), color)
     return picture
 
 
@@ -54,6 +54,9 @@ def tinted(image: Tensor, found: Tensor, labels: Tensor, classes: int) -> Tensor
     return drawn
 
 
-def _write(picture: np.ndarray, words: str, corner: tuple[int, int], color: tuple[int, int, int]) -> None:
+def write_words(
+    picture: np.ndarray, words: str, corner: tuple[int, int], color: tuple[int, int, int]
+) -> None:
+    """Write on a picture, with dark edges so that it can be read on any ground."""
     for shade, thickness in (((15, 15, 15), 3), (color, 1)):
         cv2.putText(picture, words, corner, cv2.FONT_HERSHEY_SIMPLEX, 0.45, shade, thickness, cv2.LINE_AA)

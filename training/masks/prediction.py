@@ -49,7 +49,8 @@ def pictures_of(source: Path, unreadable: Counter[str]) -> Iterator[Picture]:
     if source.is_dir():
         files = _images_in(source)
         if not files:
-            raise DataError(f"{source} holds no image; expected {', '.join(sorted(IMAGE_SUFFIXES))}")
+            known = ", ".join(sorted(IMAGE_SUFFIXES))
+            raise DataError(f"{source} holds no image ({known}); name one of the folders in it, or an image")
         for path in files:
             try:
                 pixels = read_image(str(path))

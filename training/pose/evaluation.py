@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -10,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich.progress import track
 
 from rpl_data.formats.datasets.coco import (
     depth_unit_m,
@@ -87,6 +89,8 @@ def evaluate(
 ) -> Iterator[Judged]:
     """Judge every true instance of the pipeline's objects, once per method.
 
+    A bar on a terminal shows how far it is.
+
     Args:
         pipeline: trained on any labels of the same keypoints. Its object frames may differ from the truth's
             by one rigid transform per object, which the two sparse models give.
@@ -110,7 +114,8 @@ def evaluate(
         for name, network in pipeline.networks.items()
     }
     labels_of = _labels(data, {truth[name].category: name for name in pipeline.networks}, least_visible)
-    for image in data["images"]:
+    hidden = not sys.stdout.isatty()
+    for image in track(data["images"], coco_json.name, transient=True, disable=hidden):
         labels = labels_of.get(image["id"], [])
         pixels = _read(coco_json.parent, image, unreadable) if labels else None
         if pixels is None:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import inspect
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from rpl_data.types import DataError
 from rpl_data.wording import counted
@@ -94,6 +95,11 @@ def use_threads(threads: int | None) -> None:
 
     if threads is not None:
         torch.set_num_threads(threads)
+
+
+def reasons(why: Iterable[str]) -> str:
+    """Reasons with how often each was given, the most frequent first: "too few keypoints (18), ..."."""
+    return ", ".join(f"{each} ({count})" for each, count in Counter(why).most_common())
 
 
 def say_left_out(unreadable: Mapping[str, int]) -> None:

@@ -28,6 +28,7 @@ from .averaging import WeightAverage
 from .callbacks import Checkpoints, EpochLines, LastEpochValidated, Steps, refuse_idle_patience
 from .checkpoint_files import WholeCheckpoints, sweep_checkpoints
 from .folder import (
+    BEST,
     FOREIGN,
     LAST,
     TRAINED_ON,
@@ -159,6 +160,8 @@ def _fit_alone(lesson: Lesson, run: Run, resumed: Path | None) -> Path:
         rank_zero_only(delete_run)(run.out)
     steps = Steps(run.learning, run.seed)
     train, val = _batches(lesson, run, done)
+    if not val:
+        say(f"nothing is validated, so there will be {LAST} and no {BEST}")
     lesson.module.validated_on = tuple(val)
     monitor = f"{UNSEEN_SCENES if lesson.unseen is not None else RANDOM_FRAMES}_{lesson.figure}"
     settings[TRAINED_ON] = joined(before, now)

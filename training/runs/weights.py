@@ -63,8 +63,8 @@ def start_from(start: Start, weights: str) -> str:
     body = {key for key in needed if key.startswith(must)}
     if missing := sorted(body - set(fitting)):
         raise DataError(
-            f"{weights} does not hold a {start.name}: {len(missing)} of its {len(body)} tensors are "
-            f"missing or of another shape ({missing[0]}); choose the network the weights belong to"
+            f"{weights} does not hold the network {start.name}: {len(missing)} of its {len(body)} tensors "
+            f"are missing or of another shape ({missing[0]}); choose the network the weights belong to"
         )
     start.network.load_state_dict(fitting, strict=False)
     return f"{weights}: {len(fitting)} tensors taken, {len(needed - set(fitting))} stay random"

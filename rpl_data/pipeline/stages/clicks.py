@@ -137,14 +137,16 @@ def add_clicks(
 
     Raises:
         DataError: the file names an object, a keypoint, a scene or a frame that is not there, or a
-            pixel outside the image; nothing is added then.
+            pixel outside the image, or holds no click; nothing is added then.
     """
     text = read_text(path)
     named = set(objects_in_csv(text, source=str(path)))
+    if not named:
+        raise DataError(f"{path} holds no click, only the names of its columns; nothing is added")
     chosen = [item for item in context.objects if item.name in named]
     if not chosen or named - set(context.object_names):
         raise DataError(
-            f"{path} has clicks for {', '.join(sorted(named)) or 'no object'}; "
+            f"{path} has clicks for {', '.join(sorted(named))}; "
             f"the recipe has the objects {', '.join(context.object_names)}; use the same names"
         )
     found = {}
@@ -154,10 +156,12 @@ def add_clicks(
         clicks = clicks_from_csv(text, source=str(path), object_name=item.name, keypoints=names)
         clicks = [context.workspace.parts().click_in_scene(click) for click in clicks]
         _refuse_unknown_places(context.workspace, clicks, names, path)
+        read = len(clicks)
         if proposed:
             decided = annotation.skipped | {(click.keypoint, click.scene) for click in annotation.clicks}
             clicks = [click for click in clicks if (click.keypoint, click.scene) not in decided]
-        found[item.name] = incoming(annotation, names, clicks, replaces=replaces)
+        change = incoming(annotation, names, clicks, replaces=replaces)
+        found[item.name] = replace(change, decided=read - len(clicks))
     for name, change in found.items():  # only after the whole file was read
         context.workspace.append_events(name, change.events)
     return found

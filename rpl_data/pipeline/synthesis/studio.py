@@ -117,7 +117,7 @@ def _make(context: Context, training: Training, folder: Path, tell: Tell) -> Stu
         for item in training.objects
         if item.model.name in shown and can_be_made(context, item.model.name, training.scenes)
     }
-    tell("plates")
+    tell("backgrounds: tables without their objects")
     plates = make_plates(folder, training, part_of, tables, ups)
     per_image = Counter(one["image_id"] for one in training.data["annotations"])
     return Studio(
