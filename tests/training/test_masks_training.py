@@ -6,6 +6,7 @@ import csv
 import json
 import shutil
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -355,7 +356,8 @@ def test_a_class_absent_from_training(coco, tmp_path):
 
 
 def test_images_without_objects_teach_the_background(coco, tmp_path):
-    data = rewritten(coco, tmp_path, lambda image, annotations: [])
+    row = count()  # the batch is of rows 2 and 3; if no image showed an object, there were nothing to learn
+    data = rewritten(coco, tmp_path, lambda image, shown: [] if next(row) in (2, 3) else shown)
     images, targets = batch_of(data)
     assert [len(target["boxes"]) for target in targets] == [0, 0]
     losses = build_model(replace(SMALL, norm="group"), classes=2)(images, targets)
