@@ -16,6 +16,7 @@ from rpl_data.pipeline.ledger import Ledger
 from rpl_data.pipeline.progress import Progress as BuildProgress
 from rpl_data.pipeline.results import quality_rows, split_summary, timings, worth_knowing
 from rpl_data.pipeline.stages import ORDER
+from rpl_data.pipeline.synthesis.training import outdated_line
 from rpl_data.types import Recording
 from rpl_data.workspace.workspace import Workspace
 
@@ -145,6 +146,8 @@ def print_results(
         say(f"\nerrors against the truth\n{format_table(rows)}")
     asked = ORDER[: ORDER.index(until) + 1] if until else ORDER
     known = worth_knowing(ledger, {step for step in fresh if step.partition("/")[0] in asked})
+    outdated = outdated_line(workspace) if "export" in asked else None
+    known += [outdated] if outdated is not None else []
     if known:
         say("\nWorth knowing\n" + "\n".join(f"    {line}" for line in known))
     if until in (None, "report"):

@@ -22,6 +22,7 @@ def status(workspace: Path = HERE) -> None:
     """
     from rpl_data.pipeline.build import STAGES, recipe_of, stale_steps
     from rpl_data.pipeline.placements import placement_lines
+    from rpl_data.pipeline.synthesis.training import outdated_line
     from rpl_data.workspace.workspace import Workspace
 
     place = Workspace(workspace)
@@ -40,6 +41,9 @@ def status(workspace: Path = HERE) -> None:
             print(f"{stage:8s}  {'to run: ' + ', '.join(stale) if stale else 'up to date'}")
     for line in placement_lines(place):
         print(line)
+    outdated = outdated_line(place)
+    if outdated is not None:
+        print(outdated)
 
 
 def _object_line(name: str, marked: Annotation) -> str:

@@ -23,7 +23,7 @@ from rpl_data.pipeline.synthesis.models import scene_table
 from rpl_data.pipeline.synthesis.pictures import plate_depth
 from rpl_data.pipeline.synthesis.plates import _Image, make_plates, plane_in_camera, without_objects
 from rpl_data.pipeline.synthesis.run import synthesize_workspace
-from rpl_data.pipeline.synthesis.training import training_split
+from rpl_data.pipeline.synthesis.training import outdated_line, training_split
 from rpl_data.raycast import RayScene, render_depth_m
 from rpl_data.synthesize.storage import load_studio
 from rpl_data.synthesize.studio import Plate
@@ -274,6 +274,16 @@ def test_places_of_objects_are_filled_with_what_other_images_show_there(tmp_path
     off = np.abs(found.astype(int) - true)[image.objects].mean()
     alone = np.abs(without_objects(image, [], plane, tmp_path).astype(int) - true)[image.objects].mean()
     assert off < 0.35 * alone
+
+
+def test_views_of_earlier_labels_are_named(workspace: Workspace) -> None:
+    labels = workspace.export("coco") / "train.json"
+    exported = labels.read_text()
+    assert outdated_line(workspace) is None
+    labels.write_text(exported.replace('"quality"', '"quality" ', 1))
+    said = outdated_line(workspace)
+    assert said is not None and str(workspace.export("synthetic")) in said
+    labels.write_text(exported)
 
 
 def test_a_studio_names_its_scenes(workspace: Workspace) -> None:

@@ -10,6 +10,7 @@ from rpl_data.files import read_bytes
 from rpl_data.formats.datasets.coco import CocoObject, objects_from_coco
 from rpl_data.formats.datasets.coco_parts import read_packed
 from rpl_data.json_arrays import Json
+from rpl_data.synthesize.storage import studio_made_of
 from rpl_data.torch.splits import scenes_of
 from rpl_data.types import DataError
 from rpl_data.workspace.workspace import Workspace
@@ -74,5 +75,21 @@ def training_split(workspace: Workspace) -> Training:
             "can be made of training scenes alone; split by scenes (`split: {test_scenes: ...}`) and export "
             "again"
         )
-    digest = hashlib.sha256(read_bytes(file)).hexdigest()[:16]
+    digest = _digest(file)
     return Training(folder, tuple(objects_from_coco(data)), tuple(sorted(scenes)), data, digest)
+
+
+def outdated_line(workspace: Workspace) -> str | None:
+    """A line for the user where `export/synthetic` was rendered from labels other than those of now."""
+    file, rendered = workspace.export("coco") / "train.json", workspace.export("synthetic")
+    made_of = studio_made_of(rendered / "studio")
+    if made_of is None or not file.exists() or made_of["labels"] == _digest(file):
+        return None
+    return (
+        f"{rendered} was rendered from earlier labels; the same `rpl synthesize` as then makes it anew, or "
+        "delete it"
+    )
+
+
+def _digest(file: Path) -> str:
+    return hashlib.sha256(read_bytes(file)).hexdigest()[:16]
