@@ -375,7 +375,9 @@ def test_slivers_of_an_object_are_left_out(coco, tmp_path, size):
     crops = [SquareCrops(folder / "train.json", 64, upright) for folder in (data, coco)]
     whole = [InstanceDataset(folder / "train.json") for folder in (data, coco)]
     assert [len(each[2][1]["labels"]) for each in whole] == [4, 2]
-    assert [each[2][1]["labels"].tolist() for each in crops] == [[1, 2], [1, 2]]
+    for each in crops:
+        torch.manual_seed(0)  # the same crop, which shows both objects
+        assert each[2][1]["labels"].tolist() == [1, 2]
 
 
 @pytest.mark.parametrize("box", [[70, 50, 0, 20], [0, 0, 0, 0]])

@@ -88,9 +88,10 @@ def measure(out: Path, workspace: Path, objects: Sequence[str], seeds: int) -> I
     Judged instances are kept in judged_<split>_<crops>.json beside their checkpoint: only new checkpoints,
     or those of labels that were exported anew, are run.
     """
-    truth = true_objects(exports_of(workspace)["MANUAL"] / "train.json", objects)
+    manual = exports_of(workspace)["MANUAL"]
+    truth = true_objects(manual / "train.json", objects)
     for source, name, (split, crops) in product(EXPORTS, objects, PROTOCOLS):
-        judged = [_judged(out, workspace, source, name, split, crops, seed, truth) for seed in range(seeds)]
+        judged = [_judged(out, manual, source, name, split, crops, seed, truth) for seed in range(seeds)]
         judged = [rows for rows in judged if rows]
         for method in sorted({each.method for rows in judged for each in rows}):
             mine = [[each for each in rows if each.method == method] for rows in judged]
@@ -101,7 +102,7 @@ def measure(out: Path, workspace: Path, objects: Sequence[str], seeds: int) -> I
 
 def _judged(
     out: Path,
-    workspace: Path,
+    manual: Path,
     source: Source,
     name: str,
     split: Split,
@@ -116,7 +117,7 @@ def _judged(
         needed.append(run_folder(out, source, seed, "detector") / "last.ckpt")
     if not all(path.exists() for path in needed):
         return []
-    coco_json = exports_of(workspace)["MANUAL"] / f"{split}.json"
+    coco_json = manual / f"{split}.json"
     if split == "test":
         refuse_trained(needed, coco_json)
     kept = run / f"judged_{split}_{crops}.json"
