@@ -26,7 +26,6 @@ from ..runs.network_module import NetworkModule
 from ..runs.options import DetectorNetwork, Learning
 from ..runs.schedule import optimizer_of
 from ..runs.together import nothing_read
-from ..runs.trainer import stop_if_not_finite
 from ..runs.weights import Start
 
 Collated = tuple[list[Tensor], list[DetectionTarget], Sequence[str]]
@@ -144,7 +143,7 @@ class DetectorTraining(NetworkModule):
             return nothing_read(self)
         losses: dict[str, Tensor] = self.detector(images, targets)
         loss = torch.stack(list(losses.values())).sum()
-        stop_if_not_finite(losses, self.current_epoch, number, [target["image_id"] for target in targets])
+        self.stop_if_not_finite(losses, number, [target["image_id"] for target in targets])
         self.log("train_loss", loss, on_step=False, on_epoch=True, batch_size=len(images))
         return loss
 

@@ -21,7 +21,6 @@ from ..runs.network_module import NetworkModule
 from ..runs.options import Learning, Network
 from ..runs.schedule import optimizer_of
 from ..runs.together import EMPTY_SIDE_PX, share_of_mean
-from ..runs.trainer import stop_if_not_finite
 from .hourglass import cross_entropy, mean_squares
 from .networks import network_of
 from .pictures import heatmap_picture
@@ -109,7 +108,7 @@ class KeypointTraining(NetworkModule):
         outputs = self.network(self._laid_out(images))
         loss = self._loss(outputs, heatmaps, weights) * share_of_mean(weights.sum())
         if batch is not None:
-            stop_if_not_finite({"the loss": loss}, self.current_epoch, number, _ids(batch))
+            self.stop_if_not_finite({"the loss": loss}, number, _ids(batch))
         asked = len(images) + len(collated[1])  # every process counts alike, whatever it could read
         self.log("train_loss", loss, on_step=False, on_epoch=True, sync_dist=True, batch_size=asked)
         return loss

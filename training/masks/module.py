@@ -14,7 +14,6 @@ from ..runs.network_module import NetworkModule
 from ..runs.options import Learning, MaskNetwork
 from ..runs.schedule import optimizer_of
 from ..runs.together import nothing_read
-from ..runs.trainer import stop_if_not_finite
 from .mask_rcnn import build_model, train_body
 from .pictures import tinted
 from .results import MASK_THRESHOLD
@@ -68,7 +67,7 @@ class MaskTraining(NetworkModule):
         if not images:
             return nothing_read(self)
         losses: dict[str, Tensor] = self.model(images, targets)
-        stop_if_not_finite(losses, self.current_epoch, number, [target["image_id"] for target in targets])
+        self.stop_if_not_finite(losses, number, [target["image_id"] for target in targets])
         total = torch.stack([*losses.values()]).sum()
         shown = {"train_loss": total, **{f"train_{name}": loss for name, loss in losses.items()}}
         self.log_dict(shown, on_step=False, on_epoch=True, batch_size=len(images))

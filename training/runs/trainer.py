@@ -1,4 +1,4 @@
-"""What all training programs share: a Lightning trainer, checkpoints that load, losses that are numbers."""
+"""What all training programs share: a run from its start or its last checkpoint to its end."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import logging
 import sys
 import time
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -16,7 +16,6 @@ import torch
 from pytorch_lightning import Callback, LightningModule, Trainer, seed_everything
 from pytorch_lightning.loggers import CSVLogger, Logger, TensorBoardLogger
 from pytorch_lightning.utilities import rank_zero_only
-from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
 from rpl_data.torch.epochs import Collate, training_batches, validation_batches
@@ -277,26 +276,3 @@ def _way_on(last: Path) -> str:
     if not done:
         return "no epoch was finished: give the same command again"
     return f"{last} holds what {counted(done, 'epoch')} taught: go on with the same command and --resume true"
-
-
-def stop_if_not_finite(
-    losses: Mapping[str, Tensor], epoch: int, batch: int, image_ids: Sequence[int]
-) -> None:
-    """Stop a training whose loss is not a finite number.
-
-    Args:
-        losses: the parts of the loss, by name.
-        epoch: the epoch, from 0.
-        batch: number of the batch in the epoch, from 0.
-        image_ids: the images of the batch, by their ids in the COCO file.
-
-    Raises:
-        DataError: a loss is not finite.
-    """
-    bad = [f"{name} is {loss.item()}" for name, loss in losses.items() if not torch.isfinite(loss)]
-    if bad:
-        raise DataError(
-            f"epoch {epoch + 1}, batch {batch + 1}, images {', '.join(map(str, image_ids))} "
-            f"(ids of the COCO file): {', '.join(bad)}; look at the labels of these images, or lower "
-            "--learning.rate and go on with --resume true"
-        )
