@@ -8,7 +8,6 @@ from dataclasses import asdict
 from pathlib import Path
 
 from rpl_data.torch.transforms import Augmentation
-from rpl_data.types import DataError
 
 from .runs.options import DetectorNetwork, Learning, Machine, Run
 
@@ -62,9 +61,10 @@ def train_detector(
     from rpl_data.torch.detection import DetectionDataset
     from rpl_data.torch.readable import collate_readable_lists
     from rpl_data.torch.scenes import hold_out_scenes
+    from rpl_data.torch.splits import refuse_no_labels
 
     from .detection.module import load_detector, start_of, untrained_detector
-    from .runs.folder import HELD_OUT, LABEL, check_same_network
+    from .runs.folder import HELD_OUT, check_same_network
     from .runs.trainer import Lesson, fit, say, say_held_out, start
     from .runs.weights import start_from
 
@@ -75,8 +75,7 @@ def train_detector(
     train = DetectionDataset(
         coco, split="train", width_px=network.width_px, augment=augment, scenes=scenes.trained
     )
-    if not train.labelled():
-        raise DataError(f"{coco / 'train.json'} shows no object, so there is nothing to learn; {LABEL}")
+    refuse_no_labels(train.labelled(), coco / "train.json")
     val = _validation(coco / "val.json", network, scenes.trained)
     unseen = _validation(coco / "train.json", network, scenes.unseen) if scenes.unseen else None
     module = untrained_detector(train.names, network, learning)

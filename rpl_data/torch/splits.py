@@ -47,6 +47,14 @@ def split_file(export: str | Path, split: str | None) -> Path:
     return path / f"{split}.json"
 
 
+def refuse_no_labels(labelled: int, coco_json: Path) -> None:
+    """Raise a DataError where the images of a training split show no object."""
+    if not labelled:
+        raise DataError(
+            f"{coco_json} shows no object, so there is nothing to learn; label some frames, and export again"
+        )
+
+
 def _why(folder: Path, split: str, there: list[str]) -> str:
     """The reason why a split was not exported, as far as the other files show it."""
     if split in ("val", "test") and _rendered(folder / "train.json"):

@@ -11,11 +11,10 @@ from torch.utils.data import Dataset
 
 from rpl_data.torch.augmentation import refuse_for_one_object
 from rpl_data.torch.instances import InstanceDataset, InstanceSample
+from rpl_data.torch.splits import refuse_no_labels
 from rpl_data.torch.transforms import Affine, Augmentation, crop_from_square, zoom_of
 from rpl_data.torch.warps import warp_pixels
 from rpl_data.types import DataError
-
-from ..runs.folder import LABEL
 
 SMALLEST_PX = 2
 """Instances whose box in the crop is narrower or lower than this are not trained on."""
@@ -47,8 +46,7 @@ class SquareCrops(Dataset[InstanceSample]):
         self._images = InstanceDataset(coco_json, scenes=scenes)
         if not len(self._images):
             raise DataError(f"{coco_json} has no images; export a dataset with a train split")
-        if not self._images.labelled():
-            raise DataError(f"{coco_json} shows no object, so there is nothing to learn; {LABEL}")
+        refuse_no_labels(self._images.labelled(), coco_json)
         self.names = tuple(self._images.names)
         self._size_px, self._augmentation = size_px, augmentation
 

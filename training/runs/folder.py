@@ -27,9 +27,6 @@ LAST, BEST = "last.ckpt", "best.ckpt"
 LOCK = ".training.lock"
 """A file that a training holds while it writes into the folder of its run."""
 
-LABEL = "label some frames, and export again"
-"""What to do where a training split shows nothing."""
-
 HELD_OUT = "held_out_scenes"
 """The setting that names the scenes of the training split that are only validated on."""
 TRAINED_ON = "trained_on"

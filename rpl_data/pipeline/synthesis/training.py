@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
-from rpl_data.files import read_bytes
+from rpl_data.files import file_hash
 from rpl_data.formats.datasets.coco import CocoObject, objects_from_coco
 from rpl_data.formats.datasets.coco_parts import read_packed
 from rpl_data.json_arrays import Json
@@ -83,7 +82,7 @@ def outdated_line(workspace: Workspace) -> str | None:
     """A line for the user where `export/synthetic` was rendered from labels other than those of now."""
     file, rendered = workspace.export("coco") / "train.json", workspace.export("synthetic")
     made_of = studio_made_of(rendered / "studio")
-    if made_of is None or not file.exists() or made_of["labels"] == _digest(file):
+    if made_of is None or not file.exists() or made_of.get("labels") == _digest(file):
         return None
     return (
         f"{rendered} was rendered from earlier labels; the same `rpl synthesize` as then makes it anew, or "
@@ -92,4 +91,4 @@ def outdated_line(workspace: Workspace) -> str | None:
 
 
 def _digest(file: Path) -> str:
-    return hashlib.sha256(read_bytes(file)).hexdigest()[:16]
+    return file_hash(file)[:16]
