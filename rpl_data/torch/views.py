@@ -119,11 +119,18 @@ def _check_image(image: Tensor) -> None:
 
 
 def _mirrored(before_px: Pixels, after_px: Pixels) -> bool:
-    """Whether points were mirrored, by the affine map that fits them best; not where they lie on a line."""
+    """Whether points were mirrored, by the affine map that fits them best.
+
+    Not where they are as near to a line as that map leaves them apart: then its sign is chance.
+    """
     one, other = (points - points.mean(axis=0) for points in (before_px, after_px))
-    if len(one) < 3 or np.linalg.svd(one, compute_uv=False)[-1] < LEAST_SPREAD_PX:
+    if len(one) < 3:
         return False
-    return bool(np.linalg.det(np.linalg.lstsq(one, other, rcond=None)[0]) < 0)
+    fitted = np.linalg.lstsq(one, other, rcond=None)[0]
+    spread = min(np.linalg.svd(points, compute_uv=False)[-1] for points in (one, other))
+    if spread < max(LEAST_SPREAD_PX, 2 * np.linalg.norm(one @ fitted - other)):
+        return False
+    return bool(np.linalg.det(fitted) < 0)
 
 
 def _target(rows: KeypointRows, row: int) -> InstanceTarget:

@@ -251,6 +251,9 @@ def test_polygons_of_another_program_are_no_fault_unless_they_are_damaged(
         train.write_text(json.dumps(data))
         faults = [fault for fault in check_export(tmp_path / "coco") if "SHA256SUMS" not in fault.problem]
         assert [fault.field for fault in faults] == said
+    del data["annotations"][0]["id"]
+    train.write_text(json.dumps(data))
+    assert any("lacks 'id'" in fault.problem for fault in check_export(tmp_path / "coco"))
 
 
 def test_what_contradicts_the_masks_is_named(exports: Path, tmp_path: Path) -> None:

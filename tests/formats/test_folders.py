@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from recordings import LENS, color_image, cut, depth_image, poses, write_color, write_depth
 
+from rpl_data.formats.recordings.folders import is_folder_scene
 from rpl_data.formats.recordings.matrices import read_matrix_camera
 from rpl_data.images import read_color, read_depth_m
 from rpl_data.recordings.open import likely_formats, open_scenes
@@ -398,3 +399,11 @@ def test_folders_of_other_names(tmp_path: Path, color: str, depth: str) -> None:
     (tmp_path / "a/depth_confidence").mkdir()
     make_folders(tmp_path / "a", f"{color}/{{}}.png", f"{depth}/{{}}.png")
     assert len(read(tmp_path / "a").scene.frames) == 6
+
+
+def test_scenes_named_by_such_words_are_not_a_scene_together(tmp_path: Path) -> None:
+    for scene in ("left_table", "depth_test"):
+        for kind in ("rgb", "depth"):
+            (tmp_path / scene / kind).mkdir(parents=True)
+            (tmp_path / scene / kind / "000000.png").touch()
+    assert is_folder_scene(tmp_path / "left_table") and not is_folder_scene(tmp_path)

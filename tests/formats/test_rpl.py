@@ -291,6 +291,7 @@ def test_camera_txt_says_the_depth_unit_in_any_spelling(tree: Path, line: str) -
     ("line", "message"),
     [
         ("depth_scale: 1000", "'depth_scale: 1000' is not understood; write .* `metres_per_unit 0.001`"),
+        ("Depth unit = mm", "'Depth unit = mm' is not understood"),
         ("distortion 0.1 0.2", "expected 4 or 5 or 8 numbers after distortion"),
         ("depth_px 32", "expected 2 numbers after depth_px"),
         ("metres_per_unit mm", "could not convert .* repair or delete the line"),

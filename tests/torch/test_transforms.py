@@ -186,6 +186,10 @@ def test_points_on_a_line_are_not_called_mirrored_nor_are_turns():
     assert _mirrored(points, points * [-1, 1]) and not _mirrored(points, points @ [[0, 1], [-1, 0]])
     assert not _mirrored(points[:2], points[:2] * [-1, 1])
     assert not _mirrored(points * [1, 0.01], points * [-1, 0.01])
+    for seed in range(20):  # near a line, a local warp of each point tells no side of it
+        rng = np.random.default_rng(seed)
+        thin = np.column_stack([np.arange(0, 160, 20.0), rng.normal(size=8)])
+        assert not _mirrored(thin, thin + 4 * rng.normal(size=(8, 2)))
 
 
 def test_points_that_became_no_numbers_leave_the_image_as_it_was(folder):

@@ -53,12 +53,14 @@ def joined(before: Samples, now: Samples) -> Samples:
 
 
 def other_images(before: Samples, now: Samples) -> list[str]:
-    """The scenes of both whose images are not the same."""
-    return [
-        scene
-        for scene in before
-        if any(dict(now.get(scene, [])).get(name, digest) != digest for name, digest in before[scene])
-    ]
+    """The scenes of both whose images are not the same: a file that both name has no content in common."""
+    return [scene for scene in before if _differ(before[scene], now.get(scene, []))]
+
+
+def _differ(before: list[list[str]], now: list[list[str]]) -> bool:
+    names = {name for name, _ in before} & {name for name, _ in now}
+    same = {name for name, digest in before if [name, digest] in now}
+    return bool(names - same)
 
 
 def trained_scenes(checkpoint: Path, coco_json: Path) -> list[str]:

@@ -12,9 +12,10 @@ from rpl_data.export.checks.entries import check_annotation, check_image
 from rpl_data.export.checks.findings import Findings
 from rpl_data.export.checks.rules import at_least, between, sized
 from rpl_data.export.dialect import SPLITS
+from rpl_data.files import decoding
 from rpl_data.formats.datasets.coco import intrinsics_from_coco
 from rpl_data.formats.datasets.coco_check import validate_coco
-from rpl_data.formats.datasets.coco_edited import annotations_as_exported
+from rpl_data.formats.datasets.coco_edited import REMEDY, annotations_as_exported
 from rpl_data.geometry import project, transform
 from rpl_data.json_arrays import Json, each, matrix_from_json, optional, text
 from rpl_data.meshes import load_mesh
@@ -118,8 +119,10 @@ def _with_packed_masks(
     forms = [annotation.get(key) for key in ("segmentation", "segmentation_full")]
     if not any(isinstance(form.get("counts") if isinstance(form, dict) else form, list) for form in forms):
         return True
+    sizes = {image["id"]: (image["height"], image["width"])}
     try:
-        annotations_as_exported([annotation], {image["id"]: (image["height"], image["width"])}, source=file)
+        with decoding(file, REMEDY):
+            annotations_as_exported([annotation], sizes, source=file)
     except DataError as error:
         problem = str(error).partition(";")[0].rpartition("version: ")[2].removeprefix("segmentation: ")
         findings.add(file, record, "segmentation", problem)

@@ -185,7 +185,7 @@ def one_unit(said: Mapping[str, float | None]) -> float | None:
     return unit_m
 
 
-_MAY_SAY_THE_UNIT = re.compile("unit|scale|factor")
+_MAY_SAY_THE_UNIT = re.compile(r"(\S*|depth\b.*)(unit|scale|factor)")
 
 RECIPE = "metres_per_unit of the recipe or the command"
 """What an error calls the unit that a reader was given."""
@@ -199,10 +199,10 @@ def _said(path: Path, lines: Sequence[str]) -> Mapping[str, tuple[float, ...]]:
     counts = {"distortion": (4, 5, 8), "metres_per_unit": (1,), "depth_px": (2,)}
     said: dict[str, tuple[float, ...]] = {}
     for line in lines:
-        key, *tokens = re.sub("[:=]", " ", line, count=1).split() or [""]
+        key, *tokens = split_words(re.sub("[:=]", " ", line, count=1)) or [""]
         key = key.lower().replace("meters", "metres")
         if key not in counts:
-            if tokens and _MAY_SAY_THE_UNIT.search(key):
+            if tokens and _MAY_SAY_THE_UNIT.match(line.lower()):
                 raise DataError(
                     f"{path}: {line!r} is not understood; write the metres of one unit of depth as "
                     "`metres_per_unit 0.001`, or delete the line"

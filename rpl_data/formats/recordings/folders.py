@@ -67,7 +67,7 @@ COLOR_FOLDERS = (
 DEPTH_FOLDERS = ("depth", "depths", "depth_images", "depth_maps", "depth_image", "depth_png", "depth_raw")
 COLOR_WORDS = ("rgb", "color", "colour", "image", "img", "frame", "left")
 NO_COLOR_WORDS = ("depth", "mask", "seg", "conf", "normal")
-NO_DEPTH_WORDS = ("conf", "mask", "vis", "preview")
+NO_DEPTH_WORDS = ("conf", "mask", "vis", "preview", "depth_col", "colormap")
 """In names of folders that are none of the usual ones."""
 
 CAMERA_FILES = (
@@ -128,12 +128,14 @@ def _depth_folder(folder: Path) -> Path | None:
 
 
 def _only(folder: Path, words: Sequence[str], without: Sequence[str]) -> Path | None:
-    """The folder in it with one of these words in its name; None where several have one."""
+    """The folder of files in it with one of these words in its name; None where several have one."""
     names = {path: path.name.lower() for path in folders_in(folder)}
     found = [
         path
         for path, name in names.items()
-        if any(word in name for word in words) and not any(word in name for word in without)
+        if any(word in name for word in words)
+        and not any(word in name for word in without)
+        and any(entry.is_file() for entry in path.iterdir())
     ]
     return found[0] if len(found) == 1 else None
 
