@@ -90,3 +90,4 @@ def test_scenes_stay_known_when_a_run_goes_on_with_others(tmp_path: Path) -> Non
     assert other_images(before, before) == [] and other_images(before, now) == ["00"]
     both = joined(before, now)
     assert sorted(both) == ["00", "01", "02"] and len(both["00"]) == 2
+    assert other_images(both, both) == []  # two contents under one name are both known
